@@ -66,7 +66,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"{len(heights)} trees, {heights.min():.1f} to {heights.max():.1f} m high")
     if objects.solids is not None:
         solids = objects.solids
-        notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
+        notes.append(f"{len(solids.is_closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.is_closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
     if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):

@@ -22,7 +22,7 @@ from skugga.api.raster_file import check_raster
 from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError, SourceError
-from skugga.terrain.ground.elevation import plausible_m
+from skugga.terrain.ground.elevation import plausible_heights_m
 from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.open_raster import GTIFF_VERTICAL
 from skugga.terrain.ground.overview import lacks_overviews, overview_lod
@@ -164,7 +164,7 @@ def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, posit
     """Return the range of cell values that count as plausible heights."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit_m = vertical_axis(dataset.name, dataset, units, positive).scale
-    low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_m(checked_crs(dataset.name, dataset)))
+    low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_heights_m(checked_crs(dataset.name, dataset)))
     return low, high
 
 

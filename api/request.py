@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, SerializeAsAny, field_validator, mod
 
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product, ProductOptions
-from skugga.terrain.level.level import Shadows, override, parse_algorithm
+from skugga.terrain.level.level import Shadows, override_settings, parse_algorithm
 from skugga.terrain.level.parts import SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class RequestedSettings(_RequestModel):
     @field_validator("asked")
     @classmethod
     def _allowed(cls, settings: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
-        override(Shadows(), _parsed(settings))
+        override_settings(Shadows(), _parsed(settings))
         return settings
 
     def for_selector(self) -> dict[str, Any]:

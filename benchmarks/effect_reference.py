@@ -18,7 +18,7 @@ from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.shading import shade, srgb_encoded
-from skugga.terrain.sky import sky
+from skugga.terrain.sky import sky_pixel_colors
 
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells and map pixels per side, size of a cell, and wavelength and height of its sinusoidal ground."""
@@ -68,7 +68,7 @@ def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> lis
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
     if not above:
         row, col = np.nonzero(~buffer.valid)
-        linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
+        linear[row, col] = sky_pixel_colors(scene, view, *picture.pixels_of_points(row, col))
         linear = picture.averaged(linear)
         layers.append(own_buffer.position_frame_m)
     return [srgb_encoded(linear), *layers]

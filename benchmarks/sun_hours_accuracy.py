@@ -30,7 +30,7 @@ from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
 from skugga.terrain.casters.rays import RayScene
-from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
+from skugga.terrain.gbuffer.bare_nodes import HALO_NODES, bare_nodes
 from skugga.terrain.geo.daily_windows import daily_window
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sheet import Sheet
@@ -109,9 +109,9 @@ class CellRays:
     def from_cells(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
         """Return rays from cells of a map's block against the triangles of the sweep, in the frame of ``bare_nodes``."""
         nodes = bare_nodes(scene, view, 1)
-        window = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
+        window = int(view.row0) - HALO_NODES, int(view.col0) - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES
         surface = scene.surface(view.grid).window(*window, nodes.frame)  # includes the rim that casts
-        start = surface.position_frame_m[row + HALO, col + HALO]
+        start = surface.position_frame_m[row + HALO_NODES, col + HALO_NODES]
         upwards = start - scene.world.up_origin(nodes.frame)
         return CellRays(surface.with_rim.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 

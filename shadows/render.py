@@ -31,7 +31,7 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb_encoded
-from skugga.terrain.sky import sky
+from skugga.terrain.sky import sky_pixel_colors
 
 RENDERER_VERSION = 5
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
@@ -351,8 +351,8 @@ def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBl
 def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
     """Write the sky's colour to the pixels and samples without a surface."""
     row, col = np.nonzero(~picture.buffer.valid)
-    pixel_row, pixel_col = picture.pixels_of(row, col)
-    linear[row, col] = sky(scene, view, pixel_row, pixel_col)
+    pixel_row, pixel_col = picture.pixels_of_points(row, col)
+    linear[row, col] = sky_pixel_colors(scene, view, pixel_row, pixel_col)
 
 
 def worse_reach(first: Reach, second: Reach) -> Reach:

@@ -15,7 +15,7 @@ from skugga.shadows.supersampling import Supersampling, lit_nodes, needs_heights
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
 from skugga.terrain.gbuffer.bare_ground import bare_ground
-from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
+from skugga.terrain.gbuffer.bare_nodes import HALO_NODES, bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.gbuffer.ground_normals import ground_normals
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
@@ -81,7 +81,7 @@ def _rim(scene: Scene, view: MapView) -> np.ndarray:
     inner = np.ones((view.rows, view.cols), np.bool_)
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
-            inner &= valid[HALO + down : rows - HALO + down, HALO + right : cols - HALO + right]
+            inner &= valid[HALO_NODES + down : rows - HALO_NODES + down, HALO_NODES + right : cols - HALO_NODES + right]
     return ~inner
 
 

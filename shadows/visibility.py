@@ -14,7 +14,7 @@ from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.compiled import compiled, run_in_chunks
-from skugga.terrain.effects.haze import hiding_distance_m
+from skugga.terrain.effects.haze import shadow_hiding_distance_m
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.smooth_ground import move_to_smooth_ground
 from skugga.terrain.geo.grid import MapView
@@ -72,7 +72,7 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer
-    limit_m = hiding_distance_m(scene, buffer.view)
+    limit_m = shadow_hiding_distance_m(scene, buffer.view)
     if np.isinf(limit_m):
         return buffer
     near = np.empty(buffer.valid.shape, np.bool_)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_NAME_LENGTH = 60
+_MAX_NAME_CHARS = 60
 """Characters of a file's name in its temporary folder's name. Names have at most 255 bytes."""
 
 _PROBE_BYTES = 2**20
@@ -183,7 +183,7 @@ def write_error(path: Path, content_name: str, error: Exception) -> OSError:
 
 def _temp_prefix(target: Path) -> str:
     """Return the prefix of the names of a file's temporary folders."""
-    return f".{target.name[:_NAME_LENGTH]}."
+    return f".{target.name[:_MAX_NAME_CHARS]}."
 
 
 def _writable_mode(target: Path) -> int | None:

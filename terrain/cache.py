@@ -164,12 +164,12 @@ class Cache(Generic[V]):
             while self._values:
                 self._drop(next(iter(self._values)))
 
-    def evict_owned_by(self, owner: object) -> None:
-        """Evict the entries whose key contains ``owner``, or contains an object whose attribute ``elevation`` is ``owner``."""
+    def evict_computed_from(self, elevation: object) -> None:
+        """Evict the entries whose key contains ``elevation`` or an object with that elevation."""
         with _lock:
             for key in list(self._values):
                 sources = [part() for part in key if isinstance(part, IdentityKey)]
-                if any(source is owner or getattr(source, "elevation", None) is owner for source in sources):
+                if any(source is elevation or getattr(source, "elevation", None) is elevation for source in sources):
                     self._drop(key)
 
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
@@ -245,8 +245,8 @@ def cached(
 def register_cache(cache: Any) -> None:
     """Register a cache of another class, so that ``caches`` and ``clear_caches`` include it.
 
-    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by``, as ``Cache`` has
-    them.
+    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_computed_from``, as ``Cache``
+    has them.
     """
     with _lock:
         _caches.add(cache)
@@ -274,7 +274,7 @@ def clear_scene_caches(elevation: object) -> None:
     Entries of other scenes stay.
     """
     for cache in caches("light", "scene"):
-        cache.evict_owned_by(elevation)
+        cache.evict_computed_from(elevation)
 
 
 def bytes_of(value: object) -> int:

@@ -5,7 +5,8 @@ Latitude and height alone decide, so that a place has the same colour in every m
 - **Ice** lies above the snow line. The snow line is at sea level in Antarctica and highest in the dry subtropics.
 - **Vegetation** thins out in the subtropics, where air sinks and dries, and towards the poles, where it is cold.
 
-The model ignores rain from mountains and coasts: Florida and the Sahara get the same share of desert colours, at most ``MAX_ARID``.
+The model ignores rain from mountains and coasts: Florida and the Sahara get the same share of desert colours, at most
+``MAX_DESERT_SHARE``.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the 
 ICE_BLEND_M = 250.0
 """Half the range of heights, centred on the snow line, over which ground blends into ice."""
 
-MAX_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
+MAX_DESERT_SHARE, ARID_LATITUDES_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
 """Share of the desert's colours in the middle of the dry belt, and the latitudes over which that share rises and falls."""
 
-TUNDRA_DEG = (60.0, 70.0), (-52.0, -60.0)
+TUNDRA_LATITUDES_DEG = (60.0, 70.0), (-52.0, -60.0)
 """Latitudes over which meadows blend into tundra: of the northern hemisphere, and of the southern one, which is colder."""
 
 SEA_FLOOR_M = -500.0, -440.0
@@ -86,10 +87,10 @@ def _ice_share(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
 
 def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the share of desert colours at latitudes in degrees."""
-    (rise_start, rise_end), (fall_start_deg, fade_end) = ARID_DEG
+    (rise_start, rise_end), (fall_start_deg, fade_end) = ARID_LATITUDES_DEG
     abs_latitude = np.abs(latitude_deg)
     return (
-        MAX_ARID
+        MAX_DESERT_SHARE
         * smoothstep((abs_latitude - rise_start) / (rise_end - rise_start))
         * smoothstep((fade_end - abs_latitude) / (fade_end - fall_start_deg))
     )
@@ -97,5 +98,5 @@ def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:
 
 def _tundra_share(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the share of tundra colours at latitudes in degrees."""
-    shares = [smoothstep((latitude_deg - begin_deg) / (end_deg - begin_deg)) for begin_deg, end_deg in TUNDRA_DEG]
+    shares = [smoothstep((latitude_deg - begin_deg) / (end_deg - begin_deg)) for begin_deg, end_deg in TUNDRA_LATITUDES_DEG]
     return np.maximum(*shares)

@@ -23,7 +23,7 @@ MIN_ALTITUDE_DEG, MAX_ALTITUDE_DEG = 4.0, 35.0
 METRES_PER_DEGREE = 111_195.0
 """Metres per degree of a great circle. The sun's altitude falls by a degree over this distance away from it."""
 
-LEVEL_GROUND_DEG, OVER_LEVEL_GROUND_DEG = 0.5, 30.0
+LEVEL_GROUND_SLOPE_DEG, LEVEL_GROUND_ALTITUDE_DEG = 0.5, 30.0
 """Slope angle below which ground counts as level, and the sun's altitude over level ground.
 
 Only objects cast shadows on level ground.
@@ -31,7 +31,7 @@ Only objects cast shadows on level ground.
 
 HIGH_LATITUDE_DEG, OBLIQUITY_DEG = 60.0, 23.44
 
-MAX_NOON_SHARE = 0.9
+MAX_SHARE_OF_NOON_ALTITUDE = 0.9
 """Upper bound of the sun's altitude as a share of its altitude at noon."""
 
 FLAT_WORLD_AZIMUTH_DEG = 240.0
@@ -41,12 +41,14 @@ FLAT_WORLD_AZIMUTH_DEG = 240.0
 def default_sun(world: World, elevation: Elevation) -> SunSpec:
     """Return the default sun of a level, with azimuth and altitude in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
-    altitude = OVER_LEVEL_GROUND_DEG
+    altitude = LEVEL_GROUND_ALTITUDE_DEG
     min_deg = MIN_ALTITUDE_DEG
     for _ in range(2):  # the slopes depend on the azimuth, and the azimuth on the altitude
         steepness_deg = _steepness_deg(world, elevation, azimuth)
         altitude = (
-            OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MAX_ALTITUDE_DEG))
+            LEVEL_GROUND_ALTITUDE_DEG
+            if steepness_deg < LEVEL_GROUND_SLOPE_DEG
+            else float(np.clip(steepness_deg, min_deg, MAX_ALTITUDE_DEG))
         )
         if not world.flat:
             azimuth, altitude = _afternoon_position(world.anchor_lat_deg, altitude)
@@ -57,11 +59,12 @@ def default_sun(world: World, elevation: Elevation) -> SunSpec:
 def _afternoon_position(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
     """Return the azimuth and altitude in degrees of the afternoon sun as it passes an altitude.
 
-    The day is the equinox, or midsummer beyond ``HIGH_LATITUDE_DEG``. The returned altitude is at most ``MAX_NOON_SHARE`` of that
-    day's altitude at noon. The azimuth follows from sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt) cos(azimuth).
+    The day is the equinox, or midsummer beyond ``HIGH_LATITUDE_DEG``. The returned altitude is at most
+    ``MAX_SHARE_OF_NOON_ALTITUDE`` of that day's altitude at noon. The azimuth follows from sin(declination) = sin(lat) sin(alt) +
+    cos(lat) cos(alt) cos(azimuth).
     """
     declination_deg = OBLIQUITY_DEG * np.sign(lat_deg) if abs(lat_deg) > HIGH_LATITUDE_DEG else 0.0
-    altitude_deg = min(altitude_deg, MAX_NOON_SHARE * (90.0 - abs(lat_deg - declination_deg)))
+    altitude_deg = min(altitude_deg, MAX_SHARE_OF_NOON_ALTITUDE * (90.0 - abs(lat_deg - declination_deg)))
     lat, declination, altitude = np.radians([np.clip(lat_deg, -89.9, 89.9), declination_deg, altitude_deg])
     cosine = (np.sin(declination) - np.sin(lat) * np.sin(altitude)) / (np.cos(lat) * np.cos(altitude))
     return float(360.0 - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(altitude_deg)

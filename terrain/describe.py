@@ -12,7 +12,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.clip_space import bend_px
-from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.lamps import visible_lamps
 from skugga.terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
@@ -118,10 +118,8 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
         reach = _bounds_at_unit_distance(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
-        visible = _VisiblePointsInLight(
-            points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach
-        )
-        bands = _bands(distance_m, visible, scene.objects.tallest_m, coarse_view.spacing)
+        visible = _LightSpacePoints(points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach)
+        bands = _distance_bands(distance_m, visible, scene.objects.tallest_m, coarse_view.spacing_tangent)
         all_bands = join_bands(bands) if bands else None
         span = (
             np.full(3, median_m * view.pixel) if all_bands is None else np.subtract(all_bands.high_light_m, all_bands.low_light_m)
@@ -137,7 +135,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
 
 
 @dataclass(frozen=True, eq=False)
-class _VisiblePointsInLight:
+class _LightSpacePoints:
     """The visible points in light space.
 
     Attributes
@@ -146,14 +144,14 @@ class _VisiblePointsInLight:
         (n, 3), the points in metres.
     eye_m
         (3,), the eye in metres.
-    low, high
+    min_per_distance, max_per_distance
         (3,), lower and upper bounds of the offset of a visible point from the eye, per unit of distance.
     """
 
     points_m: np.ndarray
     eye_m: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    min_per_distance: np.ndarray
+    max_per_distance: np.ndarray
 
 
 def _bounds_at_unit_distance(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,10 +172,12 @@ def _bounds_at_unit_distance(view: PerspectiveView, light_from_earth: np.ndarray
     return -low, high
 
 
-def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: float, spacing_share: float) -> tuple[Band, ...]:
+def _distance_bands(
+    distance_m: np.ndarray, visible: _LightSpacePoints, tallest_m: float, spacing_tangent: float
+) -> tuple[Band, ...]:
     """Return the visible surfaces by distance: one ``Band`` for each power of two in the points' distances (n,).
 
-    ``spacing_share`` is the distance between neighbouring points as a share of their distance from the eye. It widens each band's
+    ``spacing_tangent`` is the distance between neighbouring points as a share of their distance from the eye. It widens each band's
     bounds. The bounds also leave room for objects of height ``tallest_m``, as far as the view shows them.
     """
     light_m = visible.points_m
@@ -190,9 +190,9 @@ def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: fl
     lows, highs = (end.reduceat(light_m[order], first, axis=0) for end in (np.minimum, np.maximum))
     bands = []
     for number, share, low, high in zip(octave[order][first].tolist(), shares.tolist(), lows, highs, strict=True):
-        margin_m, objects_m = spacing_share * 2.0**number, tallest_m * np.array([0.0, 1.0, 1.0])
-        low = np.maximum(low - objects_m, np.minimum(low, visible.eye_m + 2.0**number * visible.low)) - margin_m
-        high = np.minimum(high + objects_m, np.maximum(high, visible.eye_m + 2.0**number * visible.high)) + margin_m
+        margin_m, objects_m = spacing_tangent * 2.0**number, tallest_m * np.array([0.0, 1.0, 1.0])
+        low = np.maximum(low - objects_m, np.minimum(low, visible.eye_m + 2.0**number * visible.min_per_distance)) - margin_m
+        high = np.minimum(high + objects_m, np.maximum(high, visible.eye_m + 2.0**number * visible.max_per_distance)) + margin_m
         bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
         bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, **bounds))
     return tuple(bands)

@@ -155,7 +155,7 @@ def combined_error(errors: Sequence[InputErrorT]) -> InputErrorT:
     """
     first, *further_errors = errors[:MAX_ERRORS]
     first.further_errors = tuple(further_errors)
-    overflow_lines = [f"{len(errors) - MAX_ERRORS} more are wrong"] if len(errors) > MAX_ERRORS else []
+    overflow_lines = [f"{len(errors) - MAX_ERRORS} more errors"] if len(errors) > MAX_ERRORS else []
     first.args = ("\n".join([*map(str, (first, *further_errors)), *overflow_lines]),)
     return first
 

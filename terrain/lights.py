@@ -102,7 +102,7 @@ class Lamp:
 
 
 @dataclass(frozen=True, eq=False)
-class LampRig:
+class AnimatedLamp:
     """A level's lamp at all times of the level's clock.
 
     Attributes
@@ -140,8 +140,8 @@ class LampRig:
         return Lamp(self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_m, spec.radius)
 
 
-def lamp_rig(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) -> LampRig:
-    """Return a level's lamp at all times of the level's clock (``LampRig``).
+def animated_lamp(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) -> AnimatedLamp:
+    """Return a level's lamp at all times of the level's clock (``AnimatedLamp``).
 
     ``key_path`` is the path of the lamp's key in the level file, for messages. Raises ``LevelError`` for a position outside of the
     ground's data. Raises it also for a path that leaves the terrain or goes under the ground, and for a spot that meets its target.
@@ -150,13 +150,13 @@ def lamp_rig(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) 
     position = _ground_position_or_path(spec, "position", geolocator, key_path)
     start_position = _ground_position_at(position, first_s)
     if spec.kind == "omni":
-        return LampRig(name, spec, position, None, max(start_position.above_ground_m, 1.0))
+        return AnimatedLamp(name, spec, position, None, max(start_position.above_ground_m, 1.0))
     target = _ground_position_or_path(spec, "target", geolocator, key_path)
     reference_m = float(np.linalg.norm(_ground_position_at(target, first_s).point_earth_m - start_position.point_earth_m))
     if spec.motion is None and not reference_m > MIN_TARGET_DISTANCE_M:
         raise LevelError(f"{key_path}.target", spec.target, "a point other than the position")
     _check_distance(position, target, f"{key_path}.motion.path")
-    return LampRig(name, spec, position, target, reference_m)
+    return AnimatedLamp(name, spec, position, target, reference_m)
 
 
 def _ground_position_or_path(

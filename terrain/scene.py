@@ -107,7 +107,7 @@ class Scene:
         """The lights besides the sun by name."""
         if self.lamp_overrides:
             return dict(self.lamp_overrides)
-        return {name: rig.at_second(self.seconds) for name, rig in self.objects.lamp_rigs.items()}
+        return {name: rig.at_second(self.seconds) for name, rig in self.objects.animated_lamps.items()}
 
     @cached_property
     def style(self) -> Style:
@@ -138,7 +138,9 @@ class Scene:
     @cached_property
     def without_refraction(self) -> Scene:
         """The same scene with the sun's geometric position, as without an atmosphere."""
-        return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
+        return (
+            self if self.sun is None or not self.sun.refraction_deg else replace(self, sun=self.sun.without_refraction(self.world))
+        )
 
     def close(self) -> None:
         """Close the level's raster and release its objects. Evict the cache entries computed from either, for all suns."""
@@ -308,7 +310,7 @@ class Scene:
         crs: str | None,
         size: tuple[int, int] | None,
     ) -> MapView:
-        target = self._crs(crs or spec.crs)
+        target = self._parse_crs(crs or spec.crs)
         extent = bounds or (spec.bounds if crs is None else None) or self.default_bounds(target)
         west, south, east, north = extent
         if not (np.isfinite(extent).all() and west < east and south < north):
@@ -348,7 +350,7 @@ class Scene:
             longitude_shifts = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
             return any(bool(((x + t >= west) & (x + t <= east) & (y >= south) & (y <= north)).any()) for t in longitude_shifts)
 
-    def _crs(self, text: str | None) -> CRS:
+    def _parse_crs(self, text: str | None) -> CRS:
         if text is None:
             return self.map_crs
         try:

@@ -14,7 +14,7 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.level import CasterKind, LoadedLevel
-from skugga.terrain.lights import LampRig, lamp_rig
+from skugga.terrain.lights import AnimatedLamp, animated_lamp
 from skugga.terrain.meshes.solids import Solids
 from skugga.terrain.trees.trees import Trees
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skugga.terrain.meshes.assemble import Placement
     from skugga.terrain.trees.forest import Planting
 
-CREASE_DISTANCE = 0.8
+MIN_EDGE_NORMAL_DISTANCE = 0.8
 """Minimum distance of the unit normals of two faces at a sharp edge: 47 degrees. Below it the surface counts as smooth."""
 
 
@@ -52,7 +52,7 @@ class SceneObjects:
         if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "lamp_rigs")})
+        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "animated_lamps")})
         return other
 
     @cached_property
@@ -90,10 +90,12 @@ class SceneObjects:
         return place_meshes(self.loaded, self.world, self.elevation)
 
     @cached_property
-    def lamp_rigs(self) -> dict[str, LampRig]:
+    def animated_lamps(self) -> dict[str, AnimatedLamp]:
         """The level's lamps by name, each with its positions at all times of the clock."""
         key_path, geolocator = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
-        return {name: lamp_rig(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()}
+        return {
+            name: animated_lamp(name, spec, geolocator, f"{key_path}.{name}") for name, spec in self.loaded.level.lights.items()
+        }
 
     @cached_property
     def solids(self) -> Solids | None:
@@ -109,8 +111,8 @@ class SceneObjects:
     def solid_crease(self) -> np.ndarray:
         """How far the smooth surface round each triangle of the meshes bends upwards, float32 (n,).
 
-        The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``CREASE_DISTANCE``) do not count. It is the
-        same at every second of the clock, since bodies are rigid and share no vertices.
+        The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``MIN_EDGE_NORMAL_DISTANCE``) do not count. It
+        is the same at every second of the clock, since bodies are rigid and share no vertices.
         """
         if self.solids is None:
             return np.zeros(0, np.float32)
@@ -118,7 +120,7 @@ class SceneObjects:
 
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
         normals, adjacency = face_normals(vertices, triangles), node_faces(len(vertices), triangles)
-        return creases(vertices, normals, triangles, adjacency, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
+        return creases(vertices, normals, triangles, adjacency, MIN_EDGE_NORMAL_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:

@@ -25,12 +25,12 @@ from skugga.terrain.shading_loops import (
     DaylightInFrame,
     ShadingParameters,
     Tints,
-    albedo_rows,
     encode_rows,
     luminance_of,
     shade_bare_ground,
     shade_rows,
-    slope_sky_rows,
+    write_albedo_rows,
+    write_slope_sky_rows,
 )
 from skugga.terrain.srgb import srgb_of_linear
 from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
@@ -60,7 +60,7 @@ MAP_FOLIAGE_FACTOR = 2.0
 LEAF_TRANSLUCENCY = 0.3
 """Share of foliage's light that does not depend on its normal. Leaves are translucent and lie in all directions."""
 
-CLOUD_LIGHT = (0.94, 0.97, 1.00)
+CLOUD_LIGHT_COLOR = (0.94, 0.97, 1.00)
 """Linear colour of the light that passes through clouds."""
 
 OVERCAST_GROUND_EXPOSURE = 0.56
@@ -97,7 +97,7 @@ def daylight_of(scene: Scene) -> Daylight:
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear_sky_light, grey = (
         np.array(style.skylight) * LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE),
-        np.array(CLOUD_LIGHT) * OVERCAST_GROUND_EXPOSURE,
+        np.array(CLOUD_LIGHT_COLOR) * OVERCAST_GROUND_EXPOSURE,
     )
     sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear_sky_light + cover * grey)
@@ -218,7 +218,7 @@ def slope_sky_view_factor(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the sky-view factor (rows, cols) float32 of each slope without its surroundings: 0.5 if vertical, 1 if level."""
     out = np.zeros(buffer.valid.shape, np.float32)
     centre = scene.world.up_origin(buffer.frame)
-    run_in_chunks(len(out), slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    run_in_chunks(len(out), write_slope_sky_rows, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
 
 
@@ -231,7 +231,7 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the linear albedo (rows, cols, 3) float32 of a buffer's points, with tint and water, as a new array."""
     albedo = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
-        len(albedo), albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
+        len(albedo), write_albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
         shading_parameters(scene, buffer.view, buffer.frame), albedo,
     )  # fmt: skip
     if scene.loaded.level.water is not None:

@@ -14,8 +14,8 @@ from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
-SHOULDER, SHOULDER_RANGE = 0.6, 0.4
-"""Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
+TONE_CURVE_START, TONE_CURVE_RANGE = 0.6, 0.4
+"""Linear colour at which the tone curve's tone_curve begins, and the range from there to white."""
 
 MIN_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
@@ -33,7 +33,7 @@ AIR_VEIL_COLOR = (0.66, 0.74, 0.84)
 """Linear colour by day of the veil of air over low ground."""
 
 HIGH_SUN_DEG = 6.01
-"""Altitude of the sun from which on direct light and sky light are constant (``shade_rows``, ``dusk_of``).
+"""Altitude of the sun from which on direct light and sky light are constant (``shade_rows``, ``twilight_sky_share``).
 
 It is a hundredth of a degree above the exact limit, since only some points of a map are checked.
 """
@@ -54,7 +54,7 @@ class DaylightInFrame(NamedTuple):
         (3,), the sun's irradiance at normal incidence.
     sky
         (3,), the irradiance from the whole sky.
-    night
+    night_sky_share
         Sky light at night as a share of the day's.
     """
 
@@ -62,7 +62,7 @@ class DaylightInFrame(NamedTuple):
     to_sun_frame: np.ndarray
     sun: np.ndarray
     sky: np.ndarray
-    night: float
+    night_sky_share: float
 
 
 class Tints(NamedTuple):
@@ -100,7 +100,7 @@ class ShadingParameters(NamedTuple):
         Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
     veil
         (n,), the share of the veil of air in the ground's colour, by height.
-    foliage
+    foliage_factor
         Factor of foliage's albedo.
     """
 
@@ -112,11 +112,11 @@ class ShadingParameters(NamedTuple):
     slope_exaggeration: float
     slope_limit: float
     veil: np.ndarray
-    foliage: float
+    foliage_factor: float
 
 
 @compiled
-def dusk_of(sine):
+def twilight_sky_share(sine):
     """Return the share of the day's sky light for the sine of the sun's altitude.
 
     It is 1 from 6 degrees on, and 0 below -12 degrees (nautical dusk).
@@ -128,12 +128,12 @@ def dusk_of(sine):
 
 
 @compiled
-def shoulder(linear):
-    """Return the display colour of linear light: a tone curve with a shoulder.
+def tone_curve(linear):
+    """Return the display colour of linear light: a tone curve with a tone_curve.
 
-    The curve is the identity up to ``SHOULDER`` and flattens from there on. Slopes that face a low sun keep their tint.
+    The curve is the identity up to ``TONE_CURVE_START`` and flattens from there on. Slopes that face a low sun keep their tint.
     """
-    return linear if linear <= SHOULDER else 1.0 - SHOULDER_RANGE**2 / (linear + SHOULDER_RANGE - SHOULDER)
+    return linear if linear <= TONE_CURVE_START else 1.0 - TONE_CURVE_RANGE**2 / (linear + TONE_CURVE_RANGE - TONE_CURVE_START)
 
 
 @compiled
@@ -190,7 +190,7 @@ def _direct_fade(sine):
 
 
 @compiled
-def slope_sky_rows(first, last, valid, normal, position, centre, out):
+def write_slope_sky_rows(first, last, valid, normal, position, centre, out):
     """Compute the share of the sky that each slope leaves visible without its surroundings, into ``out``.
 
     Rows run from ``first`` to before ``last``. ``centre`` is the point from which "up" points away (``World.up_origin``).
@@ -234,7 +234,7 @@ def shade_rows(
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             sky_view = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
             # Rounded as in ``shade_bare_ground``, so that both give the same picture.
-            ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
+            ux, uy, uz = _round_to_float32(ux / length), _round_to_float32(uy / length), _round_to_float32(uz / length)
             sine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz if has_sun else -1.0
             cos_zenith = n[0] * ux + n[1] * uy + n[2] * uz
             cos_sun = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
@@ -244,7 +244,7 @@ def shade_rows(
                 sky_view = sky_view * _slope_sky_factor(cos_sun, cos_zenith, sine, directional_share)
                 if kind[i, j] == RELIEF:
                     cos_sun = _slope_direct_light(cos_sun, sine, terminator)
-            sky_light_share = night + (1.0 - night) * dusk_of(sine)
+            sky_light_share = night + (1.0 - night) * twilight_sky_share(sine)
             direct = (translucent_share + (1.0 - translucent_share) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
@@ -262,12 +262,12 @@ def shade_rows(
                 )
                 if lamplight is not None:
                     light += surface_color[k] * lamplight[i, j, k]
-                light = shoulder(light)
+                light = tone_curve(light)
                 out[i, j, k] = light + veil * (AIR_VEIL_COLOR[k] * sky_light_share - light)
 
 
 @internal
-def _rounded(value):
+def _round_to_float32(value):
     return np.float64(np.float32(value))
 
 
@@ -344,7 +344,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
         if not is_high_everywhere:
             for j in range(cols):
                 direct[j] *= _direct_fade(sines[j])
-                sky_light_share[j] = night + (1.0 - night) * dusk_of(sines[j])
+                sky_light_share[j] = night + (1.0 - night) * twilight_sky_share(sines[j])
         _cosines_to_direction(normal[i], (to_sun[0], to_sun[1], to_sun[2]), cos_sun)
         _cosines_to_zenith(normal[i], up[i], cos_zenith)
         if not has_true_slopes:
@@ -470,7 +470,7 @@ def _srgb_indices(tint, grey, greying, sun, sky, direct, sky_light, veil, sky_li
     count = np.float32(table_size)
     for j in range(out.size):
         light = tint[j] * (sun * direct[j]) + (tint[j] + greying * (grey[j] - tint[j])) * (sky * sky_light[j])
-        light = light if light <= SHOULDER else 1.0 - SHOULDER_RANGE**2 / (light + SHOULDER_RANGE - SHOULDER)
+        light = light if light <= TONE_CURVE_START else 1.0 - TONE_CURVE_RANGE**2 / (light + TONE_CURVE_RANGE - TONE_CURVE_START)
         linear = np.float32(light + veil[j] * (air * sky_light_share[j] - light))
         index = linear * count
         out[j] = min(np.int32(index if index > 0.0 else 0.0), np.int32(table_size - 1))
@@ -484,7 +484,7 @@ def _look_up_srgb(valid, srgb_index, table, out):
 
 
 @compiled
-def albedo_rows(first, last, shading_inputs, centre, albedo, parameters, out):
+def write_albedo_rows(first, last, shading_inputs, centre, albedo, parameters, out):
     """Compute the linear albedo of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
     It is ``albedo`` where that has a value, else the ground's tint.
@@ -498,7 +498,7 @@ def albedo_rows(first, last, shading_inputs, centre, albedo, parameters, out):
             p = position[i, j]
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
+            ux, uy, uz = _round_to_float32(ux / length), _round_to_float32(uy / length), _round_to_float32(uz / length)
             tint_index, fraction = _tint_position(height[i, j])
             sine = north[0] * ux + north[1] * uy + north[2] * uz
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tints.table, sine, tint_index, fraction)

@@ -27,7 +27,7 @@ from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.interpolation import smoothstep
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.shading_loops import twilight_sky_share
 
 SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 """Linear colours of the day's sky behind a perspective view."""
@@ -35,11 +35,11 @@ SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 CLOUDY_SKY = (0.60, 0.64, 0.68)
 """Linear colour of an overcast sky."""
 
-AIR_DEPTH = (0.105, 0.180, 0.325)
+OPTICAL_DEPTH_OF_AIR = (0.105, 0.180, 0.325)
 """Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
 SINGLE_SCATTERING_SHARE = 0.45
-"""Share of ``AIR_DEPTH`` that colours the horizon. Multiple scattering compensates the rest."""
+"""Share of ``OPTICAL_DEPTH_OF_AIR`` that colours the horizon. Multiple scattering compensates the rest."""
 
 MAX_AIR_MASS = 22.0
 """Maximum optical air mass of a path, as of a sun at 1.5 degrees. A longer path is lit from above, too."""
@@ -50,13 +50,13 @@ LOW_SUN_DEG = (2.0, 16.0)
 OPPOSITE_SHARE = 0.22
 """Share of the sunlight's colour in the horizon opposite to the sun."""
 
-DAY_FADE, LOW_SUN_FADE = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
+HIGH_SUN_FADE_RATES, LOW_SUN_FADE_RATES = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
 """Rates per sine of the altitude at which the horizon's colour fades into the zenith's: under a high sun, and under a low one."""
 
 ZENITH_DARKENING = 0.25
 """Share by which a low sun darkens the zenith."""
 
-LOBES = ((0.72, 0.40), (0.965, 0.55))
+AUREOLE_LOBES = ((0.72, 0.40), (0.965, 0.55))
 """Asymmetry of each lobe of light round the sun, and the share of the sun's colour in its middle."""
 
 TWILIGHT_DEG = 9.0
@@ -80,11 +80,11 @@ class Sky(NamedTuple):
         The zenith's colour.
     glow
         The colour of the light round the sun.
-    aureole
+    aureole_share
         Share of ``glow``, 0 to 1.
-    fade
+    fade_rates
         (3,), rates per sine of the altitude at which the horizon's colour fades into the zenith's.
-    sun
+    sun_sine_cosine
         (2,), sine and cosine of the sun's altitude.
     """
 
@@ -92,16 +92,16 @@ class Sky(NamedTuple):
     opposite: np.ndarray
     zenith: np.ndarray
     glow: np.ndarray
-    aureole: float
-    fade: np.ndarray
-    sun: np.ndarray
+    aureole_share: float
+    fade_rates: np.ndarray
+    sun_sine_cosine: np.ndarray
 
 
 def sky_of(scene: Scene) -> Sky:
     """Return the sky of a scene, by the sun's altitude and the clouds. It is dark at night and without a sun."""
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
-    brightness, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
+    brightness, cover = 0.02 + 0.98 * float(twilight_sky_share(sine)), scene.loaded.level.weather.cloud_cover
     twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG))
     low_sun_share = float(smoothstep((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))) * twilight
     grey, horizon = np.array(CLOUDY_SKY), np.array(SKY_HORIZON)
@@ -113,7 +113,7 @@ def sky_of(scene: Scene) -> Sky:
 
     zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low_sun_share) + cover * grey) * brightness
     aureole = (1.0 - cover) * twilight
-    fade = np.array(DAY_FADE) + (np.array(LOW_SUN_FADE) - np.array(DAY_FADE)) * low_sun_share
+    fade = np.array(HIGH_SUN_FADE_RATES) + (np.array(LOW_SUN_FADE_RATES) - np.array(HIGH_SUN_FADE_RATES)) * low_sun_share
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
     return Sky(horizon_color(1.0), horizon_color(OPPOSITE_SHARE), zenith, np.sqrt(lit) * brightness, aureole, fade, sun)
 
@@ -136,7 +136,7 @@ def horizontal_sun_direction(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
     return horizontal / length if length > 1e-9 else np.zeros(3)
 
 
-def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+def sky_pixel_colors(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     """Return the linear display colour (n, 3) of the sky in the pixels ``rows`` and ``cols`` (n,) of a view.
 
     Colours are dithered by up to half an 8-bit step.
@@ -165,7 +165,7 @@ def sky_color(sky, sine, azimuth_cosine, out):
     light = 0.0
     if aureole > 0.0:
         cos_sun_angle = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * azimuth_cosine
-        for asymmetry, peak in LOBES:
+        for asymmetry, peak in AUREOLE_LOBES:
             lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * cos_sun_angle)
             light += peak * lobe * np.sqrt(lobe)
         light *= aureole
@@ -182,7 +182,7 @@ def sky_colors(sky, sine, azimuth_cosine, out):
     below_sun, opposite, zenith, glow, aureole, fade, sun = sky
     light, share = np.zeros(sine.size), np.empty(sine.size)
     if aureole > 0.0:
-        for asymmetry, peak in LOBES:
+        for asymmetry, peak in AUREOLE_LOBES:
             for n in range(sine.size):
                 clamped_sine = max(sine[n], 0.0)
                 cos_sun_angle = (
@@ -258,4 +258,4 @@ def _sunlight_color(altitude_deg: float) -> np.ndarray:
     """
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(AIR_DEPTH))
+    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(OPTICAL_DEPTH_OF_AIR))

@@ -44,7 +44,7 @@ MIN_WOOD_SHARE = 0.25
 Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood in Quebec.
 """
 
-EXAGGERATION_POWER, MAX_EXAGGERATION = 0.25, 3.0
+EXAGGERATION_EXPONENT, MAX_EXAGGERATION = 0.25, 3.0
 """Power by which slopes grow with a map's pixel size beyond ``exaggeration_from_pixel_m``, and the maximum factor."""
 
 NO_SLOPE_LIMIT = 1e3
@@ -102,7 +102,7 @@ class Style:
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
         """Return the factor of slopes in a map whose pixels have a side of ``pixel_m`` metres."""
-        pixel_factor = (pixel_m / self.exaggeration_from_pixel_m) ** EXAGGERATION_POWER
+        pixel_factor = (pixel_m / self.exaggeration_from_pixel_m) ** EXAGGERATION_EXPONENT
         return self.slope_exaggeration * float(np.clip(pixel_factor, 1.0, MAX_EXAGGERATION))
 
 

@@ -26,7 +26,7 @@ from skugga.terrain.level.parts import PerspectiveSpec
 LATTICE_NODES = 257
 """Nodes of the lattice along its longer side."""
 
-MAX_VIEWED_M, MAX_VIEWED_CELLS = 60_000.0, 240.0
+MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS = 60_000.0, 240.0
 """Longest side of the part of a level that is searched, in metres or in cells, whichever is longer.
 
 Beyond that distance air hides the ground. With fewer cells the picture would show single cells.
@@ -38,7 +38,7 @@ FOV_DEG, ASPECT = 40.0, 1.25
 EYES_PER_SIDE = 12
 """Candidate positions along either side."""
 
-AZIMUTHS = 16
+AZIMUTH_COUNT = 16
 """Candidate directions at each position."""
 PITCHES_DEG = (14.0, 20.0, 26.0, 33.0)
 """Candidate angles below the horizon."""
@@ -52,7 +52,7 @@ MIN_HEIGHT_CELLS = 12.0
 RAY_GRID = (9, 11)
 """Rows and columns of rays per candidate."""
 
-GROUND_SHARE_POWER = 40.0
+GROUND_SHARE_EXPONENT = 40.0
 """Power of the share of rays that meet ground in the score. With 2 % of sky the factor is less than a half."""
 
 WIDE_DISTANCE_SHARE = 0.6
@@ -64,7 +64,7 @@ CLEAR_FOREGROUND_HEIGHTS = 1.2
 RELIEF_WEIGHT = 0.6
 """Weight of relief relative to that of light and shadow."""
 
-SIDE_WEIGHT = 0.6
+SIDE_LIGHT_WEIGHT = 0.6
 """Share of the score that depends on the angle to the sun's azimuth."""
 
 
@@ -76,7 +76,7 @@ class _Lattice:
     ----------
     height_m
         (rows, cols) float64, heights in metres; NaN without ground.
-    light
+    brightness
         (rows, cols), brightness of each node, 0 to 1.
     step_m
         Distance between nodes in metres.
@@ -85,12 +85,12 @@ class _Lattice:
     """
 
     height_m: np.ndarray
-    light: np.ndarray
+    brightness: np.ndarray
     step_m: float
     points_earth_m: np.ndarray
 
 
-def good_view(world: World, elevation: Elevation, sun: Sun | None) -> PerspectiveSpec | None:
+def find_viewpoint(world: World, elevation: Elevation, sun: Sun | None) -> PerspectiveSpec | None:
     """Return a good perspective view of a level under its sun (``None``: lit from above).
 
     Returns ``None`` if no candidate shows enough ground.
@@ -101,10 +101,17 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
     heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), MIN_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
     row, col = (np.linspace(0.04, 0.96, EYES_PER_SIDE) * (count - 1) for count in (rows, cols))
     eyes = np.stack(np.meshgrid(np.rint(row), np.rint(col), indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
-    azimuths = np.radians(np.arange(AZIMUTHS) * 360.0 / AZIMUTHS)
+    azimuths = np.radians(np.arange(AZIMUTH_COUNT) * 360.0 / AZIMUTH_COUNT)
     sun_azimuth = np.nan if sun is None else np.radians(sun.azimuth_deg)
     scores = _view_scores(
-        lattice.height_m, lattice.light, lattice.step_m, eyes, np.unique(heights_m), azimuths, np.radians(PITCHES_DEG), sun_azimuth
+        lattice.height_m,
+        lattice.brightness,
+        lattice.step_m,
+        eyes,
+        np.unique(heights_m),
+        azimuths,
+        np.radians(PITCHES_DEG),
+        sun_azimuth,
     )
     if not scores.max() > 0.0:
         return None
@@ -137,7 +144,7 @@ def _level_coordinates(world: World, elevation: Elevation, points_earth_m: np.nd
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     """Return the lattice of the level, or of its most rugged part where the level is wider than the searched part."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
-    widest_m = max(MAX_VIEWED_M, MAX_VIEWED_CELLS * cell_m)
+    widest_m = max(MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS * cell_m)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
     if max(elevation.rows, elevation.cols) * cell_m > widest_m:
         row, col = _most_rugged_cell(world, elevation, sun, widest_m / cell_m)
@@ -247,9 +254,9 @@ def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches
         for h in range(len(eye_heights_m)):
             z = height_m[row, col] + eye_heights_m[h]
             for a in range(len(azimuths)):
-                side_factor = 1.0 - SIDE_WEIGHT
+                side_factor = 1.0 - SIDE_LIGHT_WEIGHT
                 if not np.isnan(sun_azimuth):
-                    side_factor += SIDE_WEIGHT * abs(np.sin(azimuths[a] - sun_azimuth))
+                    side_factor += SIDE_LIGHT_WEIGHT * abs(np.sin(azimuths[a] - sun_azimuth))
                 for p in range(len(pitches)):
                     count = 0
                     for i in range(rows):
@@ -272,6 +279,6 @@ def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches
                         foreground_factor = min(np.min(hits[2, :count]) / (CLEAR_FOREGROUND_HEIGHTS * eye_heights_m[h]), 1.0) ** 2
                         contrast = np.std(hits[0, :count]) + RELIEF_WEIGHT * np.std(hits[1, :count]) / median_m
                         out[e, h, a, p] = (
-                            ground_share**GROUND_SHARE_POWER * side_factor * width_factor * foreground_factor * contrast
+                            ground_share**GROUND_SHARE_EXPONENT * side_factor * width_factor * foreground_factor * contrast
                         )
     return out

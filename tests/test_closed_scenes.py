@@ -22,7 +22,7 @@ from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
-from skugga.terrain.casters.caster_culling import patch_ground
+from skugga.terrain.casters.caster_culling import patch_bounds
 from skugga.terrain.casters.reach import Patch
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
@@ -113,7 +113,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
     _ground_between_nodes(scene, nodes.part(0, 0, 8, 8).shifted(0.25, 0.25), None)
-    patch_ground(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
+    patch_bounds(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
     compute(scene, nodes, ProductRequest(product="height"), None)
     point = place_at(scene, tuple(lon_lat_at(240, 200)))

@@ -68,7 +68,7 @@ def _opengl() -> Finding:
 def _egl_devices() -> list[Finding]:
     """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
     from skugga.terrain.gl.device import device
-    from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
+    from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probe_device
 
     try:
         devices = egl_devices()
@@ -80,7 +80,7 @@ def _egl_devices() -> list[Finding]:
         used_index = None
     findings = []
     for egl_device in devices:
-        probe = probed_device(egl_device.index)
+        probe = probe_device(egl_device.index)
         details = [f"no OpenGL 4.3 context ({probe.fault})" if probe.fault else f"{probe.renderer}, {probe.version}"]
         details += (
             ["in software"] * egl_device.software

@@ -16,7 +16,7 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import METRES_PER_UNIT, PerspectiveSpec, SunSpec
 from skugga.terrain.level.rasters import is_level_raster
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.viewpoint import good_view
+from skugga.terrain.viewpoint import find_viewpoint
 
 FIRST_VIEW = "view"
 """Name of the suggested perspective view."""
@@ -40,7 +40,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     scene = build_scene(loaded)
     try:
         print_warnings(scene, with_objects=False)
-        view = good_view(scene.world, scene.elevation, scene.sun)
+        view = find_viewpoint(scene.world, scene.elevation, scene.sun)
         write_atomically(path, level_text(scene, source, view, path.resolve().parent))
     finally:
         scene.close()

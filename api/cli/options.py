@@ -37,6 +37,6 @@ def _option(setting: Setting) -> Any:
     help_text = setting.description.replace("`", "")
     if setting.allowed:
         help_text = f"{help_text.removesuffix('.')} ({setting.allowed})."
-    value_type: Any = setting.plain_type
+    value_type: Any = setting.command_line_type
     words = ["auto", *ALGORITHM_NAMES] if setting.name == "algorithm" else setting.words
     return Annotated[value_type | None, typer.Option(help=help_text, autocompletion=complete_words(words))]

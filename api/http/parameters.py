@@ -114,7 +114,7 @@ _NUMBER_VALIDATORS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEG
 def _shadow_parameter(setting: Setting) -> Any:
     """Return the type annotation of the query parameter for a shadow setting."""
     is_number = any(isinstance(word, int) for word in setting.words)
-    numbers = (INTEGER_OR_WORD,) if is_number else _NUMBER_VALIDATORS.get(setting.plain_type, ())
+    numbers = (INTEGER_OR_WORD,) if is_number else _NUMBER_VALIDATORS.get(setting.command_line_type, ())
     value_type: Any = setting.type
     return Annotated[(value_type | None, *numbers, Query(description=setting.description, examples=[setting.example]))]
 

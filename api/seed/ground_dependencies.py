@@ -32,7 +32,7 @@ from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
 from skugga.terrain.geo.world import transformer
-from skugga.terrain.ground.elevation import FILL_CELLS
+from skugga.terrain.ground.elevation import MAX_FILL_CELLS
 from skugga.terrain.ground.sky_view_factor import sky_view
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
@@ -168,7 +168,7 @@ class GroundDependencies:
         if not np.isfinite(row).all() or not np.isfinite(col).all():
             return -np.inf, np.inf, -np.inf, np.inf
         cells_per_node = max(2.0 ** self._scene.surface(grid).lod, 1.0)
-        margin = cells_per_node * (MARGIN_CELLS + (FILL_CELLS if self._chunks.has_nodata else 0))
+        margin = cells_per_node * (MARGIN_CELLS + (MAX_FILL_CELLS if self._chunks.has_nodata else 0))
         margins = [0.01 * np.ptp(values) + margin for values in (row, col)]  # margin for curved sides of a block
         if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
             return row.min() - margins[0], row.max() + margins[0], -np.inf, np.inf  # it may lie across the antimeridian

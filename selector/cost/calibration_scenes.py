@@ -15,7 +15,7 @@ import numpy as np
 
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.ground.generated_ground import ENGINEERING_CRS_WKT
 from skugga.terrain.level.level import CasterKind, load_level
 from skugga.terrain.scene import Scene, build_scene
 
@@ -190,6 +190,6 @@ def _forest(folder: Path, name: str, side_m: float, density: float) -> dict[str,
     ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
     path = folder / f"{name}.geojson"
-    crs = {"type": "name", "properties": {"name": ENGINEERING}}
+    crs = {"type": "name", "properties": {"name": ENGINEERING_CRS_WKT}}
     path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
     return {"source": path.name, "density": density, "height": [8, 16], "species": "mixed", "seed": 3}

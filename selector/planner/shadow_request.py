@@ -11,7 +11,7 @@ from typing import Any
 
 from skugga.selector.choices import PlanRequest
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override
+from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override_settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,4 +74,4 @@ def resolve_shadow_request(
     number = request_shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)
     pin = request_shadows.pins[number] if isinstance(request_shadows, LevelShadows) and number is not None else None
     pinned = {} if pin is None else pin.settings
-    return ShadowRequest(override(request_shadows, {**pinned, **request_overrides}), request_overrides, pin, number)
+    return ShadowRequest(override_settings(request_shadows, {**pinned, **request_overrides}), request_overrides, pin, number)

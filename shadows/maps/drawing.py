@@ -83,7 +83,7 @@ def draw_map(
                 if trees is not None:
                     set_uniforms(leaves, face_uniforms)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
-                record.triangles += gl.draw_sheet(solid, sheet.position_frame_m, sheet.triangles)
+                record.triangles += gl.draw_grid_mesh(solid, sheet.position_frame_m, sheet.triangles)
                 largest_bytes = max(largest_bytes, sheet.position_frame_m.size * 4 + sheet.triangles.nbytes)
             for (vertices, triangles), culls_front in _meshes_with_culling(meshes, scene, kinds, settings.culling):
                 with gl.cull_front_faces(_is_mirrored(depth_map)) if culls_front else nullcontext():
@@ -99,7 +99,7 @@ def draw_map(
     record.bytes = max(record.bytes, depth_map.nbytes + largest_bytes)
     gl.check("depth map")
     if content is not None:
-        gl.depth_targets.keep(target, content)
+        gl.depth_targets.cache_content(target, content)
     return target
 
 

@@ -75,7 +75,9 @@ def look_up(
             rows, cols = buffer.valid.shape
             # a lifted point lies on none of the triangles around its node; a negative crease marks it
             crease = (
-                facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - CREASE_EPSILON, facets.crease)
+                facets.crease
+                if buffer.is_lifted is None
+                else np.where(buffer.is_lifted, -facets.crease - CREASE_EPSILON, facets.crease)
             )
             normal_and_crease = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
             chosen = np.flatnonzero(buffer.valid)
@@ -103,7 +105,7 @@ def look_up(
             arrays.insert(2, _nodes_with_cuts(window.with_rim.sheet))
             lit = _run_lookup(gl, program, arrays, target, depth_map, record)
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if triangle_flags["placed"] else lit.ravel()[chosen]
-            visibility[facets.blocked] = 0.0  # a map may miss occluders nearer than a texel
+            visibility[facets.is_blocked] = 0.0  # a map may miss occluders nearer than a texel
             return
         assert corners is not None and depth_map.pixels is not None
         pixel_count = visibility.size if buffer.first_sample_row is None else buffer.first_sample_row * visibility.shape[1]

@@ -14,12 +14,13 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.columns import Columns
-from skugga.terrain.ground.elevation import FILL_CELLS, Elevation
+from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from skugga.terrain.ground.surface import Surface
 from skugga.terrain.scene import Scene
 
@@ -213,7 +214,8 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
     """
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
     high = ground.elevation.overview.high_m
-    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # heights in holes are interpolated from the ground around them
+    # Heights in holes are interpolated from the ground around them.
+    holes = MAX_FILL_CELLS * 2**level if np.isnan(high).any() else 0
     valid = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
     row, col, half, high = row[valid], col[valid], half[valid] + holes + 2**level, high[valid]
     side = PATCH_QUADS * 2**level

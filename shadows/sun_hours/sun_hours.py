@@ -169,7 +169,7 @@ def sun_hours(
     if valid.any():
         step_min = rules.step_min or block.step_min(days[len(days) // 2])
         for day in days:
-            clock = ClockReading(day.window.clock_min, day.window.change_min, day.window.change_by_min)
+            clock = ClockReading(day.window.clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
                 block_spells = _add_span(block_spells, block, day, span, clock)
             end_day(block_spells.spells, rules.threshold_h * 60.0)

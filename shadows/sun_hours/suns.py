@@ -116,9 +116,9 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
         towards, unrefracted = (
             np.stack([direction_enu(*angles) for angles in zip(path.azimuth_deg, altitude, strict=True)])
             @ world.earth_from_anchor.T
-            for altitude in (path.altitude_deg, path.altitude_deg - path.lift_deg)
+            for altitude in (path.altitude_deg, path.altitude_deg - path.refraction_deg)
         )
-        days.append(WindowSun(window, times, towards, unrefracted, path.azimuth_deg, path.altitude_deg, path.lift_deg))
+        days.append(WindowSun(window, times, towards, unrefracted, path.azimuth_deg, path.altitude_deg, path.refraction_deg))
     return days
 
 

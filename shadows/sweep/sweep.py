@@ -163,7 +163,7 @@ def fill_nodes(
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
-        lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
+        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges=False))

@@ -147,7 +147,7 @@ def receiver_stencil(
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
             if points.ground is not None:
-                gl.draw_sheet(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
+                gl.draw_grid_mesh(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
         is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]
@@ -210,8 +210,8 @@ def _visible_points(
     is_drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
         is_drawn |= buffer.kind.ravel()[indices] == RELIEF
-    if buffer.lifted is not None:
-        is_drawn &= ~buffer.lifted.ravel()[indices]
+    if buffer.is_lifted is not None:
+        is_drawn &= ~buffer.is_lifted.ravel()[indices]
     return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
 
 

@@ -31,15 +31,17 @@ from typing import Literal
 import numpy as np
 
 from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, count_missing, gather_rises, write_rise_support
 from skugga.terrain.casters.reach import PATCH_QUADS, Patch, Receivers
-from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.extremes import update_ranges
 from skugga.terrain.ground.grid_key import grid_key
-from skugga.terrain.ground.surface import RefinedWindow, Surface, refine_row
+from skugga.terrain.ground.surface import RefinedWindow, Surface
+from skugga.terrain.ground.surface_loops import refine_row
 from skugga.terrain.scene import Scene
 
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -75,23 +77,16 @@ PARTS_PER_SIDE = 4
 MAX_RUN_PATCHES = 16
 """Maximum number of consecutive patches in a row whose heights are read at once."""
 
-RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
-"""Directions (column, row) of the support function of the facets' rises.
-
-A facet's rise is the pair of its height differences from column to column and from row to row. The support in a direction is the
-maximum of the rises' projections on it.
-"""
-
 
 @dataclass(frozen=True, eq=False)
-class PatchGround:
+class PatchBounds:
     """Bounds of the ground of patches (n,) of one grid, for each of their m parts.
 
     Attributes
     ----------
     low_m, high_m
         (n, m), the heights of the lowest and of the highest node, metres; NaN without ground.
-    rise_m
+    rise_support_m
         (n, m, 8), the support of the facets' rises in ``RISE_DIRECTIONS``, metres.
     is_complete
         bool (n, m), whether all heights of the part, and those of ``HALO_NODES`` nodes round it, are known.
@@ -99,10 +94,10 @@ class PatchGround:
 
     low_m: np.ndarray
     high_m: np.ndarray
-    rise_m: np.ndarray
+    rise_support_m: np.ndarray
     is_complete: np.ndarray
 
-    def restricted_to(self, part_mask: np.ndarray) -> PatchGround:
+    def restricted_to(self, part_mask: np.ndarray) -> PatchBounds:
         """Return a copy that has ground only in the parts that ``part_mask`` (n, m) selects."""
         return replace(self, low_m=np.where(part_mask, self.low_m, np.nan), high_m=np.where(part_mask, self.high_m, np.nan))
 
@@ -115,19 +110,19 @@ def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
     grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
-    block_ground = patch_ground(scene.world, scene.elevation, grid, patches_of_block).restricted_to(block_part_mask(receivers))
+    block_ground = patch_bounds(scene.world, scene.elevation, grid, patches_of_block).restricted_to(block_part_mask(receivers))
     block_bounds, block_part_bounds = (
         _light_space_bounds(scene, grid, patches_of_block, block_ground, parts, "lowest") for parts in (1, PARTS_PER_SIDE)
     )
-    beside_m = MARGIN_NODES * scene.surface(grid).step_m
+    margin_m = MARGIN_NODES * scene.surface(grid).step_m
     assert scene.light is not None
     max_altitude_sine = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
-    slack = beside_m, beside_m * max_altitude_sine
+    slack = margin_m, margin_m * max_altitude_sine
     culled: set[Patch] = set()
     for lod in {patch.lod for patch in patches}:
         level_patches = [patch for patch in patches if patch.lod == lod]
         coarser = grid.coarser(lod)
-        ground = patch_ground(scene.world, scene.elevation, coarser, level_patches)
+        ground = patch_bounds(scene.world, scene.elevation, coarser, level_patches)
         casts = np.isfinite(ground.low_m)
         if lod == 0:
             casts &= ~(sun_facing_parts(scene, grid, level_patches, ground) & ground.is_complete)
@@ -149,7 +144,7 @@ def block_ground_casts_no_shadow(scene: Scene, receivers: Receivers) -> bool:
     """
     if not block_ground_faces_sun(scene, receivers):
         return False
-    ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), block_patches(receivers))
+    ground = patch_bounds(scene.world, scene.elevation, _grid_of(receivers), block_patches(receivers))
     return bool(ground.is_complete[block_part_mask(receivers)].all())
 
 
@@ -161,7 +156,7 @@ def block_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
     if receivers.surface is None:
         return False
     grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
-    facing = sun_facing_parts(scene, grid, patches_of_block, patch_ground(scene.world, scene.elevation, grid, patches_of_block))
+    facing = sun_facing_parts(scene, grid, patches_of_block, patch_bounds(scene.world, scene.elevation, grid, patches_of_block))
     return bool(facing[block_part_mask(receivers)].all())
 
 
@@ -191,7 +186,7 @@ def block_part_mask(receivers: Receivers) -> np.ndarray:
     return np.asarray(((part_start < block_start + np.array(window.shape) - 1) & (part_start + quads > block_start)).all(axis=-1))
 
 
-def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
+def patch_bounds(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchBounds:
     """Return the bounds of the ground of patches of one grid. They are cached, since they are the same under every sun."""
     owner = grid_key(world, elevation, grid)
     patch_parts = {(patch.row, patch.col): _patch_cache.get(owner, patch.row, patch.col) for patch in patches}
@@ -201,17 +196,17 @@ def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequen
             missing.setdefault(row, []).append(col)
     surface = Surface(world, elevation, grid)
     for row, cols in missing.items():
-        for run in _runs(sorted(cols)):
+        for run in _consecutive_ranges(sorted(cols)):
             for col, parts in zip(run, _read_patches(surface, row, run), strict=True):
                 patch_parts[row, col] = parts
                 _patch_cache.put(owner, row, col, value=parts)
     parts_of_patches = np.array([patch_parts[patch.row, patch.col] for patch in patches])
-    return PatchGround(
+    return PatchBounds(
         parts_of_patches[..., 0], parts_of_patches[..., 1], parts_of_patches[..., 3:], parts_of_patches[..., 2] > 0.0
     )
 
 
-def _runs(numbers: list[int]) -> list[range]:
+def _consecutive_ranges(numbers: list[int]) -> list[range]:
     """Group sorted, distinct integers into ranges of consecutive ones, each of at most ``MAX_RUN_PATCHES`` integers."""
     runs: list[range] = []
     for number in numbers:
@@ -222,13 +217,13 @@ def _runs(numbers: list[int]) -> list[range]:
     return runs
 
 
-def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
+def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchBounds) -> np.ndarray:
     """Return the mask (n, m) of the parts of patches of one grid in which every facet faces all of the sun's disc.
 
     A facet that rises by a from column to column and by b from row to row spans the vectors e + a u and f + b u. Here e and f are
     the horizontal sides of its quad, to the next column and to the next row. u is the unit vector up and s the direction to the
-    sun. The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_m`` bounds such
-    weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
+    sun. The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_support_m``
+    bounds such weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
     """
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
@@ -238,29 +233,32 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
     points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
     right, down = points[0] - points[1], points[2] - points[3]
-    constant_term, per_right, per_down = (
+    constant_term, right_weight, down_weight = (
         (np.cross(first_side, second_side) @ to_sun)[:, None]
         for first_side, second_side in ((down, right), (down, up), (up, right))
     )  # fmt: skip
     right_length, down_length = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
-    rise_m = ground.rise_m[:, :, None]
-    steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + MAX_ROUNDING_M for k in (0, 2))
-    min_facing = constant_term - _support_bound(rise_m, -per_right, -per_down) - MAX_ROUNDING_M * (right_length + down_length)
+    rise_support_m = ground.rise_support_m[:, :, None]
+    steep_right, steep_down = (rise_support_m[..., k : k + 2].max(axis=-1) + MAX_ROUNDING_M for k in (0, 2))
+    min_facing = (
+        constant_term - _support_bound(rise_support_m, -right_weight, -down_weight) - MAX_ROUNDING_M * (right_length + down_length)
+    )
     max_normal_length = right_length * down_length + steep_right * down_length + steep_down * right_length
     return np.asarray((min_facing > MIN_FACING_SINE * max_normal_length).all(axis=2))
 
 
-def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
-    """Return an upper bound (...) of ``per_right`` a + ``per_down`` b over all rises (a, b) with the support ``rise_m`` (..., 8).
+def _support_bound(rise_support_m: np.ndarray, right_weight: np.ndarray, down_weight: np.ndarray) -> np.ndarray:
+    """Return an upper bound (...) of ``right_weight`` a + ``down_weight`` b over all rises (a, b) with the support
+    ``rise_support_m`` (..., 8).
 
-    The bound combines the supports in the two ``RISE_DIRECTIONS`` nearest to (``per_right``, ``per_down``).
+    The bound combines the supports in the two ``RISE_DIRECTIONS`` nearest to (``right_weight``, ``down_weight``).
     """
-    abs_right, abs_down = np.abs(per_right), np.abs(per_down)
-    axis = np.where(abs_right >= abs_down, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
-    same_sign = (per_right >= 0.0) == (per_down >= 0.0)
-    diagonal = np.where(same_sign, np.where(per_right >= 0.0, 4, 5), np.where(per_right >= 0.0, 6, 7))
-    shape = np.broadcast_shapes(rise_m.shape[:-1], per_right.shape)
-    supports = np.broadcast_to(rise_m, (*shape, len(RISE_DIRECTIONS)))
+    abs_right, abs_down = np.abs(right_weight), np.abs(down_weight)
+    axis = np.where(abs_right >= abs_down, np.where(right_weight >= 0.0, 0, 1), np.where(down_weight >= 0.0, 2, 3))
+    same_sign = (right_weight >= 0.0) == (down_weight >= 0.0)
+    diagonal = np.where(same_sign, np.where(right_weight >= 0.0, 4, 5), np.where(right_weight >= 0.0, 6, 7))
+    shape = np.broadcast_shapes(rise_support_m.shape[:-1], right_weight.shape)
+    supports = np.broadcast_to(rise_support_m, (*shape, len(RISE_DIRECTIONS)))
     on_axis, on_diagonal = (
         np.take_along_axis(supports, np.broadcast_to(direction, shape)[..., None], axis=-1)[..., 0]
         for direction in (axis, diagonal)
@@ -269,27 +267,32 @@ def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarr
 
 
 def _light_space_bounds(
-    scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround, parts: int, ground_at: Literal["lowest", "highest"]
+    scene: Scene,
+    grid: Grid,
+    patches: Sequence[Patch],
+    ground: PatchBounds,
+    parts_per_side: int,
+    reference_height: Literal["lowest", "highest"],
 ) -> np.ndarray:
-    """Return the light-space bounds, metres, of the ``parts`` x ``parts`` parts of each of n patches.
+    """Return the light-space bounds, metres, of the ``parts_per_side`` x ``parts_per_side`` parts of each of n patches.
 
-    The result is float64 (n parts parts, 8), NaN without ground. The first four columns are the minima of four coordinates, the
+    The result is float64 (n parts_per_side², 8), NaN without ground. The first four columns are the minima of four coordinates, the
     last four the maxima. The coordinates run right, up, away from the sun, and horizontally towards the sun. The last one increases
-    along every ray to the sun, and does not depend on the height. ``ground_at`` is the height at which the bounds of the coordinate
-    up are computed: the part's lowest or highest one.
+    along every ray to the sun, and does not depend on the height. ``reference_height`` is the height at which the bounds of the
+    coordinate up are computed: the part's lowest or highest one.
     """
     assert scene.light is not None
     low_m, high_m = ground.low_m, ground.high_m
-    if parts == 1:
+    if parts_per_side == 1:
         low_m, high_m = np.fmin.reduce(low_m, axis=1, keepdims=True), np.fmax.reduce(high_m, axis=1, keepdims=True)
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
-    offset = np.arange(parts + 1) * (PATCH_QUADS / parts)
+    offset = np.arange(parts_per_side + 1) * (PATCH_QUADS / parts_per_side)
     row, col = np.broadcast_arrays(corner[:, :1, None] + offset[:, None], corner[:, 1:, None] + offset)
-    point, up = (_part_corners(values, parts) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    point, up = (_part_corners(values, parts_per_side) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
     in_light = scene.light.from_earth(ends)
     in_light = np.concatenate([in_light, scene.light.horizontal_sunward_m(in_light)[..., None]], axis=-1)
-    in_light[..., 1] = in_light[0 if ground_at == "lowest" else 1, ..., 1]
+    in_light[..., 1] = in_light[0 if reference_height == "lowest" else 1, ..., 1]
     bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
     if not scene.world.flat:
         bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
@@ -297,19 +300,21 @@ def _light_space_bounds(
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)
 
 
-def _part_corners(corners: np.ndarray, parts: int) -> np.ndarray:
-    """Return the four corners (n, m, 4, 3) of each part of a patch, from the corners of all parts (n, parts + 1, parts + 1, 3)."""
-    four = [corners[:, i : i + parts, j : j + parts] for i in (0, 1) for j in (0, 1)]
-    return np.stack(four, axis=3).reshape(len(corners), parts * parts, 4, 3)
+def _part_corners(corners: np.ndarray, parts_per_side: int) -> np.ndarray:
+    """Return the four corners (n, m, 4, 3) of each part of a patch, from the corners (n, k, k, 3) of all parts; k is
+    ``parts_per_side`` + 1.
+    """
+    four = [corners[:, i : i + parts_per_side, j : j + parts_per_side] for i in (0, 1) for j in (0, 1)]
+    return np.stack(four, axis=3).reshape(len(corners), parts_per_side * parts_per_side, 4, 3)
 
 
 @compiled
-def _may_occlude(bounds, receiver_bounds, beside_m, above_m):
+def _may_occlude(bounds, receiver_bounds, margin_m, up_margin_m):
     """Return which of n parts may occlude any of m receiver parts from any point of the sun's disc, bool (n,).
 
     ``bounds`` (n, 8) and ``receiver_bounds`` (m, 8) are those of ``_light_space_bounds``. A part may occlude a receiver part if it
-    lies between that part and the sun, and not wholly below it as the sun sees them. ``above_m`` is the margin of the comparison of
-    heights, ``beside_m`` the margin in the other coordinates, metres.
+    lies between that part and the sun, and not wholly below it as the sun sees them. ``up_margin_m`` is the margin of the
+    comparison of heights, ``margin_m`` the margin in the other coordinates, metres.
     """
     may_occlude = np.empty(len(bounds), np.bool_)
     for n in range(len(bounds)):
@@ -318,13 +323,13 @@ def _may_occlude(bounds, receiver_bounds, beside_m, above_m):
             if np.isnan(receiver_bounds[m, 0]):
                 continue
             distance_m = receiver_bounds[m, 6] - bounds[n, 2]
-            if distance_m + beside_m < 0.0:
+            if distance_m + margin_m < 0.0:
                 continue
             disc_m = 1.1 * SUN_RADIUS_SINE * max(distance_m, 0.0)
-            slack_m = beside_m + disc_m
+            slack_m = margin_m + disc_m
             if (
                 bounds[n, 4] + slack_m >= receiver_bounds[m, 0] and bounds[n, 0] - slack_m <= receiver_bounds[m, 4]
-                and bounds[n, 5] + above_m + disc_m >= receiver_bounds[m, 1] and bounds[n, 7] + slack_m >= receiver_bounds[m, 3]
+                and bounds[n, 5] + up_margin_m + disc_m >= receiver_bounds[m, 1] and bounds[n, 7] + slack_m >= receiver_bounds[m, 3]
             ):  # fmt: skip
                 may_occlude[n] = True
                 break
@@ -337,15 +342,15 @@ def _grid_of(receivers: Receivers) -> Grid:
 
 
 _patch_cache: Cache[np.ndarray] = Cache(
-    "skugga.terrain.casters.caster_culling", "scene", 32 * MIB, lambda known: known.nbytes + 512
+    "skugga.terrain.casters.caster_culling", "scene", 32 * MIB, lambda patch_part_bounds: patch_part_bounds.nbytes + 512
 )
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
     """Read the heights of consecutive patches and return the bounds of their m parts, float64 (n, m, 11).
 
-    The last axis holds ``low_m``, ``high_m``, ``is_complete`` and the eight values ``rise_m`` of ``PatchGround``. The patches lie
-    in the row ``row`` of patches, in the columns ``cols``.
+    The last axis holds ``low_m``, ``high_m``, ``is_complete`` and the eight values ``rise_support_m`` of ``PatchBounds``. The
+    patches lie in the row ``row`` of patches, in the columns ``cols``.
     """
     halo = HALO_NODES
     window = surface.height_window(
@@ -358,17 +363,17 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
     out = np.empty((len(cols), PARTS_PER_SIDE * PARTS_PER_SIDE, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
     height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
-    _fill_parts(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_SIDE, out)
+    _write_part_bounds(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_SIDE, out)
     return out
 
 
 @compiled
-def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
+def _write_part_bounds(height_m, refined, row_parity, col_parity, halo, quads, out):
     """Write the result of ``_read_patches`` to ``out`` (n, m, 11). A part is ``quads`` quads wide.
 
     ``height_m`` holds the heights of the patches' nodes, with ``halo`` more nodes on each side. If ``refined``, it holds the nodes
-    of a grid with half as many nodes per side, from which ``refine_row`` interpolates. ``row0`` and ``col0`` are then 1 where the
-    first row or column of the patches' nodes lies between two of the coarser grid, else 0.
+    of a grid with half as many nodes per side, from which ``refine_row`` interpolates. ``row_parity`` and ``col_parity`` are then 1
+    where the first row or column of the patches' nodes lies between two of the coarser grid, else 0.
     """
     cols = len(out) * PARTS_PER_SIDE * quads + 1
     rise_extremes, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
@@ -379,16 +384,16 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
         for i in range(len(band)):
             row = down * quads + i
             if refined:
-                refine_row(height_m, row0 + row, col0, band[i])
+                refine_row(height_m, row_parity + row, col_parity, band[i])
             else:
                 for j in range(band.shape[1]):
                     band[i, j] = height_m[row, j]
-            _count_missing(band[i], missing)
+            count_missing(band[i], missing)
         nodes = band[halo : halo + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
             update_ranges(nodes[i, halo : halo + cols], bounds[0], bounds[1])
-        _gather_rises(nodes, halo, rise_extremes)
+        gather_rises(nodes, halo, rise_extremes)
         for number in range(cols // quads):
             left = number * quads
             part = out[number // PARTS_PER_SIDE, down * PARTS_PER_SIDE + number % PARTS_PER_SIDE]
@@ -401,106 +406,4 @@ def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
             for j in range(left, left + quads + 1 + 2 * halo):
                 is_complete = is_complete and missing[j] == 0
             part[2] = is_complete
-            _write_rise_support(rise_extremes[:, left : left + quads + 1], part[3:])
-
-
-def rise_support(height_m: np.ndarray) -> np.ndarray:
-    """Return the support (8,) in ``RISE_DIRECTIONS`` of the rises of the facets of a grid mesh, metres; 0 without facets.
-
-    ``height_m`` (rows, cols) holds the heights of the mesh's nodes. The result holds for either diagonal along which a quad may be
-    cut into facets. A facet has one side of its quad along a row and one along a column, and all four such pairs count.
-    """
-    rise_extremes, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
-    _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, rise_extremes)
-    _write_rise_support(rise_extremes, out)
-    return out
-
-
-# The next loops compile to SIMD instructions, because each uses few arrays. NaN is an unknown height.
-
-
-@compiled
-def _gather_rises(height_m, halo, rise_extremes):
-    """Write the extremes of the rises of a grid mesh's facets to ``rise_extremes``, float32 (8, cols), for each column of nodes.
-
-    The rows are maximum and minimum of four quantities: the rise a from column to column, the rise b from row to row, a + b and
-    a - b. The first and last ``halo`` columns of ``height_m`` are skipped. Sums are float32, as heights are. Rounding keeps their
-    order, so the largest rounded sum is the rounded largest sum.
-    """
-    rows, cols = height_m.shape[0], rise_extremes.shape[1]
-    right, next_right, down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32), np.empty(cols, np.float32)
-    max_right, min_right = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
-    max_down, min_down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
-    for k in range(0, len(rise_extremes), 2):
-        rise_extremes[k], rise_extremes[k + 1] = -np.inf, np.inf
-    for i in range(rows):
-        row_m = height_m[i, halo : halo + cols]
-        _differences(row_m[1:], row_m[:-1], next_right)
-        update_ranges(next_right, rise_extremes[1, : cols - 1], rise_extremes[0, : cols - 1])
-        if i > 0:
-            _differences(row_m, height_m[i - 1, halo : halo + cols], down)
-            update_ranges(down, rise_extremes[3], rise_extremes[2])
-            _fmax(right, next_right, max_right)
-            _fmin(right, next_right, min_right)
-            _fmax(down[:-1], down[1:], max_down)
-            _fmin(down[:-1], down[1:], min_down)
-            _widen_by_sums(max_right, max_down, min_right, min_down, rise_extremes[5, : cols - 1], rise_extremes[4, : cols - 1])
-            _widen_by_differences(
-                max_right, max_down, min_right, min_down, rise_extremes[7, : cols - 1], rise_extremes[6, : cols - 1]
-            )
-        right, next_right = next_right, right
-
-
-@compiled
-def _write_rise_support(rise_extremes, out):
-    """Write the support (8,) in ``RISE_DIRECTIONS`` from the ``rise_extremes`` (8, cols) of ``_gather_rises``; 0 without facets.
-
-    No facet lies beyond the last column of nodes. Of that column only the rises from row to row count.
-    """
-    for k in range(0, len(rise_extremes), 2):
-        count = rise_extremes.shape[1] if k == 2 else rise_extremes.shape[1] - 1
-        max_rise, min_rise = np.float32(-np.inf), np.float32(np.inf)
-        for j in range(count):
-            max_rise = rise_extremes[k, j] if rise_extremes[k, j] > max_rise else max_rise
-            min_rise = rise_extremes[k + 1, j] if rise_extremes[k + 1, j] < min_rise else min_rise
-        out[k], out[k + 1] = max_rise if np.isfinite(max_rise) else 0.0, -min_rise if np.isfinite(min_rise) else 0.0
-
-
-@internal
-def _count_missing(height_m, missing):
-    for j in range(missing.size):
-        missing[j] += np.int32(0) if np.isfinite(height_m[j]) else np.int32(1)
-
-
-@internal
-def _differences(a, b, out):
-    for j in range(out.size):
-        out[j] = a[j] - b[j]
-
-
-@internal
-def _fmax(a, b, out):
-    for j in range(out.size):
-        out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
-
-
-@internal
-def _fmin(a, b, out):
-    for j in range(out.size):
-        out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
-
-
-@internal
-def _widen_by_sums(max_a, max_b, min_a, min_b, minimum, maximum):
-    for j in range(minimum.size):
-        high, low = max_a[j] + max_b[j], min_a[j] + min_b[j]
-        maximum[j] = high if high > maximum[j] else maximum[j]
-        minimum[j] = low if low < minimum[j] else minimum[j]
-
-
-@internal
-def _widen_by_differences(max_a, max_b, min_a, min_b, minimum, maximum):
-    for j in range(minimum.size):
-        high, low = max_a[j] - min_b[j], min_a[j] - max_b[j]
-        maximum[j] = high if high > maximum[j] else maximum[j]
-        minimum[j] = low if low < minimum[j] else minimum[j]
+            write_rise_support(rise_extremes[:, left : left + quads + 1], part[3:])

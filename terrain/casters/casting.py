@@ -89,7 +89,7 @@ def closed_caster_mask(objects: SceneObjects) -> np.ndarray:
     placement = objects.placement
     casting = () if placement is None else placement.casting
     bodies = {id(placed.body): placed.body for placed in casting}  # one body may stand in many places
-    closed = {key: body.closed and body.volume_m3 > 0.0 for key, body in bodies.items()}
+    closed = {key: body.is_closed and body.volume_m3 > 0.0 for key, body in bodies.items()}
     counts = [len(placed.body.triangles) for placed in casting]
     return np.repeat(np.array([closed[id(placed.body)] for placed in casting], bool), counts)
 

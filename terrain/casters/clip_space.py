@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.world import LocalFrame, World

@@ -24,7 +24,7 @@ class FineCells:
     ----------
     row, col
         float64 (n,), rows and columns of the cells' centres on a map grid, in nodes.
-    half_extent
+    half_extent_nodes
         float64 (n,), half the cells' width on the grid, with a margin, in nodes.
     light_space_m
         float64 (n, 3), the cells' centres at the height of their highest ground, in light space, metres.
@@ -34,7 +34,7 @@ class FineCells:
 
     row: np.ndarray
     col: np.ndarray
-    half_extent: np.ndarray
+    half_extent_nodes: np.ndarray
     light_space_m: np.ndarray
     width_m: float
 
@@ -43,11 +43,11 @@ def fine_cells(
     scene: Scene,
     light: LightSpace,
     grid: Grid,
-    parents: np.ndarray,
+    parent_mask: np.ndarray,
     parent_extent: tuple[np.ndarray, np.ndarray],
-    period: float | None,
+    period_nodes: float | None,
 ) -> FineCells | None:
-    """Return the finer cells within the overview's cells that the mask ``parents`` (rows, cols) selects.
+    """Return the finer cells within the overview's cells that the mask ``parent_mask`` (rows, cols) selects.
 
     Cells without ground are left out. The result is ``None`` if the overview has no finer cells.
 
@@ -57,11 +57,11 @@ def fine_cells(
         The scene, and the sun's light space.
     grid
         The map grid on which the cells' positions are returned.
-    parents
+    parent_mask
         The mask of the overview's selected cells.
     parent_extent
         Columns (n,) of the selected cells' centres on the grid, and half their widths (n,), in nodes.
-    period
+    period_nodes
         Columns of the grid round the earth: positions differ by a multiple of it on two turns. ``None`` on a grid that does not
         close. Columns of the result are those of the turn nearest to the parents' columns.
     """
@@ -69,7 +69,7 @@ def fine_cells(
     if overview.fine_high_m is None:
         return None
     ratio = 2 ** (overview.lod - overview.fine_lod)
-    parent_row, parent_col = np.nonzero(parents)
+    parent_row, parent_col = np.nonzero(parent_mask)
     down, right = (v.ravel() for v in np.mgrid[:ratio, :ratio])
     i, j = (parent_row[:, None] * ratio + down).ravel(), (parent_col[:, None] * ratio + right).ravel()
     high = overview.fine_high_m[i, j]
@@ -81,8 +81,8 @@ def fine_cells(
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
     col_above, half_above = (np.repeat(v, ratio * ratio)[valid] for v in parent_extent)
     row, col = np.asarray(grid.row(y)), np.asarray(grid.col(x))
-    if period is not None:
-        col = col + period * np.rint((col_above - col) / period)
+    if period_nodes is not None:
+        col = col + period_nodes * np.rint((col_above - col) / period_nodes)
     cell_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
     light_space_m = light.from_earth(point + up * high[valid, None])
     return FineCells(row, col, (half_above - 1.0) / ratio + 1.0, light_space_m, cell_m)

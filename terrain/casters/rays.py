@@ -111,13 +111,13 @@ class RayScene:
         self._sheet_rays = SheetRays(ground, self._centre) if traverse_sheets and ground else None
         parts = [] if traverse_sheets else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
         opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
-        self._opaque = self._embree(opaque) if opaque else None
+        self._opaque = self._build_embree_scene(opaque) if opaque else None
         triangles = sum(len(faces) for _, faces in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
         self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
         self.nbytes += 0 if self._sheet_rays is None else self._sheet_rays.nbytes
-        self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
+        self._alpha = [self._build_embree_scene([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
-    def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
+    def _build_embree_scene(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
         """Build Embree's scene, which has no static type, from vertices and triangles of meshes.
 
         Raises ``RenderError`` if the package embreex is not installed.
@@ -193,12 +193,12 @@ def bounding_box(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray
     """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for points in vertices:
-        _widen(points.reshape(-1, 3), low, high)
+        _extend_box(points.reshape(-1, 3), low, high)
     return (low, high) if np.isfinite(low).all() else (np.zeros(3), np.zeros(3))
 
 
 @compiled
-def _widen(points, low, high):
+def _extend_box(points, low, high):
     for n in range(len(points)):
         if np.isfinite(points[n, 2]):
             for k in range(3):

@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 from pyproj import CRS
 
-from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.fine_cells import fine_cells
+from skugga.terrain.casters.overview_cells import CELL_MARGIN_WIDTHS, columns_per_turn, overview_light_space, overview_on_grid
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -30,15 +30,11 @@ from skugga.terrain.geo.sun import position_at
 from skugga.terrain.geo.world import (
     EARTH_RADIUS_M,
     LONGITUDE_LATITUDE,
-    WGS84,
     LocalFrame,
-    World,
-    epsg_of,
     is_longitude_latitude,
     transformer,
 )
 from skugga.terrain.ground.columns import ColumnIndices, ColumnWindow
-from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
@@ -58,9 +54,6 @@ MAX_FULL_DETAIL_NODES_PER_CELL, MIN_FULL_DETAIL_NODES = 16, 2 * PATCH_QUADS
 ends. The distance falls in proportion to the number of nodes per cell. Nodes that are denser than cells only repeat the raster's
 bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
 """
-
-CELL_SLACK = 1.5
-"""Maximum distance of an overview cell's ground from the cell's centre, in widths of a cell, with a margin."""
 
 COARSE_CELL_NODES = PATCH_QUADS / 4
 """Half the width of an overview cell, in nodes of the block's grid, above which finer cells replace the cell."""
@@ -124,7 +117,7 @@ def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, 
     return float(radius_m * (np.sqrt(slope**2 + 2.0 * relief_m / radius_m) - slope))
 
 
-RAY_STARTS = 64
+RAY_ORIGIN_COUNT = 64
 """Approximate number of points of a perspective view from which the raster's extent towards the sun is measured."""
 
 
@@ -189,40 +182,40 @@ def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
     if not isinstance(buffer.view, MapView):
         return Casters((), find_reach(scene, buffer))
     towards_lamps = _lamp_patches(scene, buffer) if buffer.valid.any() else ()
-    if not _sun_shines(scene, buffer):
+    if not _needs_sun_casters(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
-    patches, caster_m = _shading_patches(scene, buffer)
+    patches, caster_m = _occluder_patches(scene, buffer)
     return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, caster_m))
 
 
 def find_reach(scene: Scene, buffer: GeometryBuffer) -> Reach:
     """Return the reach of the sun's casters for a buffer that already holds all ground, such as that of a perspective view."""
-    if not _sun_shines(scene, buffer):
+    if not _needs_sun_casters(scene, buffer):
         return NO_CASTERS.reach
-    return _reach(scene, buffer, _sunward_extent_m(scene, buffer, _shading_cells(scene, buffer)))
+    return _reach(scene, buffer, _sunward_extent_m(scene, buffer, _occluder_cell_mask(scene, buffer)))
 
 
 def find_reach_of_nodes(scene: Scene, nodes: BareNodes) -> Reach:
     """Return the reach of the sun's casters for a map's nodes of bare ground (ground without objects)."""
-    if not _sun_shines(scene, nodes):
+    if not _needs_sun_casters(scene, nodes):
         return NO_CASTERS.reach
-    return _reach(scene, nodes, _sunward_extent_m(scene, nodes, _find_shading_cells(scene, nodes)[0]))
+    return _reach(scene, nodes, _sunward_extent_m(scene, nodes, _find_occluder_cells(scene, nodes)[0]))
 
 
 def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
     """Return the patches of ground outside a map's block that can shade the block from the sun."""
-    if not _sun_shines(scene, receivers):
+    if not _needs_sun_casters(scene, receivers):
         return ()
-    return _shading_patches(scene, receivers)[0]
+    return _occluder_patches(scene, receivers)[0]
 
 
-def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
+def _needs_sun_casters(scene: Scene, buffer: Receivers) -> bool:
     return scene.light is not None and scene.sun_is_up and bool(buffer.valid.any())
 
 
-def _shading_cells(scene: Scene, buffer: Receivers) -> np.ndarray:
+def _occluder_cell_mask(scene: Scene, buffer: Receivers) -> np.ndarray:
     """Return the mask (rows, cols) of the overview's cells whose ground may lie between a buffer's points and the sun."""
-    light, slack = _overview_in_light(scene)
+    light, slack = overview_light_space(scene)
     return _is_towards_sun(scene, buffer, light, slack)
 
 
@@ -243,7 +236,7 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, 
 
 def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, caster_m: float) -> Reach:
     is_generated = scene.loaded.level.terrain.source is None  # generated ground has no unknown ground beyond its edge
-    limit_m, unknown_m = (caster_m, caster_m) if is_generated else _data_limit(scene, buffer)
+    limit_m, unknown_m = (caster_m, caster_m) if is_generated else _data_and_shadow_limits_m(scene, buffer)
     if limit_m >= unknown_m:
         return Reach(caster_m, caster_m, False)
     return Reach(limit_m, unknown_m, True)
@@ -280,90 +273,34 @@ def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
             ends.append(range(int(np.floor(low / PATCH_QUADS)), int(np.floor(high / PATCH_QUADS)) + 1))
         for r in ends[0]:
             for c in ends[1]:
-                if not _inside(r * PATCH_QUADS, c * PATCH_QUADS, PATCH_QUADS, block_ground.row0, block_ground.col0, rows, cols):
+                if not _is_inside_window(
+                    r * PATCH_QUADS, c * PATCH_QUADS, PATCH_QUADS, block_ground.row0, block_ground.col0, rows, cols
+                ):
                     patches[Patch(0, r, c)] = None
     return tuple(patches)
 
 
-def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) -> float:
-    """Return how far the overview's cells that the mask ``can_shade`` selects extend towards the sun, metres, 0 or more.
+def _sunward_extent_m(scene: Scene, buffer: Receivers, occluder_mask: np.ndarray) -> float:
+    """Return how far the overview's cells that the mask ``occluder_mask`` selects extend towards the sun, metres, 0 or more.
 
     The distance is horizontal, and counts from the receiver of the buffer that is nearest to the sun.
     """
     assert scene.light is not None
-    if not can_shade.any():
+    if not occluder_mask.any():
         return 0.0
-    towards = scene.light.horizontal_sunward_m(_overview_in_light(scene)[0][can_shade])
+    towards = scene.light.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
-@cached("light", 256 * MIB)
-def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
-    """Return the highest ground of each of the overview's cells, and the radius of a cell's ground with a margin, metres.
-
-    The ground is a point in light space (rows, cols, 3) above the cell's centre, NaN in holes.
-    """
-    point, up = _overview_on_earth(scene.world, scene.elevation)
-    assert scene.light is not None
-    top = point + up * scene.elevation.overview.high_m[..., None]
-    return scene.light.from_earth(top), _overview_cell_m(scene) * CELL_SLACK
-
-
-@cached("scene", 256 * MIB)
-def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    return world.ground(elevation.crs, *_overview_xy(elevation))
-
-
-def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    overview = elevation.overview
-    rows, cols = overview.heights_m.shape
-    factor = 2**overview.lod
-    col, row = np.meshgrid((np.arange(cols) + 0.5) * factor - 0.5, (np.arange(rows) + 0.5) * factor - 0.5)
-    return elevation.xy(row, col)
-
-
-def _overview_cell_m(scene: Scene) -> float:
-    return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.lod
-
-
-@cached("scene", 256 * MIB)
-def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows, columns and half widths of the overview's cells on a map grid, each float64 (rows, cols), in nodes.
-
-    Rows and columns are those of the cells' centres. Half widths include a margin. Columns are continuous across the antimeridian.
-    """
-    x, y = _overview_xy(elevation)
-    if grid.crs != elevation.crs:
-        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    row, col = grid.row(np.asarray(y)), grid.col(np.asarray(x))
-    period = _columns_round_the_earth(grid)
-    if period is not None and np.isfinite(col).all():
-        col = np.unwrap(np.unwrap(col, period=period, axis=1), period=period, axis=0)
-    size = np.zeros_like(row)
-    with np.errstate(invalid="ignore"):
-        for values in (row, col):
-            for axis in (0, 1):
-                if values.shape[axis] > 1:
-                    size = np.fmax(size, np.abs(np.gradient(values, axis=axis)))
-    return row, col, size + 1.0
-
-
-def _columns_round_the_earth(grid: Grid) -> float | None:
-    """Return the number of a grid's columns round the earth; ``None`` in a CRS whose maps do not close round the earth."""
-    if grid.crs.is_geographic:
-        return 360.0 / grid.step
-    return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
-
-
 @dataclass(frozen=True, eq=False)
-class _ShadingCells:
+class _OccluderCells:
     """Overview cells that can shade a block.
 
     Attributes
     ----------
     row, col
         float64 (n,), rows and columns of the cells' centres on the block's grid, in nodes.
-    half_extent
+    half_extent_nodes
         float64 (n,), half the cells' widths with a margin, in nodes.
     distance
         float64 (n,), distances of the cells' centres from the block, in nodes; 0 on it.
@@ -371,38 +308,42 @@ class _ShadingCells:
 
     row: np.ndarray
     col: np.ndarray
-    half_extent: np.ndarray
+    half_extent_nodes: np.ndarray
     distance: np.ndarray
 
 
-def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _ShadingCells]:
+def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _OccluderCells]:
     """Find the overview's cells whose ground can shade a block.
 
     The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells
     under the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
     """
-    can_shade = _shading_cells(scene, buffer)
+    occluder_mask = _occluder_cell_mask(scene, buffer)
     grid, block_ground = _grid_and_ground(buffer)
-    row, col, half_extent = overview_on_grid(scene.world, scene.elevation, grid)
-    can_shade = can_shade & np.isfinite(row) & np.isfinite(col) & np.isfinite(half_extent)
-    row, col, half_extent = row[can_shade], col[can_shade], half_extent[can_shade]
+    row, col, half_extent_nodes = overview_on_grid(scene.world, scene.elevation, grid)
+    occluder_mask = occluder_mask & np.isfinite(row) & np.isfinite(col) & np.isfinite(half_extent_nodes)
+    row, col, half_extent_nodes = row[occluder_mask], col[occluder_mask], half_extent_nodes[occluder_mask]
     rows, cols = block_ground.shape
-    period = _columns_round_the_earth(grid)
+    period = columns_per_turn(grid)
     if period is not None and len(col):
         col = col + period * np.rint((block_ground.col0 + cols / 2 - np.median(col)) / period)
-    outside = can_shade.copy()
-    outside[can_shade] = _node_distances(block_ground, row, col) > 0
-    if len(half_extent) and float(np.median(half_extent)) > COARSE_CELL_NODES:
+    outside = occluder_mask.copy()
+    outside[occluder_mask] = _node_distances(block_ground, row, col) > 0
+    if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > COARSE_CELL_NODES:
         assert scene.light is not None
-        finer_cells = fine_cells(scene, scene.light, grid, can_shade, (col, half_extent), period)
+        finer_cells = fine_cells(scene, scene.light, grid, occluder_mask, (col, half_extent_nodes), period)
         if finer_cells is not None:
             selected = (
-                _is_towards_sun(scene, buffer, finer_cells.light_space_m, finer_cells.width_m * CELL_SLACK)
+                _is_towards_sun(scene, buffer, finer_cells.light_space_m, finer_cells.width_m * CELL_MARGIN_WIDTHS)
                 & np.isfinite(finer_cells.row)
                 & np.isfinite(finer_cells.col)
             )
-            row, col, half_extent = finer_cells.row[selected], finer_cells.col[selected], finer_cells.half_extent[selected]
-    return outside, _ShadingCells(row, col, half_extent, _node_distances(block_ground, row, col))
+            row, col, half_extent_nodes = (
+                finer_cells.row[selected],
+                finer_cells.col[selected],
+                finer_cells.half_extent_nodes[selected],
+            )
+    return outside, _OccluderCells(row, col, half_extent_nodes, _node_distances(block_ground, row, col))
 
 
 def _node_distances(block_ground: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
@@ -419,18 +360,18 @@ def _node_distances(block_ground: NodeHeights | ColumnWindow, row: np.ndarray, c
     return distance
 
 
-def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
+def _occluder_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
     """Return the patches that contain ground which can shade the block, and the distance of the farthest such ground.
 
     The patches are those that the overview's shading cells overlap. The distance is measured towards the sun, in metres. A cell may
     be larger than a patch. So it gives patches of several levels of detail, each within the range of distances of that level.
     """
-    outside, cells = _find_shading_cells(scene, buffer)
-    (grid, block_ground), row, col, half_extent, distance = (
+    outside, cells = _find_occluder_cells(scene, buffer)
+    (grid, block_ground), row, col, half_extent_nodes, distance = (
         _grid_and_ground(buffer),
         cells.row,
         cells.col,
-        cells.half_extent,
+        cells.half_extent_nodes,
         cells.distance,
     )
     rows, cols = block_ground.shape
@@ -438,7 +379,9 @@ def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...]
     caster_m = _sunward_extent_m(scene, buffer, outside)
     relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
     longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
-    farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent.max(initial=0.0)
+    farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent_nodes.max(
+        initial=0.0
+    )
     patches: list[Patch] = []
     full_detail_nodes = _full_detail_nodes(scene, grid)
     lod, near = 0, 0
@@ -449,7 +392,7 @@ def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...]
             (block_ground.col0 - far, block_ground.col0 + cols + far),
         )
         low, high = (
-            np.stack([np.clip(v + side * half_extent, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
+            np.stack([np.clip(v + side * half_extent_nodes, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
             for side in (-1, 1)
         )
         is_in_range = (low < high).all(axis=1)
@@ -459,7 +402,7 @@ def _shading_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...]
             for top, left, bottom, right in _unique_rows(spans)
             for r in range(top, bottom + 1)
             for c in range(left, right + 1)
-            if not _inside(
+            if not _is_inside_window(
                 r * quads, c * quads, quads, block_ground.row0 - near, block_ground.col0 - near, rows + 2 * near, cols + 2 * near
             )
         }
@@ -507,7 +450,7 @@ def _unique_rows(spans: np.ndarray) -> list[list[int]]:
     return (np.stack(np.unravel_index(keys, tuple(sizes)), axis=1) + first).tolist()
 
 
-def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, cols: int) -> bool:
+def _is_inside_window(row: int, col: int, quads: int, row0: int, col0: int, rows: int, cols: int) -> bool:
     """Return whether a patch lies wholly within a window of nodes, such as the block's own ground.
 
     The patch starts at (``row``, ``col``) and has ``quads`` quads per side. The window has ``rows`` x ``cols`` nodes from
@@ -524,7 +467,7 @@ def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     return float(high[0])
 
 
-def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _outline_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns (n,), (n,) of pixels on the outline of a valid mask.
 
     They are the first and last valid pixels of nine evenly spaced rows and of nine columns.
@@ -539,33 +482,33 @@ def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return i, j
 
 
-def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
+def _ray_origins(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
     """Return positions of some of a buffer's receivers, from which the raster's extent towards the sun is measured.
 
     The result holds the CRS, x (n,) and y (n,) of the positions in that CRS, and x and y of the view's middle.
     """
     view = buffer.view
     if isinstance(view, MapView):
-        i, j = _rim_pixels(buffer.shows_ground if isinstance(buffer, BareNodes) else buffer.valid)
+        i, j = _outline_pixels(buffer.shows_ground if isinstance(buffer, BareNodes) else buffer.valid)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     valid = np.flatnonzero(buffer.valid)
-    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_STARTS, 1)]]
+    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_ORIGIN_COUNT, 1)]]
     points = buffer.frame.points_to_earth(start_points)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
 
 
-def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
+def _data_and_shadow_limits_m(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
     """Return the distance to the raster's end towards the sun, and the distance up to which ground could shade receivers, metres.
 
-    The first distance is the minimum over the positions of ``_ray_starts``. The second one is the longest shadow of ground that
+    The first distance is the minimum over the positions of ``_ray_origins``. The second one is the longest shadow of ground that
     rises ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
     """
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
-    crs, x, y, middle = _ray_starts(scene, buffer)
+    crs, x, y, middle = _ray_origins(scene, buffer)
     if scene.world.flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:

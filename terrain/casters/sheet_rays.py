@@ -93,7 +93,7 @@ class SheetRays:
         pyramids = Pyramids(np.empty((node, 3)), is_cut_nw_se, np.array(sheets), np.array(levels), np.empty((box, 5)))
 
         def build(number: int) -> None:
-            _build(pyramids, number, self._sheets[number].position_frame_m, self._centre_m, axes)
+            _build_pyramid(pyramids, number, self._sheets[number].position_frame_m, self._centre_m, axes)
 
         map_on_cores(build, range(len(self._sheets)))
         return pyramids
@@ -112,7 +112,7 @@ def _axes_along(direction: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _build(pyramids, number, position, centre, axes):
+def _build_pyramid(pyramids, number, position, centre, axes):
     """Write the rotated nodes and the boxes of the sheet ``number`` to ``pyramids``."""
     first, per_row, _, low, high = pyramids.sheet[number]
     rows, cols, _ = position.shape
@@ -131,7 +131,7 @@ def _build(pyramids, number, position, centre, axes):
                     a, b, d = node[first + r * per_row + c]
                     if np.isfinite(d):
                         a0, a1, b0, b1, d1 = min(a0, a), max(a1, a), min(b0, b), max(b1, b), max(d1, d)
-            _fill(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
+            _set_box(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
     for parent_level in range(low + 1, high + 1):
         child_begin, child_rows, child_cols = pyramid_level[parent_level - 1]
         begin, box_rows, box_cols = pyramid_level[parent_level]
@@ -143,11 +143,11 @@ def _build(pyramids, number, position, centre, axes):
                         part = box[child_begin + r * child_cols + c]
                         a0, a1, b0, b1 = min(a0, part[0]), max(a1, part[1]), min(b0, part[2]), max(b1, part[3])
                         d1 = max(d1, part[4])
-                _fill(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
+                _set_box(box, begin + i * box_cols + j, a0, a1, b0, b1, d1)
 
 
 @internal
-def _fill(box, box_index, a0, a1, b0, b1, d1):
+def _set_box(box, box_index, a0, a1, b0, b1, d1):
     box[box_index, 0], box[box_index, 1], box[box_index, 2], box[box_index, 3], box[box_index, 4] = a0, a1, b0, b1, d1
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh
 from skugga.terrain.geo.grid import BLOCK_PX, Grid

@@ -23,7 +23,7 @@ NUMBA_TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
 Given the name alone, numba would add the features of the local processor.
 """
 
-V3_CPU_FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"})
+X86_64_V3_CPU_FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"})
 """Instruction sets that x86-64-v3 adds to v2, as named in ``/proc/cpuinfo``."""
 
 
@@ -42,21 +42,23 @@ def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo
     Sets environment variables and must run before numba is imported. Only programs call it, never library code.
     """
     with suppress(OSError, ValueError, ImportError):  # ``PackageNotFoundError`` is an ``ImportError``
-        is_compatible = json.loads((folder / VERSIONS_FILE).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
+        is_compatible = json.loads(
+            (folder / VERSIONS_FILE).read_text(encoding="utf-8")
+        ) == installed_versions() and _supports_x86_64_v3(cpuinfo)
         if is_compatible and not any(name in os.environ for name in NUMBA_TARGET):
             os.environ.update(NUMBA_TARGET)
-        return is_compatible and _is_set(os.environ)
+        return is_compatible and _is_numba_target_set(os.environ)
     return False
 
 
-def _is_v3(cpuinfo: Path) -> bool:
+def _supports_x86_64_v3(cpuinfo: Path) -> bool:
     if platform.machine() not in ("x86_64", "AMD64"):
         return False
     flags = next(
         (line for line in cpuinfo.read_text(encoding="ascii", errors="replace").splitlines() if line.startswith("flags")), ""
     )
-    return frozenset(flags.partition(":")[2].split()) >= V3_CPU_FLAGS
+    return frozenset(flags.partition(":")[2].split()) >= X86_64_V3_CPU_FLAGS
 
 
-def _is_set(environment: Mapping[str, str]) -> bool:
+def _is_numba_target_set(environment: Mapping[str, str]) -> bool:
     return all(environment.get(name) == value for name, value in NUMBA_TARGET.items())

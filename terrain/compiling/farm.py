@@ -43,13 +43,13 @@ class Task(NamedTuple):
         The numba dispatcher.
     args
         Types of its arguments.
-    rank
+    product_index
         Index of the first requested product that needs the loop.
     """
 
     loop: Any
     args: tuple[Any, ...]
-    rank: int
+    product_index: int
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -68,9 +68,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         with _compile_lock(arguments.background):
             tasks = missing_tasks(arguments.products)
             if tasks:
-                print(0, len(tasks), arguments.products[min(task.rank for task in tasks)], flush=True)
+                print(0, len(tasks), arguments.products[min(task.product_index for task in tasks)], flush=True)
             for done_count, task in enumerate(compile_tasks(tasks, arguments.processes), 1):
-                print(done_count, len(tasks), arguments.products[task.rank], flush=True)
+                print(done_count, len(tasks), arguments.products[task.product_index], flush=True)
     except BrokenPipeError:  # the parent process has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError:  # the store is not writable: the caller of a loop compiles it and logs the reason
@@ -110,14 +110,14 @@ def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
         cache = getattr(loop, "_cache", None)
         name = cache.entry_name(args, loop.targetctx.codegen().magic_tuple()) if isinstance(cache, LoopCache) else None
         if name is not None:
-            rank = min(products.index(product) for product in signature.products if product in products)
-            yield Task(loop, args, rank), name
+            product_index = min(products.index(product) for product in signature.products if product in products)
+            yield Task(loop, args, product_index), name
 
 
 def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
     """Compile loops in forked workers, callees before their callers. Yield each task when it is done or its worker was killed."""
     queue = _Queue(tasks)
-    children = _fork(tasks, min(processes, len(tasks)))
+    children = _fork_workers(tasks, min(processes, len(tasks)))
     busy: dict[Connection, int] = {}
     while queue.is_active and children:
         for pipe in [pipe for pipe in children if pipe not in busy]:
@@ -138,7 +138,7 @@ def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
             yield tasks[number]
 
 
-def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
+def _fork_workers(tasks: Sequence[Task], count: int) -> list[Connection]:
     """Fork workers that compile. Return the pipes to them; a worker ends when its pipe is closed."""
     gc.disable()  # collection takes a tenth of the compile time, and workers are short-lived
     gc.freeze()
@@ -177,8 +177,8 @@ class _Queue:
         self._sorter.prepare()
         self._ready: list[int] = []
 
-    def _urgency(self, number: int) -> tuple[int, int]:
-        return -self._tasks[number].rank, self._chain_bytes[number]
+    def _priority(self, number: int) -> tuple[int, int]:
+        return -self._tasks[number].product_index, self._chain_bytes[number]
 
     @property
     def is_active(self) -> bool:
@@ -187,7 +187,7 @@ class _Queue:
 
     def take(self) -> int | None:
         """Return the number of the next task, or ``None`` if all remaining tasks wait for their callees."""
-        self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._urgency)
+        self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._priority)
         return self._ready.pop() if self._ready else None
 
     def finish(self, number: int) -> None:

@@ -34,7 +34,7 @@ NUMBA_OPTIONS = (
 )  # fmt: skip
 """Numba settings that affect the machine code."""
 
-NAME_LENGTH = 40
+MAX_NAME_CHARS = 40
 """Number of characters of the loop's name in the name of its entry. The name helps people who inspect the folder."""
 
 Loop = Any
@@ -116,7 +116,7 @@ class LoopCache(_Cache):
         except UnknownValueError as error:
             log.debug("%s: cannot be stored: it reads %s", self._dispatcher, error)
             return None
-        readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:NAME_LENGTH]
+        readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:MAX_NAME_CHARS]
         return f"{readable}-{digest((_codegen_inputs(target), loop_digest, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:

@@ -68,7 +68,7 @@ class LoopStore:
 
     def read(self, name: str) -> bytes | None:
         """Return the content of an entry, or ``None`` if it is missing or corrupt, or if another user may have written it."""
-        if self.bundled is not None and (content := _content(self.bundled / (name + SUFFIX))) is not None:
+        if self.bundled is not None and (content := _read_verified(self.bundled / (name + SUFFIX))) is not None:
             return content
         path = self.folder / (name + SUFFIX)
         try:
@@ -83,7 +83,7 @@ class LoopStore:
         except OSError as error:
             self._warn(f"{self.folder} cannot be read: {error.strerror}")
             return None
-        content = _verified(entry)
+        content = _verified_content(entry)
         if content is None:
             self._warn(f"{path} is damaged, so its loop is compiled again")
             return None
@@ -162,14 +162,14 @@ def _is_trusted(state: os.stat_result) -> bool:
     return state.st_uid in (os.geteuid(), 0) and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _content(path: Path) -> bytes | None:
+def _read_verified(path: Path) -> bytes | None:
     try:
-        return _verified(path.read_bytes())
+        return _verified_content(path.read_bytes())
     except OSError:
         return None
 
 
-def _verified(entry: bytes) -> bytes | None:
+def _verified_content(entry: bytes) -> bytes | None:
     """Return the content of an entry after checking its checksum, or ``None`` if the entry is corrupt."""
     start = len(_MAGIC) + _DIGEST_BYTES
     if not entry.startswith(_MAGIC) or hashlib.sha256(entry[start:]).digest() != entry[len(_MAGIC) : start]:

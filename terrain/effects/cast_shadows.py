@@ -46,10 +46,10 @@ possible caster.
 MAX_TREES_TESTED = 2000
 """Maximum number of trees that are tested one by one. If more are in view or towards the light, some of them cast shadows."""
 
-MASK_CELLS = 128
+DEPTH_GRID_CELLS = 128
 """Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
 
-DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+SUN_DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
 
 A facet whose plane is closer than this to the centre of the sun may cut the disc. The value is for unit normals. A test with the
@@ -117,7 +117,7 @@ def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
 
 
 def _facing_tolerance(altitude_deg: float) -> float:
-    return DISC_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
+    return SUN_DISC_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
 def has_casters(descriptor: Descriptor) -> bool:
@@ -135,14 +135,14 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if not scene.sun_is_up:
         return {}
-    min_excess, max_excess = _slopes_under_sun(scene, view, coarse_view)
+    min_excess, max_excess = _sun_facing_range(scene, view, coarse_view)
     result: dict[str, Fact] = {"least_slope": min_excess, "most_slope": max_excess}
     if coarse_view is not None and isinstance(view, PerspectiveView):
         result |= {kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
     return result
 
 
-def _slopes_under_sun(
+def _sun_facing_range(
     scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None
 ) -> tuple[float | None, float | None]:
     assert scene.sun is not None
@@ -198,7 +198,7 @@ def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseVie
     A coarse view samples every few pixels and ignores trees. The radius is the spacing of the samples at the point's distance, plus
     the height of the tallest object if trees are in view.
     """
-    return coarse_view.distance_m * coarse_view.spacing + (
+    return coarse_view.distance_m * coarse_view.spacing_tangent + (
         scene.objects.tallest_m if find_visible_trees(scene.objects, view, coarse_view)[1] else 0.0
     )
 
@@ -213,9 +213,9 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
     rows = np.stack([rotation[0], scene.light.horizontal_sunward_m(rotation.T)])
     offsets = np.array([translation[0], scene.light.horizontal_sunward_m(translation)])
-    in_light, slack = coarse_view.points_frame_m @ rows.T + offsets, _sample_radius_m(scene, view, coarse_view)[:, None]
+    in_light, tolerance_m = coarse_view.points_frame_m @ rows.T + offsets, _sample_radius_m(scene, view, coarse_view)[:, None]
     low, high = (
-        ((in_light - slack).min(axis=0), (in_light + slack).max(axis=0))
+        ((in_light - tolerance_m).min(axis=0), (in_light + tolerance_m).max(axis=0))
         if len(in_light)
         else (np.full(2, np.inf), np.full(2, -np.inf))
     )
@@ -237,8 +237,10 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
             return in_view
         rotation, translation = scene.light.from_frame(frame)
         points = coarse_view.points_frame_m @ rotation.T + translation
-        slack = _sample_radius_m(scene, view, coarse_view)[:, None]
-        low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
+        tolerance_m = _sample_radius_m(scene, view, coarse_view)[:, None]
+        low, high = (
+            ((points - tolerance_m).min(axis=0), (points + tolerance_m).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
+        )
         candidates = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
         if not 0 < len(candidates) <= MAX_TREES_TESTED:
             return len(candidates) > 0
@@ -251,7 +253,7 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
             box_high,
             coarse_view.points_frame_m @ rotation.T + translation,
             _sample_radius_m(scene, view, coarse_view),
-            MASK_CELLS,
+            DEPTH_GRID_CELLS,
         )
     )
 
@@ -260,11 +262,11 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
 def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounding boxes of the meshes' casting triangles in light space. They do not depend on the camera."""
     assert objects.solids is not None
-    return _boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
+    return _triangle_boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
 
 
 @compiled
-def _boxes(points, triangles):
+def _triangle_boxes(points, triangles):
     """Return the minimum and the maximum coordinates, (m, 3) each, of triangles (m, 3) with the vertices ``points`` (n, 3)."""
     box_low, box_high = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for m in range(len(triangles)):
@@ -275,11 +277,11 @@ def _boxes(points, triangles):
 
 
 @compiled
-def _any_occludes(box_low, box_high, points, slack, cells):
+def _any_occludes(box_low, box_high, points, tolerance_m, cells):
     """Return whether any box occludes any point, in light space.
 
-    Boxes extend from ``box_low`` to ``box_high`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The third coordinate is the
-    depth, away from the sun. A grid of ``cells`` x ``cells`` cells holds the maximum depth of the points in each cell. A box
+    Boxes extend from ``box_low`` to ``box_high`` (n, 3). Points (m, 3) have a tolerance ``tolerance_m`` (m,). The third coordinate
+    is the depth, away from the sun. A grid of ``cells`` x ``cells`` cells holds the maximum depth of the points in each cell. A box
     occludes a point if its minimum depth is at most that of a cell that it overlaps.
     """
     if len(points) == 0 or len(box_low) == 0:
@@ -287,15 +289,15 @@ def _any_occludes(box_low, box_high, points, slack, cells):
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for m in range(len(points)):
         for k in range(2):
-            low[k], high[k] = min(low[k], points[m, k] - slack[m]), max(high[k], points[m, k] + slack[m])
+            low[k], high[k] = min(low[k], points[m, k] - tolerance_m[m]), max(high[k], points[m, k] + tolerance_m[m])
     scale = cells / np.maximum(high - low, 1e-6)
     deepest = np.full((cells, cells), -np.inf)
     for m in range(len(points)):
-        i0, i1 = int((points[m, 0] - slack[m] - low[0]) * scale[0]), int((points[m, 0] + slack[m] - low[0]) * scale[0])
-        j0, j1 = int((points[m, 1] - slack[m] - low[1]) * scale[1]), int((points[m, 1] + slack[m] - low[1]) * scale[1])
+        i0, i1 = int((points[m, 0] - tolerance_m[m] - low[0]) * scale[0]), int((points[m, 0] + tolerance_m[m] - low[0]) * scale[0])
+        j0, j1 = int((points[m, 1] - tolerance_m[m] - low[1]) * scale[1]), int((points[m, 1] + tolerance_m[m] - low[1]) * scale[1])
         for i in range(i0, min(i1, cells - 1) + 1):
             for j in range(j0, min(j1, cells - 1) + 1):
-                deepest[i, j] = max(deepest[i, j], points[m, 2] + slack[m])
+                deepest[i, j] = max(deepest[i, j], points[m, 2] + tolerance_m[m])
     for n in range(len(box_low)):
         if not (box_high[n, 0] >= low[0] and box_low[n, 0] <= high[0] and box_high[n, 1] >= low[1] and box_low[n, 1] <= high[1]):
             continue

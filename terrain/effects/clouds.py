@@ -29,9 +29,9 @@ from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visi
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, night_sky_share
-from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.shading_loops import twilight_sky_share
 
-CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
+CLOUD_HEIGHT_M, CLOUD_CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
@@ -42,7 +42,7 @@ MIN_ALTITUDE_SINE = np.sin(np.radians(5.0))
 towards sunset.
 """
 
-COARSEST_WAVE_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
+COARSEST_WAVELENGTH_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
 
 CLOUD_EDGE_WIDTH = 0.26
@@ -57,15 +57,15 @@ MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
 NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Upper bound of the sum of all octaves."""
 
-FADE_RANGE = 1 / 16, 1 / 2
-"""Pixel sizes, as shares of ``COARSEST_WAVE_M``, between which clouds fade into their mean density."""
+FADE_WAVELENGTH_SHARES = 1 / 16, 1 / 2
+"""Pixel sizes, as shares of ``COARSEST_WAVELENGTH_M``, between which clouds fade into their mean density."""
 
 INVISIBLE_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
 
 If light loses the share ``a``, its sRGB code loses the share ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``. The code, without the
 offset of the sRGB curve, is at most 1.055. The loss is smaller in the linear part of the curve near black, and where
-``skugga.terrain.shading_loops.shoulder`` compresses bright light. It reaches a step of 1/255 at ``a`` = 0.0089. The smaller value
+``skugga.terrain.shading_loops.tone_curve`` compresses bright light. It reaches a step of 1/255 at ``a`` = 0.0089. The smaller value
 here allows for the 4096 steps of the encoding table.
 """
 
@@ -121,7 +121,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
     return CloudLayer(
         cover, threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
-        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLEARANCE_M),
+        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLOUD_CLEARANCE_M),
         anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(DRIFT_M_PER_S),
     )  # fmt: skip
 
@@ -145,27 +145,27 @@ def _distribution() -> tuple[np.ndarray, np.ndarray]:
     They are measured on a square whose side is 195 of the coarsest wavelengths.
     """
     # Steps of the golden ratio have no common period with the lattice.
-    values = np.sort(_noise_on(np.arange(256) * 0.76393202250021))[::-1]
+    values = np.sort(_noise_on_grid(np.arange(256) * 0.76393202250021))[::-1]
     return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
 
 
 @compiled
-def _noise_on(x):
+def _noise_on_grid(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
-            out[i * x.size + j] = _noise(x[j] * COARSEST_WAVE_M, x[i] * COARSEST_WAVE_M, -np.inf, np.inf)
+            out[i * x.size + j] = _cloud_noise(x[j] * COARSEST_WAVELENGTH_M, x[i] * COARSEST_WAVELENGTH_M, -np.inf, np.inf)
     return out
 
 
 @compiled
-def _noise(x_m, y_m, low, high):
+def _cloud_noise(x_m, y_m, low, high):
     """Return the sum of the noise's octaves at the place (``x_m``, ``y_m``) in the layer.
 
     The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
     """
     # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
-    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVE_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVE_M
+    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVELENGTH_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVELENGTH_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
         total += amplitude * noise_at(x, y, CLOUD_SEED + k)
@@ -183,11 +183,13 @@ def density_at(x_m, y_m, threshold):
 
     ``threshold`` is that of the ``CloudLayer``.
     """
-    return _density(_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold)
+    return _density_of_noise(
+        _cloud_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+    )
 
 
 @compiled
-def _density(noise, threshold):
+def _density_of_noise(noise, threshold):
     return smoothstep_value((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
@@ -205,8 +207,14 @@ def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
 
 
 @compiled
-def _fade(pixel_m):
-    return min(max((pixel_m / COARSEST_WAVE_M - FADE_RANGE[0]) / (FADE_RANGE[1] - FADE_RANGE[0]), 0.0), 1.0)
+def _fade_share(pixel_m):
+    return min(
+        max(
+            (pixel_m / COARSEST_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0]) / (FADE_WAVELENGTH_SHARES[1] - FADE_WAVELENGTH_SHARES[0]),
+            0.0,
+        ),
+        1.0,
+    )
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -225,7 +233,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
     eye, tangent, pixel_m = size
-    fade = _fade(pixel_m)
+    fade = _fade_share(pixel_m)
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
             if not valid[i, j] or sunlight[i, j] == 0.0:
@@ -233,7 +241,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
             p = position[i, j]
             if tangent > 0.0:
                 x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-                fade = _fade(tangent * np.sqrt(x * x + y * y + z * z))
+                fade = _fade_share(tangent * np.sqrt(x * x + y * y + z * z))
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
@@ -284,12 +292,12 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
-        nearest = farthest = _fade(map_pixel_m(scene.world, view))
+        nearest = farthest = _fade_share(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
         distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
         boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
-        nearest, farthest = (_fade(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
+        nearest, farthest = (_fade_share(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
     densest = max((_max_density(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
     return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
@@ -306,7 +314,7 @@ def _direct_share(scene: Scene) -> float:
     low, high = scene.height_range_m
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
-    sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else MIN_SKY_SHARE)
+    sky = light.sky * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_SHARE)
     sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 
@@ -324,7 +332,7 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     positions = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
-    return _box(positions, 0.001 * np.ptp(positions[np.isfinite(positions).all(axis=1)], axis=0).max())
+    return _position_bounds(positions, 0.001 * np.ptp(positions[np.isfinite(positions).all(axis=1)], axis=0).max())
 
 
 def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
@@ -341,17 +349,19 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
         distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])
     positions = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(distance_m, 1.0)))
-    rise_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
+    rise_m = _missed_object_height_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
     octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
-        west, east, south, north = _box(positions[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + rise_m)
+        west, east, south, north = _position_bounds(
+            positions[(octave == near) | (octave == far)], coarse_view.spacing_tangent * 2.0**far + rise_m
+        )
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
     return boxes
 
 
-def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
+def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
     """Return the maximum height, metres, of visible objects above the points of a coarse view, which may miss them.
 
     Trees count always, meshes if they are in view.
@@ -362,7 +372,7 @@ def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
     return 0.0 if trees is None else float(trees.height_m.max())
 
 
-def _box(positions: np.ndarray, margin_m: float) -> CloudBounds:
+def _position_bounds(positions: np.ndarray, margin_m: float) -> CloudBounds:
     low, high = np.nanmin(positions, axis=0) - margin_m, np.nanmax(positions, axis=0) + margin_m
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
@@ -387,7 +397,7 @@ def _positions_of_points(points, height, layer_m, to_sun, centre, drift):
 def _max_density(west: float, east: float, south: float, north: float, threshold: float) -> float:
     """Return an upper bound of the cloud density in a box."""
     return float(
-        _density(
+        _density_of_noise(
             _max_noise(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
         )
     )
@@ -401,7 +411,7 @@ def _max_noise(west, east, south, north, low, high):
     is discarded if this bound is not above the maximum found so far. Other cells are split into four, down to a radius of one
     metre.
     """
-    rows, cols = int((north - south) / (COARSEST_WAVE_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVE_M / 8.0)) + 1
+    rows, cols = int((north - south) / (COARSEST_WAVELENGTH_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVELENGTH_M / 8.0)) + 1
     cells = np.empty((256, 4))
     best, evaluations = low, 0
     for i in range(rows):
@@ -413,9 +423,9 @@ def _max_noise(west, east, south, north, low, high):
             while count > 0:
                 count -= 1
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
-                value = _noise(x, y, -np.inf, np.inf)
+                value = _cloud_noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
-                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVE_M
+                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVELENGTH_M
                 for _ in range(CLOUD_OCTAVES):
                     max_rise += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
                     amplitude, wave_m = amplitude * OCTAVE_GAIN, wave_m / 2.0

@@ -35,12 +35,12 @@ from skugga.terrain.shading import daylight_of
 LEAF_TRANSMITTANCE = 0.65
 """Share of the sunlight that reaches leaves behind other leaves."""
 
-CELL_M = 2.0
+MIN_CELL_M = 2.0
 """Minimum side, metres, of the cubic cells in which leaves share one ray to the sun. The ray tests for shadows of ground and
 meshes.
 """
 
-CELL_TANGENT = 0.004
+MIN_CELL_TANGENT = 0.004
 """Minimum angle of a cell as seen from the eye, as a tangent. Sides of distant cells are doubled until they reach it."""
 
 CELL_INDEX_BITS = 18
@@ -82,10 +82,10 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     if not len(pixels):
         return
     points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
-    run_in_chunks(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
+    run_in_chunks(len(pixels), _write_cell_keys, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
     # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
-    cell_side_m = CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
+    cell_side_m = MIN_CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
     start, to_sun = (np.floor(points[pixels[first]] / cell_side_m) + 0.5) * cell_side_m, scene.sun.in_frame(buffer.frame)
     is_shaded = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
     if scene.objects.solids is not None:
@@ -97,7 +97,7 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 
 @compiled
-def _cells(first, last, points, pixels, eye, key):
+def _write_cell_keys(first, last, points, pixels, eye, key):
     """Write the key of the cell of each point, an int64.
 
     Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis.
@@ -105,8 +105,8 @@ def _cells(first, last, points, pixels, eye, key):
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-        distance_m, doublings, cell_side_m = np.sqrt(x * x + y * y + z * z), 0, CELL_M
-        while cell_side_m < distance_m * CELL_TANGENT:
+        distance_m, doublings, cell_side_m = np.sqrt(x * x + y * y + z * z), 0, MIN_CELL_M
+        while cell_side_m < distance_m * MIN_CELL_TANGENT:
             doublings, cell_side_m = doublings + 1, 2.0 * cell_side_m
         number = doublings
         for k in range(3):

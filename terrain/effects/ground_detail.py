@@ -40,10 +40,10 @@ HUE_SHIFT = (0.55, 0.0, -0.85)
 drier.
 """
 
-HUE_WAVES = 3
+HUE_WAVE_COUNT = 3
 """Number of waves that change the hue, longest first."""
 
-FLAT_GROUND_FACTOR = 0.45
+FLAT_GROUND_AMPLITUDE_FACTOR = 0.45
 """Factor of all amplitudes on level ground without tints, for example a floor or a square."""
 
 DETAIL_SEED = 71
@@ -60,7 +60,7 @@ GRAZING_COSINE = 0.02
 INVISIBLE_CHANGE = CHANNEL_STEP / 0.45
 """Largest relative change of the albedo that changes no colour by more than one of 255."""
 
-WAVE_RUN = 256
+MAX_BATCH_PIXELS = 256
 """Maximum number of pixels of a row that are computed together."""
 
 _WAVES = np.array(GROUND_WAVES)
@@ -102,15 +102,15 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(distance_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
-    steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
+    steeper = np.clip(facing + coarse_view.spacing_tangent, GRAZING_COSINE, 1.0)
     pixel_width_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
     return {"draped": draped, "nearest_m": float(distance_m.min()), "share": max_albedo_change(float(pixel_width_m.min()))}
 
 
 def max_albedo_change(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo where pixels are ``pixel_m`` metres wide."""
-    visible_amplitudes = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVES])))
+    visible_amplitudes = [amplitude * _resolved_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
+    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVE_COUNT])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -120,7 +120,12 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
         return
     low, high = scene.height_range_m
     run_in_chunks(
-        len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else FLAT_GROUND_FACTOR, np.array(HUE_SHIFT)
+        len(albedo),
+        _apply_detail,
+        albedo,
+        _detail(buffer, scene, view),
+        1.0 if high > low else FLAT_GROUND_AMPLITUDE_FACTOR,
+        np.array(HUE_SHIFT),
     )
 
 
@@ -144,7 +149,7 @@ def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.n
 
 
 @compiled
-def _vary(first, last, albedo, detail, share, hue):
+def _apply_detail(first, last, albedo, detail, share, hue):
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]
@@ -154,18 +159,18 @@ def _vary(first, last, albedo, detail, share, hue):
 
 
 @compiled
-def _visible_share(wave_m, pixel_m):
+def _resolved_share(wavelength_m, pixel_m):
     """Return the share of a wave's amplitude that remains after antialiasing, for a wavelength and a width of pixels in metres."""
-    return min(max(wave_m / (2.0 * max(pixel_m, 1e-9)) - 1.0, 0.0), 1.0)
+    return min(max(wavelength_m / (2.0 * max(pixel_m, 1e-9)) - 1.0, 0.0), 1.0)
 
 
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """Write the detail of some rows to ``out`` (rows, cols, 2). Up to ``WAVE_RUN`` pixels are computed together."""
+    """Write the detail of some rows to ``out`` (rows, cols, 2). Up to ``MAX_BATCH_PIXELS`` pixels are computed together."""
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
-    x, y, pixel_width_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
-    column = np.empty(WAVE_RUN, np.int64)
+    x, y, pixel_width_m = np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS)
+    column = np.empty(MAX_BATCH_PIXELS, np.int64)
     cols = valid.shape[1]
     for i in range(first, last):
         count = 0
@@ -181,7 +186,7 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
                     y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
                     column[count] = j
                     count += 1
-            if count == WAVE_RUN or (count > 0 and j == cols - 1):
+            if count == MAX_BATCH_PIXELS or (count > 0 and j == cols - 1):
                 _add_waves(x[:count], y[:count], pixel_width_m[:count], waves, column, out[i])
                 count = 0
 
@@ -193,7 +198,7 @@ def _add_waves(x, y, pixel_width_m, waves, column, out):
     finest = pixel_width_m.min()
     for k in range(len(waves)):
         wave = waves[k, 0]
-        if _visible_share(wave, finest) <= 0.0:
+        if _resolved_share(wave, finest) <= 0.0:
             break
         for n in range(x.size):
             x[n], y[n] = (
@@ -203,9 +208,9 @@ def _add_waves(x, y, pixel_width_m, waves, column, out):
             wave_x[n], wave_y[n] = x[n] / wave, y[n] / wave
         noise_along(wave_x, wave_y, DETAIL_SEED + k, noise)
         for n in range(x.size):
-            value = _visible_share(wave, pixel_width_m[n]) * waves[k, 1] * noise[n]
+            value = _resolved_share(wave, pixel_width_m[n]) * waves[k, 1] * noise[n]
             out[column[n], 0] += value
-            if k < HUE_WAVES:
+            if k < HUE_WAVE_COUNT:
                 out[column[n], 1] += value
 
 

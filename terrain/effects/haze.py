@@ -17,7 +17,7 @@ mean is (1 - exp(-z / H)) H / z of the density at the ground. Ground is therefor
 **Colour.** V refers to green light. The air itself scatters at most 13.6e-6 / m of green light, and this part of b is proportional
 to the inverse fourth power of the wavelength (J. W. Strutt, Lord Rayleigh 1871). Scattering by dust and droplets hardly depends on
 the wavelength. Distant ridges are therefore blue in clear air and grey in mist. A level that sets no visibility has clear air
-(``CLEAR_AIR_M``).
+(``CLEAR_AIR_VISIBILITY_M``).
 
 **Visibility threshold.** The encoder to sRGB rounds linear colours to bins that are 1/4096 wide, 0.8 of a step of 1/255 at black.
 Two linear colours x < y look alike if the sRGB codes of all bins that they can fall into differ by at most one of 255. The slope of
@@ -50,14 +50,14 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, geodetic
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
-from skugga.terrain.shading_loops import shoulder
+from skugga.terrain.shading_loops import tone_curve
 from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
 
-CONTRAST = 0.02
+THRESHOLD_CONTRAST = 0.02
 """Contrast of a black object with the horizon at the distance that defines the visibility."""
 
-CLEAR_AIR_M = 100_000.0
+CLEAR_AIR_VISIBILITY_M = 100_000.0
 """Default visibility: clear weather, without the dust of a dry summer."""
 
 SCALE_HEIGHT_M = 8000.0
@@ -69,10 +69,10 @@ RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 ENCODER_BIN_WIDTH = 1.0 / 4096.0
 """Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
 
-TESTED_SHARES = np.geomspace(1e-5, 1.0, 2048)
+TESTED_LIGHT_SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that the tests of visibility try, each 0.6 % larger than the one before."""
 
-SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
+SAMPLED_PIXEL_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 """Possible shares of a pixel that a surface fills, by the pixel's samples (``skugga.terrain.gbuffer.antialias``)."""
 
 
@@ -86,11 +86,12 @@ def judge(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the descriptor has no visibility")
     assert isinstance(visibility_m, float) and isinstance(farthest_m, float) and isinstance(shows_from_m, float)
     if farthest_m <= shows_from_m:
-        reason = f"no visible surface is farther than {_metres(farthest_m)}; at {_metres(visibility_m)} of visibility"
-        return Verdict(False, f"{reason} haze shows from {_metres(shows_from_m)} on")
+        reason = f"no visible surface is farther than {_length_text(farthest_m)}; at {_length_text(visibility_m)} of visibility"
+        return Verdict(False, f"{reason} haze shows from {_length_text(shows_from_m)} on")
     share = 100.0 * -np.expm1(-farthest_m * extinction(visibility_m))
     return Verdict(
-        True, f"at {_metres(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_metres(farthest_m)} away"
+        True,
+        f"at {_length_text(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_length_text(farthest_m)} away",
     )
 
 
@@ -118,15 +119,15 @@ def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
     if visibility_m is not None:
         return visibility_m
     if isinstance(view, MapView):
-        return CLEAR_AIR_M
+        return CLEAR_AIR_VISIBILITY_M
     height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
     up = max(height_m - scene.height_range_m[0], 1e-3) / SCALE_HEIGHT_M
-    return CLEAR_AIR_M * up / -float(np.expm1(-up))
+    return CLEAR_AIR_VISIBILITY_M * up / -float(np.expm1(-up))
 
 
 def extinction(visibility_m: float) -> float:
     """Return the extinction coefficient of green light, per metre, by Koschmieder's formula."""
-    return float(-np.log(CONTRAST) / visibility_m)
+    return float(-np.log(THRESHOLD_CONTRAST) / visibility_m)
 
 
 def extinctions(visibility_m: float) -> np.ndarray:
@@ -144,7 +145,7 @@ def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: Coa
     eye, _, _, inward = _frustum(view, frame)
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
-        farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
+        farthest.append(_max_clipped_distance(ground.position_frame_m, ground.triangles, eye, inward))
     trees, in_view = trees_in_view(scene, view, frame)
     if trees is not None:
         size = np.hypot(np.sqrt(2.0) * trees.shape[in_view, :2].max(axis=1), trees.shape[in_view, 2])
@@ -170,7 +171,7 @@ def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> f
     if solids is None or vertices is None:
         return 0.0
     eye, _, _, inward = _frustum(view, frame)
-    return float(_farthest(vertices, solids.triangles, eye, inward))
+    return float(_max_clipped_distance(vertices, solids.triangles, eye, inward))
 
 
 def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -188,7 +189,7 @@ def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     return eye, camera_from_frame, tangents, inward
 
 
-def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
+def shadow_hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     """Return the distance beyond which haze hides the difference between sunlight and shadow, metres.
 
     Beyond it no channel of a pixel in shadow differs from the same pixel in sunlight by more than one of 255. The distance is 0 if
@@ -197,16 +198,16 @@ def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     if not scene.sun_is_up:
         return 0.0
     darkest = horizon_colors(scene).min(axis=0)
-    shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
+    shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _sunlit_white(scene), strict=True)]
     return float((-np.log(shares) / extinctions(visibility_of(scene, view))).max())
 
 
-def _white_in_sun(scene: Scene) -> np.ndarray:
+def _sunlit_white(scene: Scene) -> np.ndarray:
     """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
     sunlight = daylight_of(scene).sun
-    return np.array([shoulder(channel) for channel in sunlight])
+    return np.array([tone_curve(channel) for channel in sunlight])
 
 
 def _visible_haze_distance_m(scene: Scene, visibility_m: float) -> float:
@@ -224,12 +225,12 @@ def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ..
 
     ``horizon`` and ``white`` are the linear colours of the horizon and of a white surface in sunlight.
     """
-    air = (1.0 - TESTED_SHARES)[:, None] * np.array(horizon)
-    lit = air + TESTED_SHARES[:, None] * np.array(white)
+    air = (1.0 - TESTED_LIGHT_SHARES)[:, None] * np.array(horizon)
+    lit = air + TESTED_LIGHT_SHARES[:, None] * np.array(white)
     is_indistinguishable = np.logical_and.reduce(
-        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLE_SHARES]
+        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLED_PIXEL_SHARES]
     )
-    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
+    return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
 
 @cached("process", MIB)
@@ -239,9 +240,9 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
     Black and white are tested. The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
-    is_indistinguishable = _look_alike(black, TESTED_SHARES[:, None] * brightest)
-    is_indistinguishable &= _look_alike(1.0 - TESTED_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
-    return float(TESTED_SHARES[is_indistinguishable].max(initial=TESTED_SHARES[0]))
+    is_indistinguishable = _look_alike(black, TESTED_LIGHT_SHARES[:, None] * brightest)
+    is_indistinguishable &= _look_alike(1.0 - TESTED_LIGHT_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
+    return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
 
 def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
@@ -251,7 +252,7 @@ def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     return (255.0 * (srgb_of_linear(lowest + bins * ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
 
 
-def _metres(length_m: float) -> str:
+def _length_text(length_m: float) -> str:
     return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
 
 
@@ -300,7 +301,7 @@ def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, t
 
 
 @compiled
-def _farthest(position, triangles, eye, inward):
+def _max_clipped_distance(position, triangles, eye, inward):
     """Return the maximum distance from the eye of triangles clipped by planes through the eye with normals ``inward`` (m, 3)."""
     squared_distance, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
     for n in range(len(position)):

@@ -22,7 +22,7 @@ from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible
 from skugga.terrain.lights import CONE_FADE_SHARE, Lamp
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEAF_TRANSLUCENCY, daylight_of, exposure_of, night_sky_share
-from skugga.terrain.shading_loops import MIN_SKY_FACTOR, dusk_of
+from skugga.terrain.shading_loops import MIN_SKY_FACTOR, twilight_sky_share
 from skugga.terrain.srgb import srgb_of_linear
 
 MAX_NAMED_LAMPS = 8
@@ -52,7 +52,7 @@ def visible_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: Co
     view. All omitted lamps together change no 8-bit channel by more than three quarters of a step.
     """
     light = {name: _max_irradiance(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
-    return set(light) - negligible_lamps(light, _min_visible_light(scene))
+    return set(light) - negligible_lamps(light, _min_visible_irradiance(scene))
 
 
 def negligible_lamps(light: Mapping[str, np.ndarray | float], min_visible: float) -> set[str]:
@@ -85,10 +85,10 @@ def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, c
         cells = visible_cells(scene.elevation, view)
         if cells is None:
             return np.zeros(1)
-        points, slack_m = _points_of_cells(scene, cells)
+        points, slack_m = _highest_points_of_cells(scene, cells)
     else:
         points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
-        slack_m = coarse_view.distance_m * coarse_view.spacing
+        slack_m = coarse_view.distance_m * coarse_view.spacing_tangent
     to_points = points - lamp.position_earth_m
     slack_m = slack_m + scene.objects.tallest_m
     distance_m = np.linalg.norm(to_points, axis=-1)
@@ -103,7 +103,7 @@ def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, c
     return np.where(shines, light, 0.0).ravel()
 
 
-def _min_visible_light(scene: Scene) -> float:
+def _min_visible_irradiance(scene: Scene) -> float:
     """Return the smallest irradiance on white that can change an 8-bit channel by more than three quarters of a step.
 
     Light is most visible where other light is weakest. Ground receives at least a quarter of the sky light even in a gorge, and
@@ -112,7 +112,7 @@ def _min_visible_light(scene: Scene) -> float:
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_sky_share(scene)
-    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
+    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * twilight_sky_share(sine))
     ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY_FACTOR) * sky if "meshes" not in scene.objects.kinds else 0.0
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(
@@ -123,7 +123,7 @@ def _min_visible_light(scene: Scene) -> float:
 
 
 @cached("scene", 16 * MIB)
-def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
+def _highest_points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
     """Return the highest point (n, 3) of each of some cells of the overview, and the radius (n,) of each cell's ground, metres.
 
     The points are earth-fixed, above the cells' centres. Cells without ground are left out.

@@ -57,8 +57,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {}
     tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_m
     altitude, curved = scene.sun.altitude_deg, not scene.world.flat
-    longer_m = longest_shadow_m(tallest_m, altitude - scene.sun.lift_deg, curved) - longest_shadow_m(tallest_m, altitude, curved)
-    return {"lift_deg": scene.sun.lift_deg, "moves_m": longer_m}
+    longer_m = longest_shadow_m(tallest_m, altitude - scene.sun.refraction_deg, curved) - longest_shadow_m(
+        tallest_m, altitude, curved
+    )
+    return {"lift_deg": scene.sun.refraction_deg, "moves_m": longer_m}
 
 
 EFFECT = Effect("atmospheric refraction", judge, facts)

@@ -35,7 +35,7 @@ from skugga.terrain.shading import (
     sky_lit_albedo,
     srgb_encoded,
 )
-from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.shading_loops import twilight_sky_share
 from skugga.terrain.style import tint_table
 
 COMPARED_SHADES = 4096
@@ -55,7 +55,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     """
     facts = descriptor.facts["sky_view"]
     if not facts:
-        return Verdict(False, "the light of the sky is only known on the Earth")
+        return Verdict(False, "the level is not on the earth, so the light of its sky is unknown")
     hidden_share, darkening_steps = facts["hidden"], facts["steps"]
     assert isinstance(hidden_share, float) and isinstance(darkening_steps, float)
     if hidden_share == 0.0:
@@ -95,7 +95,7 @@ def _max_hidden_in_map(scene: Scene, view: MapView, hidden_sky: SkyView) -> floa
     cells, (means, table) = visible_cells(scene.elevation, view), hidden_sky.means
     if cells is None:
         return 0.0
-    fractional_level = _pyramid_position(scene, view, hidden_sky)
+    fractional_level = _pyramid_level(scene, view, hidden_sky)
     number = min(int(fractional_level), len(table) - 1)
     level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
     return float(level_values[block_slices(cells, 2 ** (hidden_sky.lod + number), level_values.shape, margin)].max())
@@ -120,11 +120,11 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
     albedo = sky_lit_albedo(tints, shading_parameters(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_sky_share(scene)
-    day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
+    day = 0.0 if scene.highest_sun_deg is None else float(twilight_sky_share(np.sin(np.radians(scene.highest_sun_deg))))
     return float((albedo * daylight_of(scene).sky).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
 
 
-def _pyramid_position(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
+def _pyramid_level(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
     """Return the fractional level of the pyramid of hidden shares at which nodes are as far apart as a map's pixels; 0 or more."""
     return max(float(np.log2(map_pixel_m(scene.world, view) / hidden_sky.node_m)), 0.0)
 
@@ -153,7 +153,7 @@ def _max_hidden_in_view(hidden_sky: SkyView, coarse_view: CoarseView) -> float:
         previous_spacing, next_spacing = (np.insert(spacing, position, np.nan, axis=axis) for position in (0, spacing.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         radius = np.fmax(radius, np.fmin(previous_spacing, next_spacing))
-    highest, table = hidden_sky.highest
+    highest, table = hidden_sky.maxima
     has_node = buffer.valid & np.isfinite(nodes[..., 0])
     return float(_max_around_nodes(highest, table, nodes[has_node], radius[has_node]))
 

@@ -17,24 +17,24 @@ from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import WATER_TOLERANCE_M
 
-SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
+SNOW_ALBEDO, ROCK_ALBEDO = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of settled snow, and of the rock and scree on steep ground."""
 
 FULL_SNOW_DEG, NO_SNOW_DEG = 38.0, 52.0
 """Slopes below which all snow stays and above which none does. Most avalanches start between 30 and 45 degrees."""
 
-ROUGH_DEG, ROUGH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
+EDGE_NOISE_DEG, EDGE_NOISE_WAVELENGTH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
 """Noise added to the slope, so that the snow's edge is irregular: amplitude in degrees, coarsest wavelength in metres, octaves,
 seed.
 """
 
-CROWN_SNOW_SHARE, CROWN_TOP = 0.6, (0.7, 1.1)
+CROWN_SNOW_SHARE, CROWN_UP_COSINE_RANGE = 0.6, (0.7, 1.1)
 """Maximum share of snow on a crown, and the range over which the share rises from 0 to it.
 
 The range is of the cosine between the crown's normal and the vertical, after noise is added.
 """
 
-CLUMPS, CLUMP_M = 0.3, 0.9
+CLUMP_NOISE_AMPLITUDE, CLUMP_NOISE_WAVELENGTH_M = 0.3, 0.9
 """Noise added to the cosine between a crown's normal and the vertical: amplitude, and coarsest wavelength in metres.
 
 It leaves twigs visible between clumps of snow.
@@ -46,7 +46,7 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
         return
-    _whiten(
+    _apply_snow_albedo(
         albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame),
         scene.world.anchor_from_frame(buffer.frame),
         scene.elevation.water_m + WATER_TOLERANCE_M, pixel_size(block),
@@ -54,7 +54,7 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 
 @compiled
-def _whiten(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, water_m, size):
+def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, water_m, size):
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, tangent, pixel_m = size
@@ -79,8 +79,8 @@ def _whiten(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, w
             for k in range(3):
                 bare = albedo[i, j, k]
                 if kind[i, j] == RELIEF and not draped:
-                    bare = ROCK[k]
-                albedo[i, j, k] = bare + (SNOW[k] - bare) * share
+                    bare = ROCK_ALBEDO[k]
+                albedo[i, j, k] = bare + (SNOW_ALBEDO[k] - bare) * share
 
 
 @compiled
@@ -89,24 +89,29 @@ def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
 
     ``slope_deg`` is the angle of the slope. (``x_m``, ``y_m``) is its place and ``pixel_m`` the width of pixels, for the noise.
     """
-    if FULL_SNOW_DEG - 2.0 * ROUGH_DEG < slope_deg < NO_SNOW_DEG + 2.0 * ROUGH_DEG:
-        slope_deg += ROUGH_DEG * _fading_noise(x_m, y_m, ROUGH_M, pixel_m)
+    if FULL_SNOW_DEG - 2.0 * EDGE_NOISE_DEG < slope_deg < NO_SNOW_DEG + 2.0 * EDGE_NOISE_DEG:
+        slope_deg += EDGE_NOISE_DEG * _fading_noise(x_m, y_m, EDGE_NOISE_WAVELENGTH_M, pixel_m)
     return 1.0 - smoothstep_value((slope_deg - FULL_SNOW_DEG) / (NO_SNOW_DEG - FULL_SNOW_DEG))
 
 
 @internal
 def _crown_snow_share(up_cosine, x_m, y_m, height_m, pixel_m):
     """Return the share, in [0, 1], of snow on a crown at a point where the cosine between normal and vertical is ``up_cosine``."""
-    if up_cosine > CROWN_TOP[0] - 2.0 * CLUMPS:
-        up_cosine += CLUMPS * (_fading_noise(x_m, height_m, CLUMP_M, pixel_m) + _fading_noise(height_m, y_m, CLUMP_M, pixel_m))
-    return CROWN_SNOW_SHARE * smoothstep_value((up_cosine - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
+    if up_cosine > CROWN_UP_COSINE_RANGE[0] - 2.0 * CLUMP_NOISE_AMPLITUDE:
+        up_cosine += CLUMP_NOISE_AMPLITUDE * (
+            _fading_noise(x_m, height_m, CLUMP_NOISE_WAVELENGTH_M, pixel_m)
+            + _fading_noise(height_m, y_m, CLUMP_NOISE_WAVELENGTH_M, pixel_m)
+        )
+    return CROWN_SNOW_SHARE * smoothstep_value(
+        (up_cosine - CROWN_UP_COSINE_RANGE[0]) / (CROWN_UP_COSINE_RANGE[1] - CROWN_UP_COSINE_RANGE[0])
+    )
 
 
 @internal
-def _fading_noise(x_m, y_m, wave_m, pixel_m):
+def _fading_noise(x_m, y_m, wavelength_m, pixel_m):
     """Return noise of about -1 to 1, fixed to the ground. It fades out as pixels become as wide as its waves."""
-    share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
-    return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
+    share = min(max(2.0 - 2.0 * pixel_m / wavelength_m, 0.0), 1.0)
+    return share * fractal_at(x_m / wavelength_m, y_m / wavelength_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 
 
 def judge(descriptor: Descriptor) -> Verdict:

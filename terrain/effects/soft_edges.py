@@ -24,7 +24,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed if every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
         return Verdict(False, "the level has no sun")
-    wide_m = penumbra_m(descriptor)
+    wide_m = max_penumbra_width_m(descriptor)
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
@@ -34,7 +34,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"penumbras are up to {wide_px:{'.3g' if wide_px < 999.5 else '.0f'}} pixels wide")
 
 
-def penumbra_m(descriptor: Descriptor) -> float:
+def max_penumbra_width_m(descriptor: Descriptor) -> float:
     """Return the maximum width of a penumbra on level ground, metres.
 
     It is the width at the end of the longest shadow, perpendicular to the light, divided by the sine of the sun's altitude.

@@ -47,15 +47,15 @@ from skugga.terrain.shading import (
     srgb_encoded,
     water_in,
 )
-from skugga.terrain.shading_loops import dusk_of, shoulder
+from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.sky import sky_color, sky_of
 
-WIND_M_S = 3.0
+WIND_SPEED_M_S = 3.0
 """A light breeze."""
 
-MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
+MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
 
-NORMAL_FRESNEL = 0.02
+NORMAL_REFLECTANCE = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
 MAX_PIXELS = 2_000_000
@@ -66,10 +66,10 @@ is assumed to be visible.
 MAX_CELLS_READ = 2**18
 """Maximum number of a map's cells that are read in the search for water."""
 
-MIN_SKY_VIEW = 0.5
+MIN_SKY_VIEW_FACTOR = 0.5
 """Assumed sky-view factor of the most enclosed water."""
 
-SHADES, ANGLES = 128, 32
+TESTED_COLOR_COUNT, TESTED_ANGLE_COUNT = 128, 32
 """Number of tested water colours and viewing angles.
 
 The colours are densest near black, where entries of the encoding table are 0.8 of an 8-bit step apart. There they cover all colours
@@ -122,21 +122,21 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     change: int | None = None
     covers = scene.elevation.overview.lowest_m <= water_m + WATER_TOLERANCE_M
     if isinstance(view, MapView):
-        covers = covers and _has_water_at(scene, view)
-        change = _change_steps(scene, view, np.array([1.0])) if covers else None
+        covers = covers and _map_may_show_water(scene, view)
+        change = _max_change_steps(scene, view, np.array([1.0])) if covers else None
     elif covers and coarse_view is not None:
-        cosines = _cosines(scene, view, coarse_view)
-        change = _change_steps(scene, view, cosines) if len(cosines) else None
+        cosines = _eye_zenith_cosines(scene, view, coarse_view)
+        change = _max_change_steps(scene, view, cosines) if len(cosines) else None
     return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and has_glint(scene, view)}
 
 
-def _has_water_at(scene: Scene, view: MapView) -> bool:
+def _map_may_show_water(scene: Scene, view: MapView) -> bool:
     cells = visible_cells(scene.elevation, view)
-    return cells is not None and _has_water_in(scene.elevation, scene.surface(view.grid).lod, cells)
+    return cells is not None and _cells_may_have_water(scene.elevation, scene.surface(view.grid).lod, cells)
 
 
 @cached("scene", MIB)
-def _has_water_in(elevation: Elevation, overview_level: int, cells: CellRange) -> bool:
+def _cells_may_have_water(elevation: Elevation, overview_level: int, cells: CellRange) -> bool:
     """Return whether any of a raster's cells ``cells`` may lie under water, from heights of cells of ``2**overview_level`` a side.
 
     If these are more than ``MAX_CELLS_READ``, they are not read. Then the result may be true although there is no water.
@@ -152,7 +152,7 @@ def _has_water_in(elevation: Elevation, overview_level: int, cells: CellRange) -
     return bool((valid & (height_m <= elevation.water_m + WATER_TOLERANCE_M)).any())
 
 
-def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
+def _eye_zenith_cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Return the cosines (n,) of the zenith angles of the eye, as seen from visible water. Empty if no water is visible.
 
     The cosines are reduced by the spacing of the coarse view. If no point of the coarse view shows water, water between the points
@@ -166,7 +166,7 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     to_eye = eye - points
     cosine = np.einsum("nk,nk->n", to_eye, up) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-9)
-    return np.clip(cosine - coarse_view.spacing, 0.0, 1.0)
+    return np.clip(cosine - coarse_view.spacing_tangent, 0.0, 1.0)
 
 
 def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -193,7 +193,7 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     far_m = maximum_filter(far_m, size=3, mode="nearest")[
         np.clip(row, 0, sample_view.rows - 1), np.clip(col, 0, sample_view.cols - 1)
     ]
-    is_visible = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
+    is_visible = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing_tangent)
     if not is_visible.any():
         return points[:0]
     pixels_per_sample = round(sample_view.step / view.step)
@@ -211,7 +211,7 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     return points[:0]
 
 
-def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.ndarray) -> int:
+def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.ndarray) -> int:
     """Return the maximum number of 8-bit steps by which the reflected sky changes the colour of water.
 
     ``cosines`` (n,) are those of the eye's zenith angles, as seen from the water. The tested colours range from the darkest
@@ -220,15 +220,15 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     """
     light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
+    sky = light.sky * (night + (1.0 - night) * twilight_sky_share(sine))
     draped = scene.loaded.level.terrain.imagery is not None
     water_albedo = np.array(scene.style.water)
     darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
-    dark, bright = MIN_SKY_VIEW * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
-    bright = np.array([shoulder(channel) for channel in bright])
-    cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
-    tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
-    tested_colors = np.ascontiguousarray(np.broadcast_to(tested_colors, (SHADES, ANGLES, 3)))
+    dark, bright = MIN_SKY_VIEW_FACTOR * sky * darkest, (sky + light.sun * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest
+    bright = np.array([tone_curve(channel) for channel in bright])
+    cosine = np.quantile(cosines, np.linspace(0.0, 1.0, TESTED_ANGLE_COUNT))
+    tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, TESTED_COLOR_COUNT)[:, None, None] ** 2).astype(np.float32)
+    tested_colors = np.ascontiguousarray(np.broadcast_to(tested_colors, (TESTED_COLOR_COUNT, TESTED_ANGLE_COUNT, 3)))
     # Points on a sphere around the eye, above a horizontal plane.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     points = np.ascontiguousarray(np.broadcast_to(-eye, tested_colors.shape))
@@ -241,7 +241,7 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     return max_steps
 
 
-def _lamplight(scene: Scene) -> np.ndarray:
+def _max_lamp_irradiance(scene: Scene) -> np.ndarray:
     """Return an upper bound of the irradiance (3,) of all lamps on water.
 
     It is the sum over the lamps of the irradiance directly below each lamp.
@@ -314,44 +314,46 @@ def _reflection_at(cosine, mean_square_slope):
     deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     eye_dot_normal = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
+    return NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
 
 
 @compiled
-def _glint(eye_up, sun_up, eye_sun, area, mean_square_slope):
+def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope):
     """Return the glint divided by the sun's irradiance at normal incidence.
 
-    ``eye_up``, ``sun_up`` and ``eye_sun`` are the cosines of the angles between the directions to the eye, to the sun and up.
-    ``area`` is the visible area of the facets (``_visible_facets``). Glint fades in over the first degree of the sun's altitude,
-    like direct light.
+    ``eye_up_cosine``, ``sun_up_cosine`` and ``eye_sun_cosine`` are the cosines of the angles between the directions to the eye, to
+    the sun and up. ``area`` is the visible area of the facets (``_visible_facets``). Glint fades in over the first degree of the
+    sun's altitude, like direct light.
     """
-    if sun_up <= 0.0:
+    if sun_up_cosine <= 0.0:
         return 0.0
-    bisector_length = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
-    tilt = min((eye_up + sun_up) / bisector_length, 1.0)
+    bisector_length = np.sqrt(
+        max(2.0 + 2.0 * eye_sun_cosine, 1e-12)
+    )  # the length of eye + sun, whose direction is the facet's normal
+    tilt = min((eye_up_cosine + sun_up_cosine) / bisector_length, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * mean_square_slope:  # only 1e-11 of the waves are so steep
         return 0.0
-    fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
+    fresnel = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / mean_square_slope) / (mean_square_slope * tilt**4)
-    lit_area, _ = _visible_facets(sun_up, mean_square_slope)
-    return fresnel * slopes * sun_up / (4.0 * area * lit_area) * min(np.degrees(sun_up), 1.0)
+    lit_area, _ = _visible_facets(sun_up_cosine, mean_square_slope)
+    return fresnel * slopes * sun_up_cosine / (4.0 * area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)
 
 
 @compiled
 def _largest_glint(to_eye, up, to_sun, mean_square_slope):
     largest = 0.0
-    sun_up = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
+    sun_up_cosine = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
     for n in range(to_eye.shape[0]):
         v = to_eye[n]
-        eye_up = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
-        area, _ = _visible_facets(eye_up, mean_square_slope)
-        eye_sun = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
-        largest = max(largest, _glint(eye_up, sun_up, eye_sun, area, mean_square_slope))
+        eye_up_cosine = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
+        area, _ = _visible_facets(eye_up_cosine, mean_square_slope)
+        eye_sun_cosine = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
+        largest = max(largest, _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope))
     return largest
 
 
 @compiled
-def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope, to_sun, sun, visibility):
+def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope, to_sun, sun_irradiance, visibility):
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fade, sun_altitude = sky
@@ -375,24 +377,24 @@ def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
                 fresnel, sine, area = _reflection_at(cosine, mean_square_slope)
-                sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
-                eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                horizontal_product = np.sqrt(max((1.0 - sun_up * sun_up) * (1.0 - cosine * cosine), 1e-12))
-                azimuth_cosine = min(max((sun_up * cosine - eye_sun) / horizontal_product, -1.0), 1.0)
+                sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
+                eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
+                horizontal_product = np.sqrt(max((1.0 - sun_up_cosine * sun_up_cosine) * (1.0 - cosine * cosine), 1e-12))
+                azimuth_cosine = min(max((sun_up_cosine * cosine - eye_sun_cosine) / horizontal_product, -1.0), 1.0)
                 sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
             glint = 0.0
-            if sun is not None:
+            if sun_irradiance is not None:
                 if visibility[i, j] > 0.0:
-                    sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
-                    eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                    glint = visibility[i, j] * _glint(cosine, sun_up, eye_sun, area, mean_square_slope)
+                    sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
+                    eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
+                    glint = visibility[i, j] * _glint(cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope)
             for k in range(3):
                 value = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored_color[k]
-                if sun is not None:
+                if sun_irradiance is not None:
                     if glint > 0.0:
-                        white = max(sun[k] / max(sun[0], sun[1], sun[2]), value)
+                        white = max(sun_irradiance[k] / max(sun_irradiance[0], sun_irradiance[1], sun_irradiance[2]), value)
                         # Weak glint is added linearly. Glint fifty times brighter than the land is compressed and keeps its shape.
-                        value += (white - value) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun[k]))
+                        value += (white - value) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun_irradiance[k]))
                 color[i, j, k] = value
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.antialias import CROSS_OFFSETS, edge_mask, edge_mask_of_crosses, mesh_normals
+from skugga.terrain.gbuffer.antialias import NEIGHBOUR_OFFSETS, edge_mask, edge_mask_of_neighbours, mesh_normals
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
 from skugga.terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
@@ -40,24 +40,24 @@ class NeighbourSamples:
         The perspective view at its full resolution.
     row, col
         The pixels (n,).
-    number
-        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS_OFFSETS``. Triangles are numbered
-        from 1, first those of the ground, then those of the meshes. 0 is no triangle.
+    triangle_number
+        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``NEIGHBOUR_OFFSETS``. Triangles are
+        numbered from 1, first those of the ground, then those of the meshes. 0 is no triangle.
     distance_m
         Distance along the view axis (n, 5), float64, metres; infinite where no triangle is visible.
-    ground
+    ground_triangle_count
         Number of triangles of the ground.
-    normals
+    face_normals
         Normals of the mesh faces (m, 3), float32.
     """
 
     view: PerspectiveView
     row: np.ndarray
     col: np.ndarray
-    number: np.ndarray
+    triangle_number: np.ndarray
     distance_m: np.ndarray
-    ground: int
-    normals: np.ndarray
+    ground_triangle_count: int
+    face_normals: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class CoarseView:
         Distances of the points from the eye (n,), metres.
     height_m
         Heights of the points (n,), metres.
-    spacing
+    spacing_tangent
         Angle between neighbouring samples, as a tangent.
     edge_share
         Share of the pixels of the full view that contain an edge.
@@ -89,7 +89,7 @@ class CoarseView:
     points_frame_m: np.ndarray
     distance_m: np.ndarray
     height_m: np.ndarray
-    spacing: float
+    spacing_tangent: float
     edge_share: float
     edge_samples: NeighbourSamples
 
@@ -117,36 +117,38 @@ def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
 
     If these samples show only sky, every pixel is sampled.
     """
-    coarse_view = _sample_every(scene, view, COARSE_STEP_PX)
-    return coarse_view if len(coarse_view.points_frame_m) else _sample_every(scene, view, 1, coarse_view.edge_samples)
+    coarse_view = _sample_at_step(scene, view, COARSE_STEP_PX)
+    return coarse_view if len(coarse_view.points_frame_m) else _sample_at_step(scene, view, 1, coarse_view.edge_samples)
 
 
-def _sample_every(scene: Scene, view: PerspectiveView, px: int, edge_samples: NeighbourSamples | None = None) -> CoarseView:
-    """Return the view sampled every ``px`` pixels.
+def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samples: NeighbourSamples | None = None) -> CoarseView:
+    """Return the view sampled every ``step_px`` pixels.
 
     The result holds ``edge_samples`` if they are given, else samples of its own. A view of every pixel gets those of the coarse
     view, since its own would need too much memory in the cache.
     """
-    coarse_camera = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
+    coarse_camera = replace(view, step=view.step * step_px, rows=-(-view.rows // step_px), cols=-(-view.cols // step_px))
     frame = view.frame(scene.world)
     ground, solids = ground_mesh(scene, coarse_camera), solid_vertices(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
     if solids is not None and scene.objects.solids is not None:
         meshes.append((solids, scene.objects.solids.triangles))
     number, depth_m = rasterize_triangles(
-        coarse_camera, frame, meshes, np.array(CROSS_OFFSETS if edge_samples is None else CROSS_OFFSETS[:1]) / px
+        coarse_camera, frame, meshes, np.array(NEIGHBOUR_OFFSETS if edge_samples is None else NEIGHBOUR_OFFSETS[:1]) / step_px
     )
     id_buffer = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if edge_samples is None:
-        row, col = (px * index.ravel() for index in np.indices(id_buffer.number.shape))
-        shape, normals = (len(row), len(CROSS_OFFSETS)), mesh_normals(scene.objects)
+        row, col = (step_px * index.ravel() for index in np.indices(id_buffer.number.shape))
+        shape, normals = (len(row), len(NEIGHBOUR_OFFSETS)), mesh_normals(scene.objects)
         edge_samples = NeighbourSamples(
             view, row, col, number.reshape(shape), depth_m.reshape(shape), len(ground.triangles), normals
         )
-        has_edge = edge_mask_of_crosses(edge_samples.number, edge_samples.distance_m, edge_samples.ground, edge_samples.normals)
+        has_edge = edge_mask_of_neighbours(
+            edge_samples.triangle_number, edge_samples.distance_m, edge_samples.ground_triangle_count, edge_samples.face_normals
+        )
     else:
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        has_edge = edge_mask(id_buffer.number, depth, edge_samples.ground, edge_samples.normals, NEAR_M)
+        has_edge = edge_mask(id_buffer.number, depth, edge_samples.ground_triangle_count, edge_samples.face_normals, NEAR_M)
     geometry = resolve_buffer(scene, coarse_camera, _CoarseRaster(frame, ground, solids, id_buffer))
     points = geometry.position_frame_m[geometry.valid]
     eye, _ = view.in_frame(frame)
@@ -178,14 +180,14 @@ def rasterize_triangles(
     tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
-        in_camera, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
+        in_camera, pixel = _project_vertices(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
         _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
         first += len(triangles)
     return number, depth
 
 
 @compiled
-def _projected(vertices, eye, rotation, tangents):
+def _project_vertices(vertices, eye, rotation, tangents):
     """Return vertices (n, 3) in camera axes, and their columns and rows (n, 2) in the picture.
 
     Columns and rows are valid for vertices in front of the eye only. ``tangents`` are the tangents of the first column and row, and
@@ -202,11 +204,11 @@ def _projected(vertices, eye, rotation, tangents):
 
 
 @internal
-def _is_outside_frustum(a, b, c, tangents, reach, rows, cols):
-    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``reach`` pixels."""
+def _is_outside_frustum(a, b, c, tangents, max_offset_px, rows, cols):
+    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``max_offset_px`` pixels."""
     for k in range(2):
-        low = tangents[k] - reach * tangents[2]
-        high = low + ((cols if k == 0 else rows) - 1 + 2.0 * reach) * tangents[2]
+        low = tangents[k] - max_offset_px * tangents[2]
+        high = low + ((cols if k == 0 else rows) - 1 + 2.0 * max_offset_px) * tangents[2]
         if a[k] < low * a[2] and b[k] < low * b[2] and c[k] < low * c[2]:
             return True
         if a[k] > high * a[2] and b[k] > high * b[2] and c[k] > high * c[2]:
@@ -217,7 +219,7 @@ def _is_outside_frustum(a, b, c, tangents, reach, rows, cols):
 @compiled
 def _rasterize(camera_vertices, pixel, triangles, tangents, offsets, near, first, number, depth):
     rows, cols, samples = number.shape
-    reach = np.abs(offsets).max()
+    max_offset_px = np.abs(offsets).max()
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         behind_near = (camera_vertices[i, 2] < near) + (camera_vertices[j, 2] < near) + (camera_vertices[k, 2] < near)
@@ -226,14 +228,19 @@ def _rasterize(camera_vertices, pixel, triangles, tangents, offsets, near, first
         if behind_near == 0:
             low_col, high_col = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]), max(pixel[i, 0], pixel[j, 0], pixel[k, 0])
             low_row, high_row = min(pixel[i, 1], pixel[j, 1], pixel[k, 1]), max(pixel[i, 1], pixel[j, 1], pixel[k, 1])
-            if not (high_col >= -reach and low_col <= cols - 1 + reach and high_row >= -reach and low_row <= rows - 1 + reach):
+            if not (
+                high_col >= -max_offset_px
+                and low_col <= cols - 1 + max_offset_px
+                and high_row >= -max_offset_px
+                and low_row <= rows - 1 + max_offset_px
+            ):
                 continue
             # Samples lie in the row or the column of a pixel's centre. A box without such a row or column contains no sample.
             if np.ceil(low_col) > high_col and np.ceil(low_row) > high_row:
                 continue
-            c0, c1 = int(np.ceil(max(low_col - reach, 0.0))), int(min(high_col + reach, cols - 1.0))
-            r0, r1 = int(np.ceil(max(low_row - reach, 0.0))), int(min(high_row + reach, rows - 1.0))
-        elif _is_outside_frustum(camera_vertices[i], camera_vertices[j], camera_vertices[k], tangents, reach, rows, cols):
+            c0, c1 = int(np.ceil(max(low_col - max_offset_px, 0.0))), int(min(high_col + max_offset_px, cols - 1.0))
+            r0, r1 = int(np.ceil(max(low_row - max_offset_px, 0.0))), int(min(high_row + max_offset_px, rows - 1.0))
+        elif _is_outside_frustum(camera_vertices[i], camera_vertices[j], camera_vertices[k], tangents, max_offset_px, rows, cols):
             continue
         else:
             r0, r1, c0, c1 = 0, rows - 1, 0, cols - 1
@@ -248,7 +255,7 @@ def _rasterize(camera_vertices, pixel, triangles, tangents, offsets, near, first
         volume = a0 * u0 + a1 * u1 + a2 * u2
         side = 1.0 if volume > 0.0 else -1.0
         # Upper bounds of the decrease of each edge function from a pixel's centre to a sample.
-        wide = reach * tangents[2]
+        wide = max_offset_px * tangents[2]
         less_u, less_v, less_w = wide * (abs(u0) + abs(u1)), wide * (abs(v0) + abs(v1)), wide * (abs(w0) + abs(w1))
         for r in range(r0, r1 + 1):
             y = tangents[1] + r * tangents[2]

@@ -193,10 +193,12 @@ def numeric_fact(fact: Fact) -> float | None:
     return fact
 
 
-def check_share_sum(shares: list[float], of: str) -> None:
+def check_share_sum(shares: list[float], parts_name: str) -> None:
     """Raise a ``PydanticCustomError`` if shares of one whole add up to more than 1."""
     if sum(shares) > 1.0 + SHARE_SUM_TOLERANCE:
-        raise PydanticCustomError("shares", "the shares of {of} add up to {sum}, more than 1", {"of": of, "sum": sum(shares)})
+        raise PydanticCustomError(
+            "shares", "the shares of {of} add up to {sum}, more than 1", {"of": parts_name, "sum": sum(shares)}
+        )
 
 
 def _check_order(bands: tuple[CastBand, ...]) -> None:

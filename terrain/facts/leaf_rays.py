@@ -55,7 +55,7 @@ class TreeGrid(NamedTuple):
     disc: np.ndarray
 
 
-class LeafPictures(NamedTuple):
+class TreeArrays(NamedTuple):
     """Arrays of a ``TreeInstances``, and the leaf masks of the textures (``leaf_masks``).
 
     Attributes
@@ -76,25 +76,25 @@ class LeafPictures(NamedTuple):
 @cached("scene", 64 * MIB)
 def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     """Return the uniform grid of some trees. Recent grids are cached."""
-    reach = 1.4143 * trees.shape[:, :2].max(axis=1)
+    radius_m = 1.4143 * trees.shape[:, :2].max(axis=1)
     base_xy = trees.base_frame_m[:, :2]
-    low, high = (base_xy - reach[:, None]).min(axis=0), (base_xy + reach[:, None]).max(axis=0)
+    low, high = (base_xy - radius_m[:, None]).min(axis=0), (base_xy + radius_m[:, None]).max(axis=0)
     extent = np.maximum(high - low, 1e-3)
     cell = max(float(np.sqrt(np.prod(extent) * TREES_PER_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))
-    top, first, tree, disc = _build_grid(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
+    top, first, tree, disc = _build_grid(trees.base_frame_m, trees.shape, radius_m, low, cell, rows, cols)
     return TreeGrid(low, cell, top, first, tree, disc)
 
 
 @compiled
-def _build_grid(base, shape, reach, low, cell, rows, cols):
+def _build_grid(base, shape, radius_m, low, cell, rows, cols):
     top = np.full((rows, cols), -np.inf)
     first = np.zeros(rows * cols + 1, np.int64)
     tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
     for fill in range(2):
         for n in range(len(base)):
-            c0, c1 = int((base[n, 0] - reach[n] - low[0]) / cell), int((base[n, 0] + reach[n] - low[0]) / cell)
-            r0, r1 = int((base[n, 1] - reach[n] - low[1]) / cell), int((base[n, 1] + reach[n] - low[1]) / cell)
+            c0, c1 = int((base[n, 0] - radius_m[n] - low[0]) / cell), int((base[n, 0] + radius_m[n] - low[0]) / cell)
+            r0, r1 = int((base[n, 1] - radius_m[n] - low[1]) / cell), int((base[n, 1] + radius_m[n] - low[1]) / cell)
             for r in range(max(r0, 0), min(r1, rows - 1) + 1):
                 for c in range(max(c0, 0), min(c1, cols - 1) + 1):
                     if fill == 0:
@@ -103,7 +103,7 @@ def _build_grid(base, shape, reach, low, cell, rows, cols):
                     else:
                         entry = first[r * cols + c]
                         tree[entry] = n
-                        disc[entry, 0], disc[entry, 1], disc[entry, 2] = base[n, 0] - low[0], base[n, 1] - low[1], reach[n]
+                        disc[entry, 0], disc[entry, 1], disc[entry, 2] = base[n, 0] - low[0], base[n, 1] - low[1], radius_m[n]
                         first[r * cols + c] += 1
         if fill == 0:
             for k in range(rows * cols):
@@ -136,7 +136,7 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    pictures = LeafPictures(trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, leaf_masks())
+    pictures = TreeArrays(trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, leaf_masks())
     return _trace_first_hits(tree_grid_of(trees), pictures, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 
@@ -173,8 +173,8 @@ def _trace_first_hits(grid, pictures, start, direction, length, min_distance):
             exit_distance = min(next_x, next_y, end)
             if min(start[n, 2] + t * dz, start[n, 2] + exit_distance * dz) <= top[r, c]:
                 for i in range(first[r * cols + c], first[r * cols + c + 1]):
-                    px, py, reach = from_x - disc[i, 0], from_y - disc[i, 1], disc[i, 2] + 0.01
-                    if abs(px * dy - py * dx) > reach * flat or (flat < 1e-9 and px * px + py * py > reach * reach):
+                    px, py, radius_m = from_x - disc[i, 0], from_y - disc[i, 1], disc[i, 2] + 0.01
+                    if abs(px * dy - py * dx) > radius_m * flat or (flat < 1e-9 and px * px + py * py > radius_m * radius_m):
                         continue
                     m = tree[i]
                     px, py, pz = start[n, 0] - base[m, 0], start[n, 1] - base[m, 1], start[n, 2] - base[m, 2]

@@ -94,31 +94,41 @@ def facts_of_lights(view_probes: ViewProbes, sun_area_share: float, lamps: Itera
     """Return the facts of the sun and of some lamps by name. ``sun_area_share`` is the sun's ``LightFacts.area_share``."""
     facts: dict[str, LightFacts] = {}
     if view_probes.scene.sun is not None:
-        facts[SUN] = _facts(view_probes, None, sun_area_share)
+        facts[SUN] = _facts_of_light(view_probes, None, sun_area_share)
     for name in lamps:
         lamp = view_probes.scene.lamps[name]
-        facts[name] = _facts(view_probes, lamp, area_share_of_lamp(lamp, view_probes.probes))
+        facts[name] = _facts_of_light(view_probes, lamp, area_share_of_lamp(lamp, view_probes.probes))
     return facts
 
 
-def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
+def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
     scene, camera, probes = view_probes.scene, view_probes.camera, view_probes.probes
-    to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
+    to_view = (
+        None if camera is None or (lamp is not None and lamp.kind == "omni") else _light_view_angle_deg(scene, camera, lamp, probes)
+    )
     eye_to_lamp_m = None if camera is None or lamp is None else float(np.linalg.norm(lamp.position_earth_m - camera.eye_earth_m))
     if not len(probes) or (lamp is None and not scene.sun_is_up):
         return LightFacts(to_view_deg=to_view, eye_to_lamp_m=eye_to_lamp_m, facing_share=0.0, area_share=area_share)
-    lit_probes, facing_share = _lit_probes(scene, probes, lamp, MAX_PROBES if view_probes.trees is None else MAX_PROBES_AMONG_TREES)
+    lit_probes, facing_share = _find_lit_probes(
+        scene, probes, lamp, MAX_PROBES if view_probes.trees is None else MAX_PROBES_AMONG_TREES
+    )
     rays = rays_to(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
     blocked = (
         {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.kinds}
         if len(lit_probes.probes)
         else {}
     )
-    shaded = np.logical_or.reduce([blocked_rays.at_probes for blocked_rays in blocked.values()]) if blocked else np.zeros(0, bool)
+    shaded = (
+        np.logical_or.reduce([blocked_rays.is_probe_occluded for blocked_rays in blocked.values()])
+        if blocked
+        else np.zeros(0, bool)
+    )
     edge_m = [
         lit_probes.probes.distance_m[
             blocked_rays.indices[
-                (blocked_rays.at_offsets[:EDGE_TEXEL_SIZES] != blocked_rays.at_probes[blocked_rays.indices]).any(axis=0)
+                (blocked_rays.is_offset_occluded[:EDGE_TEXEL_SIZES] != blocked_rays.is_probe_occluded[blocked_rays.indices]).any(
+                    axis=0
+                )
             ]
         ]
         for blocked_rays in blocked.values()
@@ -138,7 +148,7 @@ def _facts(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> Lig
     )  # fmt: skip
 
 
-def _lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count: int) -> tuple[LitProbes, float]:
+def _find_lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count: int) -> tuple[LitProbes, float]:
     """Return at most ``max_count`` of the probes that face a light and lie in its cone, and the share of all probes that do."""
     frame = probes.frame
     if lamp is None:
@@ -164,20 +174,20 @@ class RayOcclusion:
 
     Attributes
     ----------
-    at_probes
+    is_probe_occluded
         Whether the ray from each of the n probes is blocked (n,), bool.
-    at_offsets
+    is_offset_occluded
         Whether the rays from the k places beside each of the m probes ``indices`` are blocked (k, m), bool.
     indices
         Indices of the m probes that have rays from places beside them (m,).
-    thrown_m
+    occluder_distance_m
         Distances from blocked probes to their occluders, metres; ``None`` if they are unknown.
     """
 
-    at_probes: np.ndarray
-    at_offsets: np.ndarray
+    is_probe_occluded: np.ndarray
+    is_offset_occluded: np.ndarray
     indices: np.ndarray
-    thrown_m: np.ndarray | None = None
+    occluder_distance_m: np.ndarray | None = None
 
 
 def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> RayOcclusion:
@@ -185,9 +195,12 @@ def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes
     if kind == "forest" and view_probes.trees is not None and len(view_probes.trees):
         indices = stratified_indices(len(probes), MAX_FOLIAGE_PROBES)
         hit_m, _ = first_leaf_hits(view_probes.trees, *(np.ascontiguousarray(array[0]) for array in rays.arrays))
-        at_probes = np.isfinite(hit_m)
+        is_probe_occluded = np.isfinite(hit_m)
         return RayOcclusion(
-            at_probes, blocked_by_leaves(view_probes.trees, rays.select(slice(1, None), indices)), indices, hit_m[at_probes]
+            is_probe_occluded,
+            blocked_by_leaves(view_probes.trees, rays.select(slice(1, None), indices)),
+            indices,
+            hit_m[is_probe_occluded],
         )
     if kind == "meshes":
         is_blocked = blocked_by_meshes(scene.objects, probes, rays)
@@ -212,18 +225,18 @@ def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by
     octave, band_of_probe = np.unique(
         np.ceil(np.log2(distance_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
     )
-    at_offsets = band_of_probe[blocked.indices]
-    changed = blocked.at_offsets != blocked.at_probes[blocked.indices]
+    band_of_offset = band_of_probe[blocked.indices]
+    changed = blocked.is_offset_occluded != blocked.is_probe_occluded[blocked.indices]
 
     def sums(values: np.ndarray, band: np.ndarray = band_of_probe) -> np.ndarray:
         return np.bincount(band, values, minlength=len(octave))
 
     count = np.bincount(band_of_probe)
     differs = (
-        np.stack([sums(offset_changed, at_offsets) for offset_changed in changed], axis=1)
-        / np.maximum(np.bincount(at_offsets, minlength=len(octave)), 1)[:, None]
+        np.stack([sums(offset_changed, band_of_offset) for offset_changed in changed], axis=1)
+        / np.maximum(np.bincount(band_of_offset, minlength=len(octave)), 1)[:, None]
     )
-    cast, pixel_m = sums(blocked.at_probes) / count, sums(probes.pixel_m) / count
+    cast, pixel_m = sums(blocked.is_probe_occluded) / count, sums(probes.pixel_m) / count
     light_m = sums(lit.length_m) / count
     bands = tuple(
         CastBand(
@@ -233,10 +246,17 @@ def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by
         )
         for i, number in enumerate(octave.tolist())
     )  # fmt: skip
-    on_bodies = float((blocked.at_probes & (probes.kind != RELIEF)).mean())
-    thrown_m = float(np.median(blocked.thrown_m)) if blocked.thrown_m is not None and len(blocked.thrown_m) else None
+    on_bodies = float((blocked.is_probe_occluded & (probes.kind != RELIEF)).mean())
+    thrown_m = (
+        float(np.median(blocked.occluder_distance_m))
+        if blocked.occluder_distance_m is not None and len(blocked.occluder_distance_m)
+        else None
+    )
     return Casting(
-        share=facing_share * float(blocked.at_probes.mean()), on_bodies=facing_share * on_bodies, bands=bands, thrown_m=thrown_m
+        share=facing_share * float(blocked.is_probe_occluded.mean()),
+        on_bodies=facing_share * on_bodies,
+        bands=bands,
+        thrown_m=thrown_m,
     )
 
 
@@ -255,7 +275,7 @@ def _ground_casting_share(scene: Scene, camera: PerspectiveView, lamp: Lamp | No
     return float(np.mean(facing <= 0.0))
 
 
-def _to_view_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:
+def _light_view_angle_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:
     if lamp is None:
         assert scene.sun is not None
         to_light = scene.sun.to_sun_earth

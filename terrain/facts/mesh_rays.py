@@ -18,9 +18,9 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene_objects import SceneObjects
 
 MAX_LEAF_TRIANGLES = 4
-"""Maximum number of triangles in a leaf of the BVH."""
+"""Maximum number of triangles in a max_leaf_triangles of the BVH."""
 
-BINS = 16
+SAH_BINS = 16
 """Number of bins along a box, whose boundaries are the candidate splits."""
 
 RAY_OFFSET_SHARE = 2.0**-20
@@ -37,20 +37,20 @@ class Bvh:
         Origin of the coordinates (3,), earth-fixed metres.
     extent_m
         Longest side of the bounding box of all triangles, metres.
-    low, high
+    box_low, box_high
         Minimum and maximum corner of each node's box (nodes, 3).
     first
-        For an inner node i its first child; the second is ``first[i] + 1``. For a leaf its first triangle.
+        For an inner node i its first child; the second is ``first[i] + 1``. For a max_leaf_triangles its first triangle.
     count
-        Number of triangles of a leaf; 0 for an inner node.
+        Number of triangles of a max_leaf_triangles; 0 for an inner node.
     corner, edge_a, edge_b
         One corner and the two sides from it of each triangle (m, 3), in the order of the leaves.
     """
 
     origin_earth_m: np.ndarray
     extent_m: float
-    low: np.ndarray
-    high: np.ndarray
+    box_low: np.ndarray
+    box_high: np.ndarray
     first: np.ndarray
     count: np.ndarray
     corner: np.ndarray
@@ -97,7 +97,7 @@ def _find_hits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
-    boxes = tree.low, tree.high, tree.first, tree.count
+    boxes = tree.box_low, tree.box_high, tree.first, tree.count
     hits = _trace(*boxes, tree.corner, tree.edge_a, tree.edge_b, start, directions, np.ravel(length_m), find_nearest)
     return hits[0].reshape(np.shape(length_m)), hits[1].reshape(np.shape(length_m))
 
@@ -114,13 +114,13 @@ def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin, extent = (low + high) / 2, max(float(np.max(high - low)), 1e-9)
     points = (vertices - origin)[triangles]
-    order, low, high, first, count = _build_bvh(points.min(axis=1), points.max(axis=1), MAX_LEAF_TRIANGLES, BINS)
+    order, low, high, first, count = _build_bvh(points.min(axis=1), points.max(axis=1), MAX_LEAF_TRIANGLES, SAH_BINS)
     corner, b, c = (np.ascontiguousarray(points[order, k]) for k in range(3))
     return Bvh(origin, extent, low, high, first, count, corner, b - corner, c - corner)
 
 
 @compiled
-def _build_bvh(box_low, box_high, leaf, bins):
+def _build_bvh(box_low, box_high, max_leaf_triangles, bins):
     """Return the order of m triangles in the leaves of their BVH, and the arrays of its nodes as in ``Bvh``.
 
     ``box_low`` and ``box_high`` (m, 3) are the corners of the triangles' boxes. Node 0 is the root.
@@ -141,7 +141,7 @@ def _build_bvh(box_low, box_high, leaf, bins):
             for k in range(3):
                 low[node, k], high[node, k] = min(low[node, k], box_low[order[i], k]), max(high[node, k], box_high[order[i], k])
                 centre_low[k], centre_high[k] = min(centre_low[k], middle[order[i], k]), max(centre_high[k], middle[order[i], k])
-        if end - start > leaf:
+        if end - start > max_leaf_triangles:
             best, best_axis, best_bin = np.inf, -1, 0
             for axis in range(3):
                 if not centre_high[axis] > centre_low[axis]:

@@ -54,7 +54,7 @@ class Probes:
         Distance from the eye (n,), metres; 0 in a map.
     kind
         Kind of surface (n,), as in ``skugga.terrain.gbuffer.resolve``.
-    number
+    sequence_index
         Index of each probe in the quasirandom sequence (n,), int.
     """
 
@@ -64,14 +64,14 @@ class Probes:
     pixel_m: np.ndarray
     distance_m: np.ndarray
     kind: np.ndarray
-    number: np.ndarray
+    sequence_index: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.number)
+        return len(self.sequence_index)
 
     def select(self, index: np.ndarray) -> Probes:
         """Return the probes at some indices or in a mask."""
-        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "number")
+        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "sequence_index")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     @property
@@ -116,9 +116,9 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
     return ends[:-1] + (quasirandom(np.arange(count))[:, 0] * np.diff(ends)).astype(np.int64)
 
 
-def quasirandom(number: np.ndarray) -> np.ndarray:
+def quasirandom(sequence_index: np.ndarray) -> np.ndarray:
     """Return points (n, 2) in [0, 1) of the R2 low-discrepancy sequence at indices (n,)."""
-    return (0.5 + (np.asarray(number, np.float64)[:, None] + 1.0) * _R2_INCREMENTS) % 1.0
+    return (0.5 + (np.asarray(sequence_index, np.float64)[:, None] + 1.0) * _R2_INCREMENTS) % 1.0
 
 
 def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
@@ -127,7 +127,7 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     ``direction_frame`` (n, 3) holds the unit directions from the probes to the light, ``length_m`` (n,) the distances.
     """
     right, up = _perpendicular_axes(direction_frame)
-    offset = (quasirandom(probes.number) - 0.5) * probes.pixel_m[:, None]
+    offset = (quasirandom(probes.sequence_index) - 0.5) * probes.pixel_m[:, None]
     perpendicular = offset[:, :1] * right + offset[:, 1:] * up
     facing = np.einsum("ij,ij->i", probes.normal_frame, direction_frame)
     # Shift the places along the light onto the plane of the visible surface, where a shadow map compares.

@@ -35,7 +35,7 @@ class OverviewProbes:
         Fractional cell positions (n,).
     height_m
         Heights of the probes (n,), metres.
-    up
+    up_frame
         Up directions in the probes' frame (n, 3).
     row_from_frame, col_from_frame
         Gradients of the row and the column (n, 3): cells per metre along each axis of the probes' frame.
@@ -44,7 +44,7 @@ class OverviewProbes:
     row: np.ndarray
     col: np.ndarray
     height_m: np.ndarray
-    up: np.ndarray
+    up_frame: np.ndarray
     row_from_frame: np.ndarray
     col_from_frame: np.ndarray
 
@@ -66,7 +66,7 @@ def hidden_by_relief(
     rays = ProbeRays(
         point_frame_m[None], np.broadcast_to(to_light, (1, *point_frame_m.shape)), np.full((1, len(point_frame_m)), np.inf)
     )
-    return _is_hidden(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
+    return _is_occluded(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
 
 
 def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
@@ -97,10 +97,10 @@ def blocked_by_relief(
 
     ``probe_positions`` are the positions of the probes on the raster's overview.
     """
-    return _is_hidden(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
+    return _is_occluded(world, elevation, probe_positions, rays.start_frame_m - probes.point_frame_m, rays)
 
 
-def _is_hidden(
+def _is_occluded(
     world: World, elevation: Elevation, probe_positions: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays
 ) -> np.ndarray:
     """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are offsets of the starts from the probes."""
@@ -110,13 +110,13 @@ def _is_hidden(
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.einsum("kij,ij->ki", a, b)
 
-    rise = dot(direction, probe_positions.up)
+    rise = dot(direction, probe_positions.up_frame)
     bend = world.curvature / 2.0
     return _trace_blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
         probe_positions.row + dot(start_offset, probe_positions.row_from_frame),
         probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
-        probe_positions.height_m + dot(start_offset, probe_positions.up), dot(direction, probe_positions.row_from_frame),
+        probe_positions.height_m + dot(start_offset, probe_positions.up_frame), dot(direction, probe_positions.row_from_frame),
         dot(direction, probe_positions.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
     )  # fmt: skip

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.terrain.casters.reach import longest_shadow_m, overview_on_grid
+from skugga.terrain.casters.overview_cells import overview_on_grid
+from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView
 from skugga.terrain.scene import Scene
 
@@ -18,7 +19,7 @@ MAX_ROW_WIDTH_RATIO = 1e9
 Span = tuple[float, float]
 """First and last node along an axis of a grid."""
 
-SAMPLES = 17
+SAMPLES_PER_SIDE = 17
 """Samples along each side of a window."""
 
 
@@ -37,7 +38,7 @@ def row_width_ratio(scene: Scene, grid: Grid, view: MapView | None = None) -> fl
         return 1.0
     level_rows, level_cols = ((float(nodes[valid].min()), float(nodes[valid].max())) for nodes in (row, col))
     windows = [(rows, cols) for rows in _block_spans(level_rows, view) for cols in _block_spans(level_cols, view)]
-    return max(_ratio(scene, grid, window, (level_rows, level_cols)) for window in windows)
+    return max(_width_ratio(scene, grid, window, (level_rows, level_cols)) for window in windows)
 
 
 def _block_spans(level_span: Span, view: MapView | None) -> list[Span]:
@@ -51,7 +52,7 @@ def _block_spans(level_span: Span, view: MapView | None) -> list[Span]:
     return [(block * BLOCK_PX, (block + 1.0) * BLOCK_PX - 1.0) for block in sorted(blocks)]
 
 
-def _ratio(scene: Scene, grid: Grid, window: tuple[Span, Span], level: tuple[Span, Span]) -> float:
+def _width_ratio(scene: Scene, grid: Grid, window: tuple[Span, Span], level: tuple[Span, Span]) -> float:
     """Return the ratio of the widest to the narrowest row of a window (rows, columns), across the sun's rays."""
     assert scene.light is not None
     middle = [(low + high) / 2.0 for low, high in window]
@@ -64,7 +65,9 @@ def _ratio(scene: Scene, grid: Grid, window: tuple[Span, Span], level: tuple[Spa
     spans, (low, high) = list(window), level[ray_axis]
     first, last = window[ray_axis]
     spans[ray_axis] = min(first, max(first - shadow_nodes, low)), max(last, min(last + shadow_nodes, high))
-    steps = np.diff(scene.light.from_earth(_earth_points(scene, grid, spans[0], spans[1], SAMPLES))[..., 0], axis=1 - ray_axis)
+    steps = np.diff(
+        scene.light.from_earth(_earth_points(scene, grid, spans[0], spans[1], SAMPLES_PER_SIDE))[..., 0], axis=1 - ray_axis
+    )
     if not ((steps > 0.0).all() or (steps < 0.0).all()):
         return MAX_ROW_WIDTH_RATIO
     widths = np.abs(steps.sum(axis=1 - ray_axis))

@@ -19,7 +19,7 @@ from skugga.terrain.scene_objects import SceneObjects
 if TYPE_CHECKING:
     from skugga.terrain.meshes.assemble import Placement
 
-MAX_SIDES = 4096
+MAX_VOLUME_SIDES = 4096
 """Maximum number of shadow-volume sides that are tested against the eye's rays. More sides are sampled evenly and scaled up."""
 
 MAX_EYE_RAYS = 48
@@ -95,12 +95,12 @@ def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, is_positional:
 
 
 @compiled
-def _silhouette_edges(normal, corner, triangle_pair, light, weight):
+def _silhouette_edges(normal, corner, triangle_pair, light, light_w):
     facing = np.empty(len(normal), np.bool_)
     for t in range(len(normal)):
         facing[t] = (
-            normal[t, 0] * (light[0] - weight * corner[t, 0]) + normal[t, 1] * (light[1] - weight * corner[t, 1])
-            + normal[t, 2] * (light[2] - weight * corner[t, 2])
+            normal[t, 0] * (light[0] - light_w * corner[t, 0]) + normal[t, 1] * (light[1] - light_w * corner[t, 1])
+            + normal[t, 2] * (light[2] - light_w * corner[t, 2])
         ) > 0.0  # fmt: skip
     out = np.empty(len(triangle_pair), np.int64)
     count = 0
@@ -157,7 +157,7 @@ def mean_volume_layers(
     """
     if not len(ends_earth_m) or not len(segment_m):
         return 0.0
-    count = min(len(ends_earth_m), MAX_SIDES)
+    count = min(len(ends_earth_m), MAX_VOLUME_SIDES)
     sampled_ends = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
     near = start_earth_m[0]  # origin near the rays, for precision
     light = light_earth - near if is_positional else light_earth
@@ -170,7 +170,7 @@ def mean_volume_layers(
 
 
 @compiled
-def _count_crossings(ends, start, segment, light, weight):
+def _count_crossings(ends, start, segment, light, light_w):
     """Count the crossings of rays with the strips that extend from edges away from a light.
 
     The strip of an edge from a to b runs along a - l from a, and along b - l from b, with the light at l. If the light is a
@@ -181,8 +181,8 @@ def _count_crossings(ends, start, segment, light, weight):
         a0, a1, a2 = ends[e, 0, 0], ends[e, 0, 1], ends[e, 0, 2]
         b0, b1, b2 = ends[e, 1, 0] - a0, ends[e, 1, 1] - a1, ends[e, 1, 2] - a2
         # The strip lies in the plane of the edge and the light.
-        u0, u1, u2 = weight * a0 - light[0], weight * a1 - light[1], weight * a2 - light[2]
-        v0, v1, v2 = u0 + weight * b0, u1 + weight * b1, u2 + weight * b2
+        u0, u1, u2 = light_w * a0 - light[0], light_w * a1 - light[1], light_w * a2 - light[2]
+        v0, v1, v2 = u0 + light_w * b0, u1 + light_w * b1, u2 + light_w * b2
         n0, n1, n2 = b1 * u2 - b2 * u1, b2 * u0 - b0 * u2, b0 * u1 - b1 * u0
         # Normals in the plane that point into the strip from its edge and from its two sides.
         e0, e1, e2 = n1 * b2 - n2 * b1, n2 * b0 - n0 * b2, n0 * b1 - n1 * b0

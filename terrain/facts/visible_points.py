@@ -15,7 +15,7 @@ from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.leaf_rays import first_leaf_hits
 from skugga.terrain.facts.mesh_rays import first_mesh_hits
 from skugga.terrain.facts.probes import Probes, quasirandom, stratified_indices
-from skugga.terrain.gbuffer.antialias import CROSS_OFFSETS, edge_mask_of_crosses
+from skugga.terrain.gbuffer.antialias import NEIGHBOUR_OFFSETS, edge_mask_of_neighbours
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -59,7 +59,7 @@ def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
         frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
         normal_frame=coarse_view.buffer.normal_frame[valid].astype(np.float64),
         pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m, kind=coarse_view.buffer.kind[valid],
-        number=np.arange(len(coarse_view.distance_m)),
+        sequence_index=np.arange(len(coarse_view.distance_m)),
     )  # fmt: skip
 
 
@@ -105,10 +105,12 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
     It is the share without trees, from many pixels, plus the difference that trees make in some of them.
     """
     edge_samples = coarse_view.edge_samples
-    chosen = stratified_indices(len(edge_samples.number), MAX_LEAF_EDGE_PIXELS)
-    number, depth_m = edge_samples.number[chosen], edge_samples.distance_m[chosen]
-    edges_without_trees = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
-    row, col = (index[chosen, None] + np.array(CROSS_OFFSETS)[:, k] for k, index in enumerate((edge_samples.row, edge_samples.col)))
+    chosen = stratified_indices(len(edge_samples.triangle_number), MAX_LEAF_EDGE_PIXELS)
+    number, depth_m = edge_samples.triangle_number[chosen], edge_samples.distance_m[chosen]
+    edges_without_trees = edge_mask_of_neighbours(number, depth_m, edge_samples.ground_triangle_count, edge_samples.face_normals)
+    row, col = (
+        index[chosen, None] + np.array(NEIGHBOUR_OFFSETS)[:, k] for k, index in enumerate((edge_samples.row, edge_samples.col))
+    )
     x, y = (
         (first + index * edge_samples.view.step) / edge_samples.view.focal_px
         for first, index in ((edge_samples.view.col0, col), (edge_samples.view.row0, row))
@@ -121,10 +123,10 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
     hit_m, _ = first_leaf_hits(trees, start, direction.reshape(-1, 3), (depth_m * per_depth).ravel())
     is_leaf = np.isfinite(hit_m).reshape(number.shape)
     # Every leaf gets a unique number, so that only distance decides whether an edge lies between neighbouring leaves.
-    numbers = edge_samples.ground + len(edge_samples.normals) + 1 + np.arange(number.size).reshape(number.shape)
+    numbers = edge_samples.ground_triangle_count + len(edge_samples.face_normals) + 1 + np.arange(number.size).reshape(number.shape)
     number = np.where(is_leaf, numbers.astype(np.uint32), number)
     depth_m = np.where(is_leaf, hit_m.reshape(number.shape) / per_depth, depth_m)
-    edges_with_trees = edge_mask_of_crosses(number, depth_m, edge_samples.ground, edge_samples.normals)
+    edges_with_trees = edge_mask_of_neighbours(number, depth_m, edge_samples.ground_triangle_count, edge_samples.face_normals)
     return float(np.clip(coarse_view.edge_share + edges_with_trees.mean() - edges_without_trees.mean(), 0.0, 1.0))
 
 
@@ -134,7 +136,7 @@ def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
     merged_fields: dict[str, Any] = {
         name: np.concatenate([getattr(surface_probes, name), getattr(leaf_probes, name)]) for name in names
     }
-    return replace(surface_probes, **merged_fields, number=np.arange(len(surface_probes) + len(leaf_probes)))
+    return replace(surface_probes, **merged_fields, sequence_index=np.arange(len(surface_probes) + len(leaf_probes)))
 
 
 @cached("scene", 64 * MIB)

@@ -39,7 +39,7 @@ MIN_FACE_COSINE = 0.9
 MAX_DEPTH_STEP = 0.02
 """Maximum difference between the distances of two neighbours without an edge between them, as a share of the smaller distance."""
 
-CROSS_OFFSETS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+NEIGHBOUR_OFFSETS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 """Row and column offsets of a pixel and its four neighbours, which decide whether the pixel lies on an edge."""
 
 
@@ -83,7 +83,7 @@ class MultisampledBuffer:
                 changes[item.name] = value[: self.rows]
         return replace(self.buffer, **changes)
 
-    def pixels_of(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pixels_of_points(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows (n,) and columns (n,) of the picture's pixels that show the buffer's points at ``row`` and ``col`` (n,).
 
         A point in a row of samples belongs to the pixel that it is a sample of.
@@ -164,7 +164,7 @@ def mesh_normals(objects: SceneObjects) -> np.ndarray:
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 
-def edge_mask(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
+def edge_mask(number: np.ndarray, depth: np.ndarray, ground_triangle_count: int, normals: np.ndarray, near_m: float) -> np.ndarray:
     """Return the mask (rows, cols) of pixels on edges, on both sides of each edge.
 
     Parameters
@@ -174,23 +174,25 @@ def edge_mask(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.nd
         of the meshes, then those of the trees.
     depth
         (rows, cols), ``near_m`` over the distance along the view's axis.
-    ground
+    ground_triangle_count
         The number of the ground's triangles.
     normals
         (m, 3), unit normals of the meshes' triangles.
     near_m
         Distance of the near plane, metres.
     """
-    return _edges(number, depth, ground, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP)
+    return _edges(number, depth, ground_triangle_count, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
-def edge_mask_of_crosses(number: np.ndarray, distance_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
+def edge_mask_of_neighbours(
+    number: np.ndarray, distance_m: np.ndarray, ground_triangle_count: int, normals: np.ndarray
+) -> np.ndarray:
     """Return which of n single pixels lie on edges, bool (n,), from each pixel and its four neighbours.
 
     ``number`` and the distances ``distance_m`` along the view's axis, metres, have the shape (n, 5). The last axis follows
-    ``CROSS_OFFSETS``: the pixel itself comes first. The other parameters are those of ``edge_mask``.
+    ``NEIGHBOUR_OFFSETS``: the pixel itself comes first. The other parameters are those of ``edge_mask``.
     """
-    return _edges_of_crosses(number, distance_m, ground, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP)
+    return _edges_of_neighbours(number, distance_m, ground_triangle_count, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
 @compiled
@@ -208,7 +210,7 @@ def _average_samples(first, last, row, col, samples, sample_count, out):
 
 
 @compiled
-def _edges(number, depth, ground, normals, near, min_cosine, max_depth_step):
+def _edges(number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step):
     rows, cols = number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
@@ -220,7 +222,14 @@ def _edges(number, depth, ground, normals, near, min_cosine, max_depth_step):
                     continue
                 neighbour = np.int64(number[a, b]) - 1
                 if _is_edge(
-                    triangle, neighbour, near / depth[i, j], near / depth[a, b], ground, normals, min_cosine, max_depth_step
+                    triangle,
+                    neighbour,
+                    near / depth[i, j],
+                    near / depth[a, b],
+                    ground_triangle_count,
+                    normals,
+                    min_cosine,
+                    max_depth_step,
                 ):
                     out[i, j] = True
                     out[a, b] = True
@@ -228,19 +237,21 @@ def _edges(number, depth, ground, normals, near, min_cosine, max_depth_step):
 
 
 @compiled
-def _edges_of_crosses(number, distance, ground, normals, min_cosine, max_depth_step):
+def _edges_of_neighbours(number, distance, ground_triangle_count, normals, min_cosine, max_depth_step):
     out = np.zeros(len(number), np.bool_)
     for n in range(len(number)):
         triangle = np.int64(number[n, 0]) - 1
         for k in range(1, number.shape[1]):
             neighbour = np.int64(number[n, k]) - 1
-            if _is_edge(triangle, neighbour, distance[n, 0], distance[n, k], ground, normals, min_cosine, max_depth_step):
+            if _is_edge(
+                triangle, neighbour, distance[n, 0], distance[n, k], ground_triangle_count, normals, min_cosine, max_depth_step
+            ):
                 out[n] = True
     return out
 
 
 @internal
-def _is_edge(triangle, neighbour, distance, neighbour_distance, ground, normals, min_cosine, max_depth_step):
+def _is_edge(triangle, neighbour, distance, neighbour_distance, ground_triangle_count, normals, min_cosine, max_depth_step):
     """Return whether an edge lies between a pixel and its neighbour.
 
     ``triangle`` and ``neighbour`` are the numbers of their triangles, from 0; negative without one. ``distance`` and
@@ -248,18 +259,20 @@ def _is_edge(triangle, neighbour, distance, neighbour_distance, ground, normals,
     """
     if triangle == neighbour:
         return False
-    if _kind(triangle, ground, len(normals)) != _kind(neighbour, ground, len(normals)):
+    if _surface_kind(triangle, ground_triangle_count, len(normals)) != _surface_kind(
+        neighbour, ground_triangle_count, len(normals)
+    ):
         return True
     if abs(distance - neighbour_distance) > max_depth_step * min(distance, neighbour_distance):
         return True
-    if not ground <= triangle < ground + len(normals):
+    if not ground_triangle_count <= triangle < ground_triangle_count + len(normals):
         return False
-    n, m = normals[triangle - ground], normals[neighbour - ground]
+    n, m = normals[triangle - ground_triangle_count], normals[neighbour - ground_triangle_count]
     return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < min_cosine
 
 
 @internal
-def _kind(triangle, ground, solids):
+def _surface_kind(triangle, ground_triangle_count, solids):
     if triangle < 0:
         return NO_SURFACE
-    return RELIEF if triangle < ground else MESHES if triangle < ground + solids else FOREST
+    return RELIEF if triangle < ground_triangle_count else MESHES if triangle < ground_triangle_count + solids else FOREST

@@ -18,18 +18,11 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.geometry import normal_stencil_radius
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.cell_finder import STEREOGRAPHIC, cell_in_square, lattice_square, project_to_plane, square_corners
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.sky_view_factor import (
-    STEREOGRAPHIC,
-    SkyView,
-    cell_in_square,
-    lattice_square,
-    mip_pair,
-    project_to_plane,
-    sky_occlusion_row,
-    square_corners,
-)
-from skugga.terrain.ground.surface import Surface, add_heights, interpolate_columns, interpolate_row_between, map_pixel_m
+from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusion_row
+from skugga.terrain.ground.surface import Surface, map_pixel_m
+from skugga.terrain.ground.surface_loops import add_heights, interpolate_columns, interpolate_row_between
 from skugga.terrain.scene import Scene
 
 
@@ -101,11 +94,11 @@ def trim_bare_ground_cache(max_entries: int) -> None:
 @cached("scene", 448 * MIB)
 def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView | None) -> BareGround | None:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
-    reach = normal_stencil_radius(surface)
-    row0, col0 = int(view.row0) - reach, int(view.col0) - reach
-    nodes = surface.height_window(row0, col0, view.rows + 2 * reach, view.cols + 2 * reach)
+    stencil_radius = normal_stencil_radius(surface)
+    row0, col0 = int(view.row0) - stencil_radius, int(view.col0) - stencil_radius
+    nodes = surface.height_window(row0, col0, view.rows + 2 * stencil_radius, view.cols + 2 * stencil_radius)
     height, node_valid = nodes.height_m, nodes.valid
-    inner_valid = node_valid[reach:-reach, reach:-reach]
+    inner_valid = node_valid[stencil_radius:-stencil_radius, stencil_radius:-stencil_radius]
     rows, cols = (np.flatnonzero(inner_valid.any(axis=axis)) for axis in (1, 0))
     valid = np.zeros((view.rows, view.cols), np.bool_)
     if not len(rows):
@@ -113,7 +106,7 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
         empty_3d = np.zeros((0, 0, 3), np.float32)
         return BareGround(view, frame, valid, (slice(0, 0), slice(0, 0)), empty, empty_3d, empty_3d, empty)
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
-    node_window = tuple(slice(side.start, side.stop + 2 * reach) for side in window)
+    node_window = tuple(slice(side.start, side.stop + 2 * stencil_radius) for side in window)
     height, node_valid = np.ascontiguousarray(height[node_window]), np.ascontiguousarray(node_valid[node_window])
     row0, col0 = row0 + window[0].start, col0 + window[1].start
     exact, first_row, first_col = surface.exact_verticals(row0, col0, height.shape[0], height.shape[1], frame)
@@ -124,13 +117,15 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
         ]
     )
     normal, up, share, window_valid, is_complete = _smooth_ground(
-        exact_rows, first_row, surface.stride, row0, height, node_valid, reach,
+        exact_rows, first_row, surface.stride, row0, height, node_valid, stencil_radius,
         world.up_origin(frame), None if sky is None else sky.finder.cells, *_sky_arguments(sky, frame, map_pixel_m(world, view)),
     )  # fmt: skip
     if not is_complete:
         return None
     valid[window] = window_valid
-    return BareGround(view, frame, valid, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
+    return BareGround(
+        view, frame, valid, window, height[stencil_radius:-stencil_radius, stencil_radius:-stencil_radius].copy(), normal, up, share
+    )
 
 
 def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
@@ -152,18 +147,18 @@ def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tu
 
 @compiled
 def _smooth_ground(
-    exact_rows, first_row, stride, row0, height, node_valid, reach, centre,
+    exact_rows, first_row, stride, row0, height, node_valid, stencil_radius, centre,
     lattice, frame_from_earth, origin, plane, axes, first, step, values, mip_level, cells_per_node,
 ):  # fmt: skip
     """Return unit normals, unit vectors up, sky shares and valid mask of a window, and whether all of its ground has normals.
 
     The results have the shapes (rows, cols, 3), (rows, cols, 3), (rows, cols) and (rows, cols). The inputs ``height`` and
-    ``node_valid`` have ``reach`` more nodes on each side. Normals are differences over ``reach`` nodes in each direction.
-    ``exact_rows`` (6, m, cols) are points and verticals of every ``stride``-th row. The arguments from ``lattice`` on describe the
-    sky that other ground hides; ``lattice`` is ``None`` without it.
+    ``node_valid`` have ``stencil_radius`` more nodes on each side. Normals are differences over ``stencil_radius`` nodes in each
+    direction. ``exact_rows`` (6, m, cols) are points and verticals of every ``stride``-th row. The arguments from ``lattice`` on
+    describe the sky that other ground hides; ``lattice`` is ``None`` without it.
     """
-    side = 2 * reach + 1
-    rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
+    side = 2 * stencil_radius + 1
+    rows, cols = height.shape[0] - 2 * stencil_radius, height.shape[1] - 2 * stencil_radius
     points = np.empty((side, 3, height.shape[1]))  # ring buffer of the rows round the current one
     row_is_complete = np.empty(side, np.bool_)  # whether each of these rows has all its points
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
@@ -171,35 +166,39 @@ def _smooth_ground(
     valid = np.empty((rows, cols), np.bool_)
     own_normal, plane_position = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the current row
     is_complete = True
-    for i in range(-reach, rows + reach):
-        ring_index = (i + reach) % side
-        _points_of_row(exact_rows, first_row, stride, row0 + reach + i, height[i + reach], points[ring_index])
-        row_is_complete[ring_index] = _is_complete_row(points[ring_index, 2], height[i + reach])
-        window_row = i - reach
+    for i in range(-stencil_radius, rows + stencil_radius):
+        ring_index = (i + stencil_radius) % side
+        _write_points(exact_rows, first_row, stride, row0 + stencil_radius + i, height[i + stencil_radius], points[ring_index])
+        row_is_complete[ring_index] = _is_complete_row(points[ring_index, 2], height[i + stencil_radius])
+        window_row = i - stencil_radius
         if window_row < 0:
             continue
         middle, above, below = (
-            points[(window_row + reach) % side],
+            points[(window_row + stencil_radius) % side],
             points[window_row % side],
-            points[(window_row + 2 * reach) % side],
+            points[(window_row + 2 * stencil_radius) % side],
         )
         is_interior = True
         for k in range(side):
             is_interior = is_interior and row_is_complete[k]
         if is_interior:
             for j in range(cols):
-                valid[window_row, j] = node_valid[window_row + reach, reach + j]
-            row_complete = _write_interior_normals(above, middle, below, reach, valid[window_row], own_normal)
+                valid[window_row, j] = node_valid[window_row + stencil_radius, stencil_radius + j]
+            row_complete = _write_interior_normals(above, middle, below, stencil_radius, valid[window_row], own_normal)
         else:
-            row_connected = _write_valid(height, node_valid, window_row + reach, reach, valid[window_row])
-            row_complete = _write_rim_normals(above, middle, below, reach, valid[window_row], own_normal) and row_connected
+            row_connected = _write_valid(height, node_valid, window_row + stencil_radius, stencil_radius, valid[window_row])
+            row_complete = _write_rim_normals(above, middle, below, stencil_radius, valid[window_row], own_normal) and row_connected
         is_complete = is_complete and row_complete
-        _put_normals(own_normal, valid[window_row], normal[window_row])
-        x, y, z = middle[0, reach : reach + cols], middle[1, reach : reach + cols], middle[2, reach : reach + cols]
+        _copy_normals(own_normal, valid[window_row], normal[window_row])
+        x, y, z = (
+            middle[0, stencil_radius : stencil_radius + cols],
+            middle[1, stencil_radius : stencil_radius + cols],
+            middle[2, stencil_radius : stencil_radius + cols],
+        )
         _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[window_row])
-        _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[window_row])
+        _write_up_vectors(x, y, z, (centre[0], centre[1], centre[2]), up[window_row])
         if lattice is not None:
-            own_height = height[window_row + reach, reach : reach + cols]
+            own_height = height[window_row + stencil_radius, stencil_radius : stencil_radius + cols]
             _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, plane_position)
             _convert_to_cells(plane_position, first, step, lattice, cells_per_node)
             _subtract_hidden_sky(plane_position[0], plane_position[1], values, mip_level, share[window_row])
@@ -229,7 +228,7 @@ def _write_open_sky(px, py, pz, normal, centre, share):
 
 
 @internal
-def _up_of_row(px, py, pz, centre, out):
+def _write_up_vectors(px, py, pz, centre, out):
     """Write the unit vectors up (cols, 3) of a row of points: away from ``centre``."""
     for j in range(px.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
@@ -279,12 +278,12 @@ def _convert_to_cells(plane_position, first, step, lattice, cells_per_node):
         end, at_j, at_i = start + 1, square_j[start], square_i[start]
         while end < x.size and square_j[end] == at_j and square_i[end] == at_i:
             end += 1
-        _cells_of_run(x[start:end], y[start:end], square_corners(lattice, at_i, at_j), at_j, at_i, cells_per_node)
+        _convert_run_to_cells(x[start:end], y[start:end], square_corners(lattice, at_i, at_j), at_j, at_i, cells_per_node)
         start = end
 
 
 @internal
-def _cells_of_run(x, y, corners, at_j, at_i, cells_per_node):
+def _convert_run_to_cells(x, y, corners, at_j, at_i, cells_per_node):
     for j in range(x.size):
         row, col = cell_in_square(corners, x[j] - at_j, y[j] - at_i)
         x[j], y[j] = (row + 0.5) / cells_per_node - 0.5, (col + 0.5) / cells_per_node - 0.5
@@ -301,7 +300,7 @@ def _subtract_hidden_sky(row, col, values, mip_level, share):
 
 
 @internal
-def _points_of_row(exact_rows, first_row, stride, row, height, out):
+def _write_points(exact_rows, first_row, stride, row, height, out):
     """Write the frame points (3, cols) of a row of nodes, interpolated between exact rows (6, m, cols).
 
     An exact row holds the points at height 0 and the unit verticals of every ``stride``-th row. The points are raised by
@@ -318,14 +317,14 @@ def _points_of_row(exact_rows, first_row, stride, row, height, out):
 
 
 @internal
-def _write_valid(height, node_valid, row, reach, valid):
+def _write_valid(height, node_valid, row, stencil_radius, valid):
     """Write which nodes of a row show ground: valid nodes that are a corner of a triangle. Return whether all valid nodes are.
 
     A quad with one missing corner still has one triangle. A raster that is one node wide has none.
     """
     is_connected = True
     for j in range(valid.size):
-        col = j + reach
+        col = j + stencil_radius
         is_valid = False
         if node_valid[row, col] and np.isfinite(height[row, col]):
             for k in range(4):
@@ -340,20 +339,28 @@ def _write_valid(height, node_valid, row, reach, valid):
 
 
 @internal
-def _write_interior_normals(above, middle, below, reach, valid, out):
+def _write_interior_normals(above, middle, below, stencil_radius, valid, out):
     """Write the smooth unit normals (3, cols) of a row whose neighbours are all known. Return whether all its ground has a normal.
 
-    ``above``, ``middle`` and ``below`` are the points of the rows ``reach`` nodes north, at and south of it.
+    ``above``, ``middle`` and ``below`` are the points of the rows ``stencil_radius`` nodes north, at and south of it.
     """
     cols = valid.size
     west_x, west_y, west_z = middle[0, :cols], middle[1, :cols], middle[2, :cols]
-    east = 2 * reach
+    east = 2 * stencil_radius
     east_x, east_y, east_z = middle[0, east : east + cols], middle[1, east : east + cols], middle[2, east : east + cols]
     ax, ay, az = np.empty(cols), np.empty(cols), np.empty(cols)
     for j in range(cols):
         ax[j], ay[j], az[j] = east_x[j] - west_x[j], east_y[j] - west_y[j], east_z[j] - west_z[j]
-    north_x, north_y, north_z = above[0, reach : reach + cols], above[1, reach : reach + cols], above[2, reach : reach + cols]
-    south_x, south_y, south_z = below[0, reach : reach + cols], below[1, reach : reach + cols], below[2, reach : reach + cols]
+    north_x, north_y, north_z = (
+        above[0, stencil_radius : stencil_radius + cols],
+        above[1, stencil_radius : stencil_radius + cols],
+        above[2, stencil_radius : stencil_radius + cols],
+    )
+    south_x, south_y, south_z = (
+        below[0, stencil_radius : stencil_radius + cols],
+        below[1, stencil_radius : stencil_radius + cols],
+        below[2, stencil_radius : stencil_radius + cols],
+    )
     bx, by, bz = np.empty(cols), np.empty(cols), np.empty(cols)
     for j in range(cols):
         bx[j], by[j], bz[j] = north_x[j] - south_x[j], north_y[j] - south_y[j], north_z[j] - south_z[j]
@@ -380,7 +387,7 @@ def _unit_normal(ax, ay, az, bx, by, bz):
 
 
 @internal
-def _put_normals(normal, valid, out):
+def _copy_normals(normal, valid, out):
     """Copy a row's normals (3, cols) to an array (cols, 3) where the row is valid; zeros elsewhere."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(valid.size):
@@ -391,7 +398,7 @@ def _put_normals(normal, valid, out):
 
 
 @internal
-def _write_rim_normals(above, middle, below, reach, valid, out):
+def _write_rim_normals(above, middle, below, stencil_radius, valid, out):
     """Write the smooth unit normals (3, cols) of a row's valid nodes. Return whether all its ground has a normal.
 
     Where a neighbour is missing, at the edge of the ground, the difference is one-sided.
@@ -400,8 +407,8 @@ def _write_rim_normals(above, middle, below, reach, valid, out):
     for j in range(valid.size):
         if not valid[j]:
             continue
-        c = j + reach
-        w, e = c - reach, c + reach
+        c = j + stencil_radius
+        w, e = c - stencil_radius, c + stencil_radius
         west = c if np.isnan(middle[2, w]) else w
         east = c if np.isnan(middle[2, e]) else e
         north = middle if np.isnan(above[2, c]) else above

@@ -16,10 +16,10 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import NodeHeights, RefinedWindow, Surface
 from skugga.terrain.scene import Scene
 
-HALO = 2
+HALO_NODES = 2
 """Extra rows and columns of nodes on each side of a view."""
 
-BOUNDING_NODES = 33
+MAX_BOUNDING_NODES = 33
 """Maximum number of rows and of columns of the nodes that bound a view's ground. The earth bends by less than a metre between them.
 """
 
@@ -32,11 +32,11 @@ class BareNodes:
     ----------
     view, frame
         The view, with one node in each pixel, and its local frame.
-    per_pixel
+    nodes_per_pixel
         Number of nodes along the side of a displayed pixel, which shows the mean of its nodes.
     surface
-        The nodes' heights, with ``HALO`` more nodes on each side. They include the rim, ground for one node beyond the raster. The
-        rim casts shadows, but is not visible (not ``valid``).
+        The nodes' heights, with ``HALO_NODES`` more nodes on each side. They include the rim, ground for one node beyond the
+        raster. The rim casts shadows, but is not visible (not ``valid``).
     position_frame_m
         float64 (2, n, 3), points whose bounds contain the ground, metres: some of the nodes, at the lowest and at the highest
         height of all nodes.
@@ -45,7 +45,7 @@ class BareNodes:
     """
 
     view: MapView
-    per_pixel: int
+    nodes_per_pixel: int
     frame: LocalFrame
     surface: NodeHeights
     position_frame_m: np.ndarray
@@ -54,7 +54,7 @@ class BareNodes:
     @property
     def height_m(self) -> np.ndarray:
         """Heights (rows, cols) float32, metres, of the ground that casts shadows; NaN without such ground."""
-        return self.surface.height_m[HALO:-HALO, HALO:-HALO]
+        return self.surface.height_m[HALO_NODES:-HALO_NODES, HALO_NODES:-HALO_NODES]
 
     @property
     def columns(self) -> None:
@@ -63,28 +63,30 @@ class BareNodes:
     @property
     def shows_ground(self) -> np.ndarray:
         """bool (rows, cols), whether a node shows ground."""
-        return self.surface.valid[HALO:-HALO, HALO:-HALO]
+        return self.surface.valid[HALO_NODES:-HALO_NODES, HALO_NODES:-HALO_NODES]
 
 
-def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
+def bare_nodes(scene: Scene, view: MapView, nodes_per_pixel: int) -> BareNodes:
     """Return the nodes of a view that has a node in every pixel. They are cached, since they are the same under every sun.
 
-    ``per_pixel`` is the number of nodes along the side of a displayed pixel.
+    ``nodes_per_pixel`` is the number of nodes along the side of a displayed pixel.
     """
-    return _bare_nodes(scene.world, scene.elevation, view, per_pixel)
+    return _bare_nodes(scene.world, scene.elevation, view, nodes_per_pixel)
 
 
 @cached("scene", 64 * MIB)
-def _bare_nodes(world: World, elevation: Elevation, view: MapView, per_pixel: int) -> BareNodes:
+def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pixel: int) -> BareNodes:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
-    heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO, rim=True)
+    heights = surface.height_window(
+        row0 - HALO_NODES, col0 - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES, rim=True
+    )
     row, col = (
-        np.unique(np.rint(np.linspace(first, first + count - 1, BOUNDING_NODES)).astype(np.int64))
+        np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES)).astype(np.int64))
         for first, count in ((row0, view.rows), (col0, view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
     source_height = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
     ends = np.nanmin(source_height), np.nanmax(source_height)
-    position = np.stack([surface.positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
-    return BareNodes(view, per_pixel, frame, heights, position, np.isfinite(position[..., 2]))
+    position = np.stack([surface.node_positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
+    return BareNodes(view, nodes_per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

@@ -91,7 +91,7 @@ class GeometryBuffer:
         float32 (rows, cols), the distance from the point on the triangle to the smooth ground above it, metres. It is measured
         along the line of sight, in a map upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases.
         ``None`` if it is NaN everywhere.
-    lifted
+    is_lifted
         bool (rows, cols), whether the point was moved to the smooth ground, for one light. ``None`` if no point was moved.
     tree_instances
         The trees of the view; ``None`` without any.
@@ -119,7 +119,7 @@ class GeometryBuffer:
     first_sample_row: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
     lift_m: np.ndarray | None = None
-    lifted: np.ndarray | None = None
+    is_lifted: np.ndarray | None = None
 
     @property
     def shading_inputs(self) -> ShadingInputs:
@@ -145,18 +145,18 @@ class MapNodes:
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
     """Return the nodes that the pixels of several views of one grid are interpolated from, with their positions in ``frame``."""
-    reach = normal_stencil_radius(surface)
-    row0, col0, row1, col1 = _node_bounds(views, reach)
+    stencil_radius = normal_stencil_radius(surface)
+    row0, col0, row1, col1 = _node_bounds(views, stencil_radius)
     window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
-    return MapNodes(window, _smooth_normals(window.position_frame_m, reach))
+    return MapNodes(window, _smooth_normals(window.position_frame_m, stencil_radius))
 
 
-def _node_bounds(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
+def _node_bounds(views: Sequence[MapView], stencil_radius: int) -> tuple[int, int, int, int]:
     """Return first row, first column, end row and end column of the nodes that the pixels of some views are interpolated from.
 
-    The ends are exclusive. ``reach`` is the half width of the shading normal's difference, in nodes.
+    The ends are exclusive. ``stencil_radius`` is the half width of the shading normal's difference, in nodes.
     """
-    halo = reach + (reach + 1) // 2 + 1
+    halo = stencil_radius + (stencil_radius + 1) // 2 + 1
     firsts = [(view.row0, view.col0) for view in views]
     lasts = [(view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step) for view in views]
     row0, col0 = np.floor(np.min(firsts, axis=0)).astype(int) - halo
@@ -174,16 +174,16 @@ def map_geometry(
     cover the view.
     """
     pixel_mask = np.ones((view.rows, view.cols), np.bool_) if pixel_mask is None else pixel_mask
-    reach = normal_stencil_radius(surface)
+    stencil_radius = normal_stencil_radius(surface)
     nodes = nodes or map_nodes(surface, [view], frame)
     window, smooth_normals, sheet = nodes.window, nodes.smooth_normals, nodes.window.sheet
-    row0, col0, row1, col1 = _node_bounds([view], reach)
+    row0, col0, row1, col1 = _node_bounds([view], stencil_radius)
     ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
     if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
         raise ValueError(f"nodes: they span {ends}, but the view needs {(row0, col0, row1, col1)}. Use map_nodes of this view.")
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
-    on_nodes = view.on_nodes and reach == 1
+    on_nodes = view.on_nodes and stencil_radius == 1
     points = map_points(
         window.position_frame_m,
         window.height_m,
@@ -204,7 +204,7 @@ def map_geometry(
     if not on_nodes:
         lift = map_lifts(
             window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.centre_frame_m, row, col,
-            position, triangle, reach,
+            position, triangle, stencil_radius,
         )  # fmt: skip
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
 
@@ -255,22 +255,23 @@ def normal_stencil_radius(surface: Surface) -> int:
 
 
 @compiled
-def _smooth_normals(position, reach):
-    """Return smooth unit normals (rows, cols, 3) float32 at the nodes, from differences over ``reach`` nodes in each direction.
+def _smooth_normals(position, stencil_radius):
+    """Return smooth unit normals (rows, cols, 3) float32 at the nodes, from differences over ``stencil_radius`` nodes in each
+    direction.
 
-    The differences are one-sided at the borders of the data. If ``reach`` is as wide as a raster cell, the slope of a bilinear
-    surface becomes continuous, and its facets are not visible.
+    The differences are one-sided at the borders of the data. If ``stencil_radius`` is as wide as a raster cell, the slope of a
+    bilinear surface becomes continuous, and its facets are not visible.
     """
     rows, cols, _ = position.shape
     out = np.empty((rows, cols, 3), np.float32)
     out[:] = np.nan
-    for r in range(reach, rows - reach):
-        for c in range(reach, cols - reach):
+    for r in range(stencil_radius, rows - stencil_radius):
+        for c in range(stencil_radius, cols - stencil_radius):
             p = position[r, c]
             if not np.isfinite(p[2]):
                 continue
-            west, east = position[r, c - reach], position[r, c + reach]
-            north, south = position[r - reach, c], position[r + reach, c]
+            west, east = position[r, c - stencil_radius], position[r, c + stencil_radius]
+            north, south = position[r - stencil_radius, c], position[r + stencil_radius, c]
             if not np.isfinite(west[2]):
                 west = p
             if not np.isfinite(east[2]):

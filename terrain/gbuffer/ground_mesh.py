@@ -120,12 +120,12 @@ def ground_creases(ground: GroundMesh, triangle_number: np.ndarray) -> np.ndarra
     of the triangle in each pixel, from 1.
     """
     is_visible = np.zeros(len(ground.triangles), np.bool_)
-    run_in_chunks(len(triangle_number), _mark, triangle_number, is_visible)
+    run_in_chunks(len(triangle_number), _mark_triangles, triangle_number, is_visible)
     return creases(ground.position_frame_m, ground.face_normal_frame, ground.triangles, ground.node_faces, 2.0, is_visible)
 
 
 @compiled
-def _mark(first, last, number, out):
+def _mark_triangles(first, last, number, out):
     for i in range(first, last):
         for j in range(number.shape[1]):
             n = np.int64(number[i, j]) - 1
@@ -160,16 +160,16 @@ def _ground_mesh(
     decimated = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
     frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_PITCH_SHARE)
     row, col = decimated.nodes[:, 0], decimated.nodes[:, 1]
-    return _mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
+    return _build_mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
 
 
 @cached("scene", 256 * MIB)
 def _whole_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
-    return _mesh(world, elevation, nodes, frame, *_full_triangulation(nodes.height_m), 0.0)
+    return _build_mesh(world, elevation, nodes, frame, *_full_triangulation(nodes.height_m), 0.0)
 
 
-def _mesh(
+def _build_mesh(
     world: World,
     elevation: Elevation,
     nodes: GroundNodes,
@@ -184,7 +184,7 @@ def _mesh(
     ``tolerance`` is the height error of the mesh, in pixels.
     """
     grid, height = nodes.grid, nodes.height_m[row, col]
-    position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
+    position = Surface(world, elevation, grid).node_positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces, faces_at_nodes = face_normals(position, triangles), node_faces(len(position), triangles)
     return GroundMesh(
         position, height, smooth_normals(faces, faces_at_nodes), triangles, faces, faces_at_nodes,
@@ -194,7 +194,7 @@ def _mesh(
 
 @cached("scene", 1024 * MIB)
 def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
-    grid, row0, col0, rows, cols = _window(world, elevation, crs)
+    grid, row0, col0, rows, cols = _node_window(world, elevation, crs)
     surface = Surface(world, elevation, grid)
     height, valid = surface.heights(row0, col0, rows, cols)
     height = np.where(valid, height, np.float32(np.nan))
@@ -204,7 +204,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.flat))
 
 
-def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
+def _node_window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
     """Return the grid of the ground's nodes in a CRS, and the window of its nodes on the raster.
 
     The window is first row, first column, number of rows and number of columns.

@@ -102,7 +102,7 @@ def rasterise_perspective(
             visible_trees = instances.front_to_back(visible_trees, camera_from_frame[2])
             tree_uniforms = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, visible_trees, instances.base_frame_m, {**uniforms, **tree_uniforms}, triangle_count)
-    return _read(
+    return _read_id_buffer(
         gl,
         target,
         instances,
@@ -158,7 +158,7 @@ def rasterise_map(
             tree_uniforms = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
             tree_uniforms |= {"level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, tree_indices, (bases_px - shift) * scale, {**uniforms, **tree_uniforms}, triangle_count)
-    return _read(gl, target, instances, triangle_count, tree_indices, np.zeros(0, np.int64), with_depth=False)
+    return _read_id_buffer(gl, target, instances, triangle_count, tree_indices, np.zeros(0, np.int64), with_depth=False)
 
 
 def _draw_trees(
@@ -189,7 +189,7 @@ def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
             program[name] = value
 
 
-def _read(
+def _read_id_buffer(
     gl: Device,
     target: moderngl.Framebuffer,
     instances: TreeInstances | None,

@@ -18,7 +18,7 @@ import numpy as np
 
 from skugga.terrain.compiled import internal
 
-MIN_FACING = 0.25
+MIN_FACING_COSINE = 0.25
 """Minimum divisor of a lift.
 
 The divisor is the cosine between the smooth normal and the line of sight, which vanishes on surfaces seen edge-on.
@@ -41,7 +41,7 @@ def is_smooth(face, smooth_normal):
 
 
 @internal
-def up_at(point, centre, out):
+def write_up(point, centre, out):
     """Write the unit vector up (3,) at a point: away from ``centre``, or the third axis if the centre is infinitely far below."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     length = np.sqrt(x * x + y * y + z * z)
@@ -59,4 +59,4 @@ def lift_distance(node, smooth_normal, point, direction):
         smooth_normal[0] * (node[0] - point[0]) + smooth_normal[1] * (node[1] - point[1]) + smooth_normal[2] * (node[2] - point[2])
     )
     facing = smooth_normal[0] * direction[0] + smooth_normal[1] * direction[1] + smooth_normal[2] * direction[2]
-    return below / max(facing, MIN_FACING) if below > 0.0 else 0.0
+    return below / max(facing, MIN_FACING_COSINE) if below > 0.0 else 0.0

@@ -21,13 +21,13 @@ import numpy as np
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.lift import up_at
+from skugga.terrain.gbuffer.lift import write_up
 from skugga.terrain.gbuffer.map_points import EDGE_TOLERANCE, crease_at, facet_corners, facets_at
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
 
-MIN_UPWARD = 1.0 / 32.0
+MIN_NORMAL_UP = 1.0 / 32.0
 """Lower bound of the upward component of a facet's unit normal, in the lift of a ray's start. It limits the lift at steep walls."""
 
 MIN_LIGHT_SINE = 2.0**-20
@@ -43,7 +43,7 @@ MIN_LIFT_M = 1e-3
 Where the smooth ground is lower, as in a hollow, a facet that faces away from the light shades its points.
 """
 
-PARALLEL = 1e-6
+PARALLEL_TANGENT = 1e-6
 """Tangent of the angle, as seen from above, below which light counts as parallel to a side of a facet."""
 
 
@@ -62,10 +62,10 @@ class FacingNormals(NamedTuple):
         it is the facet's normal. For a shared point it points up, since the normal of one facet may lead below another facet. On
         the rim of the ground, if light is parallel to a side of a facet, it also points inwards, so that a ray along the rim hits
         the rim. ``None`` if it is the buffer's normal everywhere.
-    blocked
+    is_blocked
         bool (rows, cols), whether one of a shared point's own facets blocks the light: the facet faces away from the light, and the
         ray from the point to the light starts below it.
-    lifted
+    is_lifted
         bool (rows, cols), whether a point is to be moved to the smooth ground. There the smooth normal faces the light, no facet
         does, and the smooth ground lies above the facet.
     """
@@ -73,8 +73,8 @@ class FacingNormals(NamedTuple):
     normal_frame: np.ndarray
     crease: np.ndarray
     lift_frame: np.ndarray | None
-    blocked: np.ndarray
-    lifted: np.ndarray
+    is_blocked: np.ndarray
+    is_lifted: np.ndarray
 
 
 def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bool:
@@ -145,14 +145,14 @@ def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, p
                     flattest = min(flattest, _dot(n, up)) if k > 0 else _dot(n, up)
                 for k in range(3):
                     normal[i, j, k] = faces[facets[best, 0], facets[best, 1], facets[best, 2], k]
-                    lift[i, j, k] = up[k] / max(flattest, MIN_UPWARD)
+                    lift[i, j, k] = up[k] / max(flattest, MIN_NORMAL_UP)
                 crease[i, j] = crease_at(faces, is_cut_nw_se, row[i], col[j], normal[i, j])
             if _is_on_rim(is_cut_nw_se, facets, count, row[i], col[j]) and _is_parallel_to_side(
                 nodes, is_cut_nw_se, facets, count, p, axes, east, north
             ):
                 east, north = _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes)
                 for k in range(3):
-                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_UPWARD)
+                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_NORMAL_UP)
 
 
 @compiled
@@ -193,7 +193,7 @@ def _write_local_axes(point, centre, out):
     Up points away from ``centre``. In a flat world the axes are the frame's.
     """
     up = out[2]
-    up_at(point, centre, up)
+    write_up(point, centre, up)
     first = 0 if abs(up[0]) < 0.7 else 1
     for k in range(3):
         out[0, k] = (1.0 if k == first else 0.0) - up[first] * up[k]
@@ -228,7 +228,7 @@ def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
         area = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
         share = (side_y * b[0] - side_x * b[1]) / area
         inward_speed = (side_x * north - side_y * east) * np.sign(area)
-        if share <= 1e-5 and inward_speed < -PARALLEL * np.sqrt(
+        if share <= 1e-5 and inward_speed < -PARALLEL_TANGENT * np.sqrt(
             (side_x * side_x + side_y * side_y) * (east * east + north * north)
         ):
             return False
@@ -269,7 +269,7 @@ def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, nort
         for down, right in facet_corners(is_cut_nw_se[r, c], half):
             x, y = _plan_offset(nodes[r + down, c + right], p, axes)
             forward = x * east + y * north
-            if forward > 0.0 and abs(x * north - y * east) <= PARALLEL * forward:
+            if forward > 0.0 and abs(x * north - y * east) <= PARALLEL_TANGENT * forward:
                 return True
     return False
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, up_at
+from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, write_up
 
 EDGE_TOLERANCE = 1e-6
 """Distance, in nodes, within which a point counts as lying on a facet's edge, so that the facets on both sides share it."""
@@ -34,7 +34,7 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
             valid[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
             for k in range(3):
                 point[i, j, k], normal[i, j, k], shading_normal[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
-            if not (pixel_mask[i, j] and _is_nearest_shown(node_valid, row[i], col[j])):
+            if not (pixel_mask[i, j] and _is_nearest_node_valid(node_valid, row[i], col[j])):
                 continue
             count = facets_at(facet_normals, is_cut_nw_se, row[i], col[j], facets)
             if count == 0:
@@ -56,13 +56,13 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
 
 
 @compiled
-def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row, col, point, triangle, reach):
+def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row, col, point, triangle, stencil_radius):
     """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
     The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``).
-    If the sheet is finer than the raster, with ``reach`` > 1 nodes per cell, single facets are too small for that. Then the tangent
-    planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The result is NaN
-    beside a crease, and on nodes unless the sheet is finer than the raster.
+    If the sheet is finer than the raster, with ``stencil_radius`` > 1 nodes per cell, single facets are too small for that. Then
+    the tangent planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The
+    result is NaN beside a crease, and on nodes unless the sheet is finer than the raster.
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)
@@ -73,13 +73,13 @@ def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row
             out[i, j] = 0.0
             if r < 0:
                 continue
-            up_at(point[i, j], centre, up)
+            write_up(point[i, j], centre, up)
             face = facet_normals[r, c, half]
-            if reach > 1:
+            if stencil_radius > 1:
                 lift = 0.0
                 for k in range(4):
-                    a = row[i] + (0.5 * reach if k // 2 else -0.5 * reach)
-                    b = col[j] + (0.5 * reach if k % 2 else -0.5 * reach)
+                    a = row[i] + (0.5 * stencil_radius if k // 2 else -0.5 * stencil_radius)
+                    b = col[j] + (0.5 * stencil_radius if k % 2 else -0.5 * stencil_radius)
                     _interpolate(position, a, b, neighbour)
                     _interpolate(smooth_normals, a, b, neighbour_normal)
                     lift += (
@@ -149,24 +149,24 @@ def crease_at(facet_normals, is_cut_nw_se, row, col, normal):
 
     ``row`` and ``col`` are a position on the sheet. Half-way between nodes, the facets round each of the nearest nodes count.
     """
-    first_r, last_r, first_c, last_c = _nearest(row, col)
-    widest = _crease_round(facet_normals, is_cut_nw_se, first_r, first_c, normal)
+    first_r, last_r, first_c, last_c = _nearest_nodes(row, col)
+    widest = _crease_at_node(facet_normals, is_cut_nw_se, first_r, first_c, normal)
     if last_r > first_r:
-        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, last_r, first_c, normal))
+        widest = max(widest, _crease_at_node(facet_normals, is_cut_nw_se, last_r, first_c, normal))
     if last_c > first_c:
-        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, first_r, last_c, normal))
+        widest = max(widest, _crease_at_node(facet_normals, is_cut_nw_se, first_r, last_c, normal))
     if last_r > first_r and last_c > first_c:
-        widest = max(widest, _crease_round(facet_normals, is_cut_nw_se, last_r, last_c, normal))
+        widest = max(widest, _crease_at_node(facet_normals, is_cut_nw_se, last_r, last_c, normal))
     return widest
 
 
 @internal
-def _crease_round(facet_normals, is_cut_nw_se, near_r, near_c, normal):
+def _crease_at_node(facet_normals, is_cut_nw_se, nearest_row, nearest_col, normal):
     """Return the largest distance between a unit normal (3,) and the unit normals of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
-        r, c = near_r - 1 + down, near_c - 1 + right
+        r, c = nearest_row - 1 + down, nearest_col - 1 + right
         # Only one facet of the quad has the node as a corner, unless the diagonal ends there.
         diagonal_ends_here = (down == right) == is_cut_nw_se[r, c]
         if not diagonal_ends_here and half != 1 - down:
@@ -180,7 +180,7 @@ def _crease_round(facet_normals, is_cut_nw_se, near_r, near_c, normal):
 
 
 @internal
-def _nearest(row, col):
+def _nearest_nodes(row, col):
     """Return first row, last row, first column and last column of the nodes nearest to a position.
 
     First and last differ where the position is half-way between nodes.
@@ -192,8 +192,8 @@ def _nearest(row, col):
 
 
 @internal
-def _is_nearest_shown(node_valid, row, col):
-    low_r, high_r, low_c, high_c = _nearest(row, col)
+def _is_nearest_node_valid(node_valid, row, col):
+    low_r, high_r, low_c, high_c = _nearest_nodes(row, col)
     return node_valid[low_r, low_c] or node_valid[low_r, high_c] or node_valid[high_r, low_c] or node_valid[high_r, high_c]
 
 

@@ -17,10 +17,10 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.lift import is_smooth, lift_distance
 from skugga.terrain.gbuffer.tree_instances import tree_corner
 
-CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
+CROWN_CENTRE_SHARE, CROWN_HALF_HEIGHT_SHARE = 0.55, 0.47
 """Height of a crown's middle, and half the crown's height, as shares of the tree's height."""
 
-CROWN_LEAN = 0.25
+CROWN_NORMAL_UP_BIAS = 0.25
 """Value that is added to the upward component of a crown's unit normals, since leaves lean upwards."""
 
 NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
@@ -249,7 +249,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
                             p[c, k] = solid_position[solid_triangles[t - ground_count, c], k]
                 else:
                     tree, part = (t - ground_count - solid_count) // 6, (t - ground_count - solid_count) % 6
-                    _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, part)
+                    _write_tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, part)
                 _face_normal(p, face)
                 has_smooth_normals = False
                 if t < ground_count:
@@ -300,11 +300,11 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
                         shading_normal[i, j, k] = -shading_normal[i, j, k]
             else:
                 tree = (t - ground_count - solid_count) // 6
-                _shade_leaf(
+                _write_leaf_shading(
                     point[i, j], ray, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
                 )
                 surface_height[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
-            _unit(shading_normal[i, j])
+            _normalise(shading_normal[i, j])
 
 
 @compiled
@@ -333,7 +333,7 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
                         p[c, k] = solid_position[solid_triangles[t, c], k]
                         q[c, k] = solid_px[solid_triangles[t, c], k]
             else:
-                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, (t - solid_count) % 6)
+                _write_tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, (t - solid_count) % 6)
                 for c in range(3):
                     east, north = p[c, 0] - tree_base[tree, 0], p[c, 1] - tree_base[tree, 1]
                     q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
@@ -364,14 +364,14 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
                         shading_normal[i, j, k] = -shading_normal[i, j, k]
             else:
                 kind[i, j] = FOREST
-                _shade_leaf(
+                _write_leaf_shading(
                     point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
                 )
-            _unit(shading_normal[i, j])
+            _normalise(shading_normal[i, j])
 
 
 @internal
-def _tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
+def _write_tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
     quad, second = part // 2, part % 2
     for c in range(3):
         corner = c if second == 0 or c == 0 else c + 1
@@ -429,18 +429,18 @@ def _face_normal(p, out):
 
 
 @compiled
-def _shade_leaf(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
+def _write_leaf_shading(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
     """Write the shading normal and the albedo of a visible leaf.
 
     A tree is drawn as crossed quads. The normal is instead that of an ellipsoid with the size of the crown, at the place where the
     ray to the point meets it or passes nearest to it. So it does not depend on the quad, and the quads are not visible. It is
-    tilted upwards by ``CROWN_LEAN``, as leaves are.
+    tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are.
     """
-    half_width, half_height = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
+    half_width, half_height = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF_HEIGHT_SHARE * shape[2], 1e-3)
     qx, qy, qz = (
         (point[0] - base[0]) / half_width,
         (point[1] - base[1]) / half_width,
-        (point[2] - base[2] - CROWN_MIDDLE * shape[2]) / half_height,
+        (point[2] - base[2] - CROWN_CENTRE_SHARE * shape[2]) / half_height,
     )
     dx, dy, dz = ray[0] / half_width, ray[1] / half_width, ray[2] / half_height
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -450,13 +450,13 @@ def _shade_leaf(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
     depth_inside = np.sqrt(max(1.0 - (qx * qx + qy * qy + qz * qz), 0.0))
     x, y, z = (qx - depth_inside * dx) / half_width, (qy - depth_inside * dy) / half_width, (qz - depth_inside * dz) / half_height
     length = np.sqrt(x * x + y * y + z * z)
-    shading_normal[0], shading_normal[1], shading_normal[2] = x / length, y / length, z / length + CROWN_LEAN
+    shading_normal[0], shading_normal[1], shading_normal[2] = x / length, y / length, z / length + CROWN_NORMAL_UP_BIAS
     for k in range(3):
         albedo[k] = (sqrt_albedo[k] / 255.0) ** 2
 
 
 @internal
-def _unit(v):
+def _normalise(v):
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:
         for k in range(3):

@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.lift import up_at
+from skugga.terrain.gbuffer.lift import write_up
 from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
@@ -23,10 +23,10 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
     The moved points (``skugga.terrain.gbuffer.lift``) lie on no triangle. The result is ``buffer`` itself if no point moves, or if
     its points were moved already.
     """
-    if buffer.lift_m is None or buffer.lifted is not None:
+    if buffer.lift_m is None or buffer.is_lifted is not None:
         return buffer
-    lifted = facing_normals(buffer, light).lifted
-    if not lifted.any():
+    is_lifted = facing_normals(buffer, light).is_lifted
+    if not is_lifted.any():
         return buffer
     position = np.empty_like(buffer.position_frame_m)
     corners = None if buffer.corners_frame_m is None else np.empty_like(buffer.corners_frame_m)
@@ -37,15 +37,15 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
     else:
         origin_frame_m = buffer.view.in_frame(buffer.frame)[0]
     run_in_chunks(
-        len(lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m,
+        len(is_lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, is_lifted, buffer.lift_m,
         origin_frame_m, in_map, position,
         corners,
     )  # fmt: skip
-    return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)
+    return replace(buffer, position_frame_m=position, corners_frame_m=corners, is_lifted=is_lifted)
 
 
 @compiled
-def _move_lifted_points(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
+def _move_lifted_points(first, last, points, triangles, is_lifted, lift, origin, in_map, position, corners):
     """Copy points and triangles' corners, and move the lifted points by ``lift`` metres.
 
     In a map they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most half-way.
@@ -53,17 +53,17 @@ def _move_lifted_points(first, last, points, triangles, lifted, lift, origin, in
     """
     direction = np.empty(3)
     for i in range(first, last):
-        for j in range(lifted.shape[1]):
+        for j in range(is_lifted.shape[1]):
             p = position[i, j]
             for k in range(3):
                 p[k] = points[i, j, k]
             if corners is not None:
                 for k in range(9):
                     corners[i, j, k] = triangles[i, j, k]
-            if not lifted[i, j]:
+            if not is_lifted[i, j]:
                 continue
             if in_map:
-                up_at(p, origin, direction)
+                write_up(p, origin, direction)
                 for k in range(3):
                     p[k] += lift[i, j] * direction[k]
             else:

@@ -13,7 +13,7 @@ from skugga.terrain.geo.grid import MapView
 
 PIXEL_ARRAYS = (
     "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "kind", "triangle",
-    "corners_frame_m", "lift_m", "lifted",
+    "corners_frame_m", "lift_m", "is_lifted",
 )  # fmt: skip
 
 

@@ -78,16 +78,16 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
     return count
 
 
-def subpixel_grid(view: MapView, count: int) -> Grid:
-    """Return the grid whose nodes are the centres of a map's sub-pixels, after the pixels' sides are halved ``count`` times."""
+def subpixel_grid(view: MapView, halvings: int) -> Grid:
+    """Return the grid whose nodes are the centres of a map's sub-pixels, after the pixels' sides are halved ``halvings`` times."""
     view_halvings = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
-    return view.grid.subdivided(max(int(np.rint(count - view_halvings)), 0))
+    return view.grid.subdivided(max(int(np.rint(halvings - view_halvings)), 0))
 
 
 def covered_nodes(view: MapView, grid: Grid) -> MapView:
     """Return the view whose pixels are the nodes of a finer grid that a map's pixels cover."""
     ends = []
-    for sides in _sides(view, grid):
+    for sides in _pixel_sides(view, grid):
         first, last = int(np.floor(sides[0] + SIDE_TOLERANCE)), int(np.ceil(sides[-1] - SIDE_TOLERANCE))
         ends.append((first, last - first))
     (row0, rows), (col0, cols) = ends
@@ -106,7 +106,7 @@ def supersampled_view(
     return covered_nodes(view, subpixel_grid(view, count)) if isinstance(view, MapView) and count else view
 
 
-def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def _pixel_sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the sides of a map's pixels on a finer grid: rows (rows + 1,) and columns (cols + 1,).
 
     They count squares round nodes: the square of node n extends from n to n + 1. Nodes of the map's own grid are nodes of the finer
@@ -128,8 +128,8 @@ def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, valid: np
     ``nodes`` is the view of the nodes (``covered_nodes``). ``values`` and ``valid`` have its shape.
     """
     row, col = _sides_in(view, nodes)
-    if values.dtype == np.bool_ and (down := _uniform_weights(row)) and (right := _uniform_weights(col)):
-        return _means_of_bool(values, valid, *down, *right, view.rows, view.cols)
+    if values.dtype == np.bool_ and (row_weights := _uniform_weights(row)) and (col_weights := _uniform_weights(col)):
+        return _means_of_bool(values, valid, *row_weights, *col_weights, view.rows, view.cols)
     return _means(values, valid, row, col)
 
 
@@ -152,12 +152,12 @@ def max_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarr
 
 
 def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
-    row, col = _sides(view, nodes.grid)
+    row, col = _pixel_sides(view, nodes.grid)
     return row - nodes.row0, col - nodes.col0
 
 
 @internal
-def _squares(sides, i):
+def _square_range(sides, i):
     """Return the first square that pixel ``i`` covers along an axis, and the exclusive end. ``sides`` bound the pixels."""
     return int(np.floor(sides[i] + SIDE_TOLERANCE)), int(np.ceil(sides[i + 1] - SIDE_TOLERANCE))
 
@@ -174,9 +174,9 @@ def _means(values, valid, row, col):
     rows, cols = row.size - 1, col.size - 1
     out = np.full((rows, cols), np.nan, np.float32)
     for i in range(rows):
-        first_r, end_r = _squares(row, i)
+        first_r, end_r = _square_range(row, i)
         for j in range(cols):
-            first_c, end_c = _squares(col, j)
+            first_c, end_c = _square_range(col, j)
             total_weight, total = 0.0, 0.0
             for r in range(first_r, end_r):
                 down = _overlap(row, i, r)
@@ -191,10 +191,11 @@ def _means(values, valid, row, col):
 
 
 @compiled
-def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, cols):
+def _means_of_bool(values, valid, row_step, row_weights, col_step, col_weights, rows, cols):
     """Return the result of ``_means`` for bool values, in integer arithmetic.
 
-    All pixels have the same weights. ``down`` and ``row_weights``, ``right`` and ``col_weights`` are those of ``_uniform_weights``.
+    All pixels have the same weights. ``row_step`` and ``row_weights``, ``col_step`` and ``col_weights`` are those of
+    ``_uniform_weights``.
     """
     out = np.empty((rows, cols), np.float32)
     node_cols = valid.shape[1]
@@ -217,25 +218,25 @@ def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, c
         row_is_valid = True
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                row_is_valid = _is_all_valid(valid[i * down + k]) and row_is_valid
+                row_is_valid = _is_all_valid(valid[i * row_step + k]) and row_is_valid
         if row_is_valid:
             for k in range(row_weights.size):
                 if row_weights[k] > 0:
-                    _add_weighted(values[i * down + k], np.int32(row_weights[k]), total)
+                    _add_weighted(values[i * row_step + k], np.int32(row_weights[k]), total)
             _sum_along(total, col_weights, pixel_total)
             for j in range(cols):
-                out[i, j] = quotients[pixel_total[j * right]]
+                out[i, j] = quotients[pixel_total[j * col_step]]
             continue
         valid_weight[:] = 0
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                _add_weighted(valid[i * down + k], np.int32(row_weights[k]), valid_weight)
-                _add_weighted(valid[i * down + k] & values[i * down + k], np.int32(row_weights[k]), total)
+                _add_weighted(valid[i * row_step + k], np.int32(row_weights[k]), valid_weight)
+                _add_weighted(valid[i * row_step + k] & values[i * row_step + k], np.int32(row_weights[k]), total)
         _sum_along(valid_weight, col_weights, pixel_valid_weight)
         _sum_along(total, col_weights, pixel_total)
         for j in range(cols):
-            pixel_weight = pixel_valid_weight[j * right]
-            out[i, j] = np.float64(pixel_total[j * right]) / np.float64(pixel_weight) if pixel_weight > 0 else np.nan
+            pixel_weight = pixel_valid_weight[j * col_step]
+            out[i, j] = np.float64(pixel_total[j * col_step]) / np.float64(pixel_weight) if pixel_weight > 0 else np.nan
     return out
 
 
@@ -275,9 +276,9 @@ def _max_values(values, row, col):
     rows, cols = row.size - 1, col.size - 1
     out = np.zeros((rows, cols), values.dtype)
     for i in range(rows):
-        first_r, end_r = _squares(row, i)
+        first_r, end_r = _square_range(row, i)
         for j in range(cols):
-            first_c, end_c = _squares(col, j)
+            first_c, end_c = _square_range(col, j)
             for r in range(first_r, end_r):
                 for c in range(first_c, end_c):
                     out[i, j] = max(out[i, j], values[r, c])

@@ -147,7 +147,7 @@ def _drawn_trees(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: n
     share = _drawn_share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
-    base = _bases(objects, frame)[number]
+    base = _tree_bases(objects, frame)[number]
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
     crown_quad_height = np.array([variant.crown_quad_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
     return TreeInstances(
@@ -169,7 +169,7 @@ def _yaws(trees: Trees) -> np.ndarray:
 
 
 @cached("scene", 256 * MIB, key=_cache_key)
-def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
+def _tree_bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
     """Return the feet (n, 3) of all trees in a frame, metres. They are cached, since views from several eyes share a frame."""
     assert objects.trees is not None
     return frame.points_from_earth(objects.trees.base_earth_m)

@@ -38,7 +38,7 @@ from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-CELL_STEP_PX = 16
+IMAGERY_STEP_PX = 16
 """Spacing of the pixels whose position in a map's imagery is computed exactly."""
 
 _NO_POINTS = np.zeros((0, 3))
@@ -218,8 +218,8 @@ def _map_buffer(
         return buffer
     crs = view.grid.crs
     solid_points = solid_vertices(scene.objects, frame)
-    solid_px = None if solids is None else _pixels(view, scene.objects.solids_in_crs(crs))
-    tree_px = None if trees is None else _pixels(view, scene.objects.trees_in_crs(crs)[trees.number])
+    solid_px = None if solids is None else _pixel_positions(view, scene.objects.solids_in_crs(crs))
+    tree_px = None if trees is None else _pixel_positions(view, scene.objects.trees_in_crs(crs)[trees.number])
     px_from_m = _px_from_m(scene, view, frame)
     low, high = scene.height_range_m
     heights = low - 100.0, high + scene.objects.tallest_m + 100.0
@@ -263,7 +263,7 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
     return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_crease)
 
 
-def _pixels(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
+def _pixel_positions(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
     """Convert map positions x, y and heights (n, 3) to columns, rows and heights (n, 3).
 
     Columns and rows are pixels from the corner of the view's first pixel. Longitudes change by 360 degrees where that brings them
@@ -283,13 +283,13 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
     map_xyz = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
-    px = _pixels(view, map_xyz)[:, :2]
+    px = _pixel_positions(view, map_xyz)[:, :2]
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 
 
 @cached("scene", 512 * MIB)
-def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
-    """Return the imagery in a file. ``stamp``, the file's modification time and size, is a part of the cache key."""
+def _imagery(elevation: Elevation, source: str, file_stamp: tuple[int, int]) -> Imagery:
+    """Return the imagery in a file. ``file_stamp``, the file's modification time and size, is a part of the cache key."""
     return Imagery(source)
 
 
@@ -314,15 +314,15 @@ def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
 def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     """Return the imagery's linear albedo (rows, cols, 3) on a map's ground.
 
-    Positions in the imagery are exact on every ``CELL_STEP_PX``-th pixel and interpolated bilinearly between.
+    Positions in the imagery are exact on every ``IMAGERY_STEP_PX``-th pixel and interpolated bilinearly between.
     """
     from scipy.ndimage import map_coordinates
 
-    count = [-(-(size - 1) // CELL_STEP_PX) + 1 for size in (view.rows, view.cols)]
-    row, col = np.meshgrid(*(np.arange(n + 1) * float(CELL_STEP_PX) for n in count), indexing="ij")
+    count = [-(-(size - 1) // IMAGERY_STEP_PX) + 1 for size in (view.rows, view.cols)]
+    row, col = np.meshgrid(*(np.arange(n + 1) * float(IMAGERY_STEP_PX) for n in count), indexing="ij")
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
-    samples = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
+    samples = np.meshgrid(*(np.arange(size) / IMAGERY_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
     cells = np.stack([map_coordinates(exact[..., k], samples, order=1) for k in (0, 1)], axis=-1)
     pixel_m = map_pixel_m(scene.world, view)
     return image.albedo(cells, pixel_m / image.cell_m(scene.world))

@@ -28,13 +28,13 @@ class Axes:
 
     Attributes
     ----------
-    swapped
+    is_swapped
         Whether GDAL's first coordinate is y.
     x_scale, y_scale
         Degrees per unit of an angle, or 1 for lengths; negative where the axis runs west or south.
     """
 
-    swapped: bool = False
+    is_swapped: bool = False
     x_scale: float = 1.0
     y_scale: float = 1.0
 
@@ -46,17 +46,17 @@ class Axes:
     @property
     def affine(self) -> Affine:
         """The affine transformation from GDAL's coordinates to x and y."""
-        return Affine(0, self.x_scale, 0, self.y_scale, 0, 0) if self.swapped else Affine.scale(self.x_scale, self.y_scale)
+        return Affine(0, self.x_scale, 0, self.y_scale, 0, 0) if self.is_swapped else Affine.scale(self.x_scale, self.y_scale)
 
     def xy(self, first: float | np.ndarray, second: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return x (east) and y (north) of GDAL's first and second coordinates."""
-        x, y = (second, first) if self.swapped else (first, second)
+        x, y = (second, first) if self.is_swapped else (first, second)
         return np.asarray(x) * self.x_scale, np.asarray(y) * self.y_scale
 
     def gdal_coordinates(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return GDAL's first and second coordinates of x (east) and y (north)."""
         x, y = np.asarray(x) / self.x_scale, np.asarray(y) / self.y_scale
-        return (y, x) if self.swapped else (x, y)
+        return (y, x) if self.is_swapped else (x, y)
 
     def bounds_xy(self, bounds: Bounds) -> Bounds:
         """Return (west, south, east, north) of bounds in GDAL's coordinates: both minima, then both maxima."""

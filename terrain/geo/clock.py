@@ -26,7 +26,7 @@ _PLUS_AS_SPACE = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
 MAX_SUGGESTIONS = 3
 """Maximum number of zones that an error suggests for an unknown name."""
 
-MIN_LETTERS = 5
+MIN_SUGGESTION_LETTERS = 5
 """Minimum length of a name for suggestions. Shorter names resemble too many others: EST resembles CEST, which is six hours away."""
 
 
@@ -64,7 +64,7 @@ def _similar_zones(name: str, zones: dict[str, str]) -> list[str]:
     """
     city = re.sub(r"\s+", "_", name.rpartition("/")[2])
     matches = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
-    if not matches and len(name) >= MIN_LETTERS:
+    if not matches and len(name) >= MIN_SUGGESTION_LETTERS:
         by_city = {zone.rpartition("/")[2]: zone for zone in sorted(zones, reverse=True)}
         matches = difflib.get_close_matches(name, zones, MAX_SUGGESTIONS, cutoff=0.8)
         matches += [by_city[similar_city] for similar_city in difflib.get_close_matches(city, by_city, 1, cutoff=0.8)]

@@ -13,12 +13,12 @@ from skugga.terrain.geo.clock import Clock, day_bounds
 from skugga.terrain.geo.sun_path import check_date, sun_path
 from skugga.terrain.geo.world import World
 
-DAY_MIN = 1440.0
+MINUTES_PER_DAY = 1440.0
 
 MAX_DATES = 3700
 """A decade of dates."""
 
-SOLAR_ROUNDS = 3
+SOLAR_TIME_ITERATIONS = 3
 """Iterations that correct true solar time by the equation of time, which changes by half a minute a day."""
 
 
@@ -36,9 +36,9 @@ class DailyWindow:
         Length of the window in minutes.
     clock_min
         The clock time at the start, in minutes from midnight.
-    change_min
+    minutes_to_change
         Minutes from the start to a change of the clock, as at the begin and the end of summer time.
-    change_by_min
+    clock_advance_min
         Minutes by which this change puts the clock forward (negative: back); 0 without a change.
     """
 
@@ -46,13 +46,13 @@ class DailyWindow:
     start: datetime
     minutes: float
     clock_min: float
-    change_min: float = 0.0
-    change_by_min: float = 0.0
+    minutes_to_change: float = 0.0
+    clock_advance_min: float = 0.0
 
     def clock_time_min(self, minutes: float) -> float:
         """Return the clock time ``minutes`` minutes after the start, in minutes from midnight."""
-        changed = self.change_by_min != 0.0 and minutes >= self.change_min
-        return self.clock_min + minutes + (self.change_by_min if changed else 0.0)
+        changed = self.clock_advance_min != 0.0 and minutes >= self.minutes_to_change
+        return self.clock_min + minutes + (self.clock_advance_min if changed else 0.0)
 
 
 def daily_window(day: date, first_min: float, last_min: float, clock: Clock, world: World) -> DailyWindow:
@@ -63,7 +63,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
 
     Raises ``InputError`` for invalid times, and where the clock skips the whole date or the whole window.
     """
-    if not 0.0 <= first_min < last_min <= DAY_MIN:
+    if not 0.0 <= first_min < last_min <= MINUTES_PER_DAY:
         raise InputError(
             "window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a start time and a later end time, 00:00 to 24:00"
         )
@@ -82,7 +82,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     clock_min = (start - midnight) / timedelta(minutes=1) + before
     if before == after:
         return DailyWindow(day, start, minutes, clock_min)
-    return DailyWindow(day, start, minutes, clock_min, _change_min(start, minutes, clock), after - before)
+    return DailyWindow(day, start, minutes, clock_min, _minutes_to_change(start, minutes, clock), after - before)
 
 
 def dates_of(first: date, last: date, every_days: int) -> list[date]:
@@ -101,7 +101,7 @@ def parse_window(text: str) -> tuple[float, float]:
     """Return the two clock times of a window such as 08:00-16:00, in minutes from midnight. Raises ``InputError``."""
     match = re.fullmatch(r"(\d{1,2}):([0-5]\d)-(\d{1,2}):([0-5]\d)", text.strip(), re.ASCII)
     first, last = (int(match[n]) * 60 + int(match[n + 1]) for n in (1, 3)) if match else (-1, -1)
-    if not 0 <= first < last <= DAY_MIN:
+    if not 0 <= first < last <= MINUTES_PER_DAY:
         raise InputError("window", text, "a start time and a later end time of one day, such as 08:00-16:00, within 00:00-24:00")
     return float(first), float(last)
 
@@ -138,7 +138,7 @@ def _zone_ends(day: date, first_min: float, last_min: float, zone: tzinfo) -> tu
 
     The end is not after the start where the zone's clock skips the window.
     """
-    return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < DAY_MIN))
+    return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < MINUTES_PER_DAY))
 
 
 def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> bool:
@@ -152,7 +152,7 @@ def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime
     ``fold`` selects the first or the second occurrence of a clock time (PEP 495). A clock time that the zone skips is read with the
     UTC offset before the change.
     """
-    days, rest_min = divmod(minutes, DAY_MIN)
+    days, rest_min = divmod(minutes, MINUTES_PER_DAY)
     wall_time = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
     moment = wall_time.replace(tzinfo=zone, fold=fold).astimezone(UTC)
     if moment.astimezone(zone).replace(tzinfo=None) != wall_time:  # skipped by the clock
@@ -166,7 +166,7 @@ def _offset_min(moment: datetime, zone: tzinfo) -> float:
     return offset / timedelta(minutes=1)
 
 
-def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
+def _minutes_to_change(start: datetime, minutes: float, zone: tzinfo) -> float:
     """Return the minutes from ``start`` to the only change of a zone's UTC offset within the next ``minutes`` minutes."""
     before = _offset_min(start, zone)
     low, high = 0, int(np.ceil(minutes))
@@ -186,13 +186,13 @@ def _solar_moment(day: date, minutes: float, world: World) -> datetime:
     """
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
     moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
-    for _ in range(SOLAR_ROUNDS):
-        error_min = (solar_min(moment, lon, lat) - minutes + DAY_MIN / 2) % DAY_MIN - DAY_MIN / 2
+    for _ in range(SOLAR_TIME_ITERATIONS):
+        error_min = (solar_time_min(moment, lon, lat) - minutes + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
         moment -= timedelta(minutes=error_min)
     return moment
 
 
-def solar_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
+def solar_time_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
     """Return the true solar time of a moment at a position, in minutes from midnight.
 
     It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. The hour angle H follows from
@@ -200,8 +200,8 @@ def solar_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
     """
     path = sun_path([moment], lon_deg, lat_deg)
     azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)
-    altitude = np.radians(path.altitude_deg[0] - path.lift_deg[0])
+    altitude = np.radians(path.altitude_deg[0] - path.refraction_deg[0])
     hour = np.arctan2(
         np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude) * np.sin(lat) + np.sin(altitude) * np.cos(lat)
     )
-    return float((np.degrees(hour) * 4.0 + DAY_MIN / 2) % DAY_MIN)
+    return float((np.degrees(hour) * 4.0 + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY)

@@ -32,7 +32,7 @@ class Sun:
         (3,), the earth-fixed unit vector towards the sun.
     time
         The time, or ``None`` for a sun given by angles.
-    lift_deg
+    refraction_deg
         Refraction at the anchor in degrees, which is included in ``altitude_deg``; 0 for angles from a user.
     """
 
@@ -40,7 +40,7 @@ class Sun:
     altitude_deg: float
     to_sun_earth: np.ndarray
     time: datetime | None = None
-    lift_deg: float = 0.0
+    refraction_deg: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> np.ndarray:
         """Return the unit vector (3,) towards the sun in a frame."""
@@ -48,9 +48,9 @@ class Sun:
 
     def without_refraction(self, world: World) -> Sun:
         """Return the sun's geometric position, as without an atmosphere."""
-        if self.lift_deg == 0.0:
+        if self.refraction_deg == 0.0:
             return self
-        altitude = self.altitude_deg - self.lift_deg
+        altitude = self.altitude_deg - self.refraction_deg
         return Sun(self.azimuth_deg, altitude, world.earth_from_anchor @ direction_enu(self.azimuth_deg, altitude), self.time)
 
 
@@ -75,7 +75,7 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
 def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
     """Return the sun's apparent azimuth and altitude, and the refraction that the altitude includes, in degrees."""
     path = sun_path([time], lon_deg, lat_deg)
-    return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.lift_deg[0])
+    return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.refraction_deg[0])
 
 
 def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:

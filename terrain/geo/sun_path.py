@@ -10,7 +10,7 @@ import numpy as np
 
 from skugga.terrain.errors import InputError
 
-YEARS = (1678, 2261)
+SUPPORTED_YEARS = (1678, 2261)
 """First and last year for which the sun's position is computed (the range of pandas' time stamps)."""
 
 PRESSURE_PA, TEMPERATURE_C = 101325.0, 12.0
@@ -29,14 +29,14 @@ class SunPath:
         (n,), azimuths clockwise from north, in degrees.
     altitude_deg
         (n,), apparent altitudes in degrees.
-    lift_deg
+    refraction_deg
         (n,), refraction in degrees, which is included in ``altitude_deg``; 0 well below the horizon.
     """
 
     times: np.ndarray
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
-    lift_deg: np.ndarray
+    refraction_deg: np.ndarray
 
     def __len__(self) -> int:
         return len(self.times)
@@ -46,7 +46,7 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
     """Return the sun's positions at times for an observer at sea level, by NREL's solar position algorithm (Reda & Andreas 2004).
 
     Times are aware datetimes, or datetime64 in UTC. Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
-    Raises ``InputError`` for years beyond ``YEARS``.
+    Raises ``InputError`` for years beyond ``SUPPORTED_YEARS``.
     """
     moments = as_utc(times)
     check_times(moments)
@@ -62,20 +62,20 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
 
 
 def check_times(moments: np.ndarray) -> None:
-    """Raise ``InputError`` for times (datetime64 in UTC) outside of ``YEARS``."""
-    first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
+    """Raise ``InputError`` for times (datetime64 in UTC) outside of ``SUPPORTED_YEARS``."""
+    first, last = (np.datetime64(f"{year}-01-01") for year in (SUPPORTED_YEARS[0], SUPPORTED_YEARS[1] + 1))
     tolerance = np.timedelta64(1, "D")  # tolerance: each zone begins and ends a year at its own time
     for moment in moments[(moments < first - tolerance) | (moments >= last + tolerance)][:1]:
-        raise InputError("time", str(moment.astype("datetime64[s]")), f"years {YEARS[0]} to {YEARS[1]}")
+        raise InputError("time", str(moment.astype("datetime64[s]")), f"years {SUPPORTED_YEARS[0]} to {SUPPORTED_YEARS[1]}")
 
 
 def check_date(day: date, name: str = "date") -> None:
-    """Raise ``InputError`` unless the year of a date lies between the two ``YEARS``, both excluded.
+    """Raise ``InputError`` unless the year of a date lies between the two ``SUPPORTED_YEARS``, both excluded.
 
     The sun's position is then computed for the whole date in every time zone.
     """
-    if not YEARS[0] < day.year < YEARS[1]:
-        raise InputError(name, day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
+    if not SUPPORTED_YEARS[0] < day.year < SUPPORTED_YEARS[1]:
+        raise InputError(name, day.isoformat(), f"years {SUPPORTED_YEARS[0] + 1} to {SUPPORTED_YEARS[1] - 1}")
 
 
 def as_utc(times: Sequence[datetime] | np.ndarray) -> np.ndarray:

@@ -31,13 +31,13 @@ MAX_COORDINATE = {True: 540.0, False: 1e9}
 MAX_LATITUDE = 90.0 + 1e-6
 """Maximum latitude in degrees, with a tolerance for rounding in files."""
 
-MAX_COORDINATES = 50_000_000
+MAX_COORDINATE_COUNT = 50_000_000
 """Maximum number of points of a file's lines and outlines after long edges are divided: some gigabytes."""
 
 MAX_CROSSINGS = 200_000
 """Maximum number of crossings of edges in a file's invalid polygons. Repairing so many takes some ten seconds."""
 
-_EDGE_BATCH = 64
+_EDGE_BATCH_SIZE = 64
 
 _TABLE_REMEDY = "Use columns lon and lat in degrees, or a format with a CRS such as GeoPackage"
 
@@ -242,7 +242,7 @@ def read_features(
         problem = "no feature with a geometry" if len(fid) else "no features"
         raise SourceError(source, problem, _TABLE_REMEDY if is_table else "Use points or polygons")
     # A column WKT goes before the other columns, and then the geometry type is unknown.
-    file_crs = _crs(source, meta["crs"] or (table_crs if meta["geometry_type"] == "Point" else None), crs)
+    file_crs = _layer_crs(source, meta["crs"] or (table_crs if meta["geometry_type"] == "Point" else None), crs)
     axes = axes_of(file_crs)
     if not axes.are_standard:
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
@@ -325,7 +325,7 @@ def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
     return file_crs.equals(crs, ignore_axis_order=True)
 
 
-def _crs(source: str, text: str | None, target: CRS) -> CRS:
+def _layer_crs(source: str, text: str | None, target: CRS) -> CRS:
     try:
         if text:
             return CRS.from_user_input(text)
@@ -376,8 +376,8 @@ def _check_coordinates(
 def check_divided_size(source: str, geometry: np.ndarray, longest: float) -> None:
     """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
     count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
-    if count > MAX_COORDINATES:
-        excess_text, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATES:.3g}"
+    if count > MAX_COORDINATE_COUNT:
+        excess_text, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATE_COUNT:.3g}"
         raise SourceError.over_limit(source, excess_text, limit, "Use shorter lines")
 
 
@@ -389,8 +389,8 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
         is_edge = ring[1:] == ring[:-1]
         edges = shapely.linestrings(np.stack([xy[:-1][is_edge], xy[1:][is_edge]], axis=1))
         tree = shapely.STRtree(edges)
-        for first in range(0, len(edges), _EDGE_BATCH):
-            count += tree.query(edges[first : first + _EDGE_BATCH], predicate="crosses").shape[1] / 2
+        for first in range(0, len(edges), _EDGE_BATCH_SIZE):
+            count += tree.query(edges[first : first + _EDGE_BATCH_SIZE], predicate="crosses").shape[1] / 2
             if count > MAX_CROSSINGS:
                 problem = f"polygons that cross themselves more than {MAX_CROSSINGS} times"
                 raise SourceError(source, problem, "Use valid polygons")

@@ -61,8 +61,8 @@ class DepthTargets:
     def acquire(self, width: int, height: int, bits: int) -> Framebuffer:
         """Return a framebuffer of ``width`` x ``height`` texels with ``bits`` bits of depth, for drawing a depth map in it.
 
-        Its content lasts until the next call for the same shape. Content that ``keep`` caches survives at least the next call of
-        any shape, and longer while the pool has room.
+        Its content lasts until the next call for the same shape. Content that ``cache_content`` caches survives at least the next
+        call of any shape, and longer while the pool has room.
         """
         shape = width, height, bits
         same_shape = [candidate for candidate in self._targets if candidate.shape == shape]
@@ -81,7 +81,7 @@ class DepthTargets:
         self._targets.append(_Target(framebuffer, shape))
         return framebuffer
 
-    def keep(self, framebuffer: Framebuffer, content: Hashable) -> None:
+    def cache_content(self, framebuffer: Framebuffer, content: Hashable) -> None:
         """Cache the content of a framebuffer under a key, while the pool has room."""
         for target in self._targets:
             if target.framebuffer is framebuffer:
@@ -103,10 +103,10 @@ class DepthTargets:
         for target in self._targets:
             target.content = None
 
-    def evict_owned_by(self, owner: object) -> None:
-        """Invalidate all cached contents, since their owners are not recorded.
+    def evict_computed_from(self, elevation: object) -> None:
+        """Invalidate all cached contents, since their scenes are not recorded.
 
-        Scenes other than ``owner`` draw their depth maps again once.
+        Scenes over other elevations draw their depth maps again once.
         """
         self.clear()
 

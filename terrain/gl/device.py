@@ -66,7 +66,7 @@ class Device:
         self._visibility_buffers: list[moderngl.Framebuffer] = []  # least recently used first
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._idle_target.use())
         self._read_memory: dict[np.dtype[Any], np.ndarray] = {}  # read-back memory by texel dtype
-        self._layers: Cache[moderngl.TextureArray] = Cache(
+        self._texture_arrays: Cache[moderngl.TextureArray] = Cache(
             "skugga.terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
         self._idle_target = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
@@ -249,7 +249,7 @@ class Device:
         from OpenGL import GL
 
         self.require_current()
-        texture = self._layers.get(mip_levels[0])
+        texture = self._texture_arrays.get(mip_levels[0])
         if isinstance(texture, Missing):
             count, side = mip_levels[0].shape[:2]
             texture = self.ctx.texture_array((side, side, count), 4)
@@ -266,7 +266,7 @@ class Device:
             texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
             texture.repeat_x = texture.repeat_y = False
             self.check("srgb_texture_array")
-            self._layers.put(mip_levels[0], value=texture)
+            self._texture_arrays.put(mip_levels[0], value=texture)
         return texture
 
     def render(
@@ -334,7 +334,7 @@ class Device:
             buffer.release()
         return count * len(triangles)
 
-    def draw_sheet(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
+    def draw_grid_mesh(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
         """Draw triangles between the nodes ``position`` (rows, cols, k) of a grid, and return the number of triangles.
 
         ``triangles`` (m, 3) are indices of nodes, counted row by row.

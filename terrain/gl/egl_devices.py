@@ -1,7 +1,7 @@
 """EGL device selection: the devices that EGL lists, and the one that a process uses (setting ``SKUGGA_EGL_DEVICE``).
 
 EGL lists graphics cards first and Mesa's software rasteriser last. A device's OpenGL name is known only after it has created a
-context, and a process creates one context. So ``probed_device`` queries each further device in a subprocess. A driver that crashes
+context, and a process creates one context. So ``probe_device`` queries each further device in a subprocess. A driver that crashes
 or hangs there does not harm this process.
 """
 
@@ -140,7 +140,7 @@ def read_setting(value: str) -> str | tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
+def candidate_devices(value: str, devices: Sequence[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
     """Return the devices that a process tries in order, until one creates a context.
 
     - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``process_number``) over the cards that have the
@@ -226,7 +226,7 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
     value = os.environ.get(EGL_DEVICE, AUTO_DEVICE)
     setting, devices = read_setting(value), egl_devices()
     faults = []
-    for device in devices_to_try(value, devices, _process_number, probed_device):
+    for device in candidate_devices(value, devices, _process_number, probe_device):
         try:
             context = create_egl_context(device.index)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
@@ -262,7 +262,7 @@ def _unset_variable(variable: str) -> Iterator[None]:
             os.environ[variable] = value
 
 
-def probed_device(index: int) -> ProbedDevice:
+def probe_device(index: int) -> ProbedDevice:
     """Probe a device in a subprocess, which takes a fraction of a second."""
     code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
     try:

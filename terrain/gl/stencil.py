@@ -186,7 +186,7 @@ class Stencil:
         counting: CountMode,
         side: Side = "both",
         marked_only: bool = False,
-        clamped: bool = False,
+        clamp_depth: bool = False,
         offset_steps: float = 0.0,
     ) -> Iterator[None]:
         """Set the state of a pass that counts faces against the depths in the framebuffer, without writing depths.
@@ -203,7 +203,7 @@ class Stencil:
             The faces to draw.
         marked_only
             Whether only marked pixels count.
-        clamped
+        clamp_depth
             Whether to clamp depths instead of clipping at the near and far planes.
         offset_steps
             Depth offset away from the eye in float32 depth steps, besides ``SLOPE_OFFSET_STEPS``.
@@ -231,7 +231,7 @@ class Stencil:
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"
                 self._ctx.enable(moderngl.CULL_FACE)
-            if clamped:
+            if clamp_depth:
                 self._ctx.enable_direct(_DEPTH_CLAMP)
             try:
                 yield

@@ -51,10 +51,10 @@ MIN_RIM_CELLS = 16
 MAX_RIM_WINDOWS = 64
 """Approximate number of windows along the rim that are read at full resolution, from a raster larger than its overview."""
 
-BORDER_CELLS = 32
+BORDER_STRIP_CELLS = 32
 """Width in cells of the strips along the border that are read at full resolution: the overview does not show a thin collar."""
 
-BORDER_SAMPLES = 4096
+MAX_STRIP_SAMPLES = 4096
 """Maximum number of samples in a strip's direction along the border."""
 
 _MAX_CANDIDATES = 2
@@ -150,7 +150,7 @@ def detect_collar(elevation: Elevation) -> Collar | None:
             return collar
     if factor == 1:
         return None
-    for strip in _strips(elevation):
+    for strip in _border_strips(elevation):
         for value, region in _candidates(strip):
             rim_steps, inner_steps = _height_steps(strip.values, region.cells, region.ground, value)
             if collar := _collar_from_steps(strip, region, value, rim_steps * abs(unit_m), inner_steps * abs(unit_m), unit_m):
@@ -158,19 +158,19 @@ def detect_collar(elevation: Elevation) -> Collar | None:
     return None
 
 
-def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]]:
+def _candidates(stored_cells: _StoredCells) -> Iterator[tuple[np.generic, _Region]]:
     """Yield the most common values of the border's cells, each with the region of this value along the border."""
-    border = cells_read.border(cells_read.values)[cells_read.border(cells_read.has_height)]
+    border = stored_cells.border(stored_cells.values)[stored_cells.border(stored_cells.has_height)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_MAX_CANDIDATES]:
-        if count[index] < MIN_BORDER_SHARE * max(len(cells_read.border(cells_read.has_height)), 1):
+        if count[index] < MIN_BORDER_SHARE * max(len(stored_cells.border(stored_cells.has_height)), 1):
             return
         from scipy.ndimage import label  # here: the import takes 0.25 s, and most rasters have no candidate
 
-        parts, _ = label(cells_read.has_height & (cells_read.values == values[index]), _EIGHT_NEIGHBOURS)
-        at_border = cells_read.border(parts)
+        parts, _ = label(stored_cells.has_height & (stored_cells.values == values[index]), _EIGHT_NEIGHBOURS)
+        at_border = stored_cells.border(parts)
         cells = np.isin(parts, np.unique(at_border[at_border > 0]))
-        pieces, number = label(cells_read.has_height & ~cells)
+        pieces, number = label(stored_cells.has_height & ~cells)
         if number == 0:
             continue
         sizes = np.bincount(pieces.ravel())[1:]
@@ -180,7 +180,12 @@ def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]
 
 
 def _collar_from_steps(
-    cells_read: _StoredCells, region: _Region, value: np.generic, rim_steps_m: np.ndarray, inner_steps_m: np.ndarray, unit_m: float
+    stored_cells: _StoredCells,
+    region: _Region,
+    value: np.generic,
+    rim_steps_m: np.ndarray,
+    inner_steps_m: np.ndarray,
+    unit_m: float,
 ) -> Collar | None:
     """Return the collar if a region meets the module's conditions, else ``None``.
 
@@ -189,7 +194,7 @@ def _collar_from_steps(
     """
     if len(rim_steps_m) < MIN_RIM_CELLS:
         return None
-    above_m = (cells_read.values[region.ground].astype(np.float64) - float(value)) * unit_m
+    above_m = (stored_cells.values[region.ground].astype(np.float64) - float(value)) * unit_m
     below = bool(np.mean(above_m < 0.0) <= MAX_FAR_SIDE_SHARE)
     if not below and (np.mean(above_m > 0.0) > MAX_FAR_SIDE_SHARE or region.border_share < MIN_HIGH_BORDER_SHARE):
         return None
@@ -243,14 +248,14 @@ def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.gene
     return np.concatenate(rim_steps), np.concatenate(inner_steps)
 
 
-def _strips(elevation: Elevation) -> Iterator[_StoredCells]:
+def _border_strips(elevation: Elevation) -> Iterator[_StoredCells]:
     """Yield a strip of cells along each of the raster's four sides.
 
-    Strips have full resolution across, and are decimated to at most ``BORDER_SAMPLES`` cells along the side.
+    Strips have full resolution across, and are decimated to at most ``MAX_STRIP_SAMPLES`` cells along the side.
     """
     rows, cols = elevation.shape
-    strip_rows, strip_cols = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
-    along_row, along_col = min(cols, BORDER_SAMPLES), min(rows, BORDER_SAMPLES)
+    strip_rows, strip_cols = min(BORDER_STRIP_CELLS, rows), min(BORDER_STRIP_CELLS, cols)
+    along_row, along_col = min(cols, MAX_STRIP_SAMPLES), min(rows, MAX_STRIP_SAMPLES)
     for ends, row, col, shape in (
         ((True, False, False, False), slice(0, strip_rows), slice(0, cols), (strip_rows, along_row)),
         ((False, True, False, False), slice(rows - strip_rows, rows), slice(0, cols), (strip_rows, along_row)),

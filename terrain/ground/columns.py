@@ -27,7 +27,8 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cells import highest_cell
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_triangles
-from skugga.terrain.ground.surface import Surface, cubic_weights, interpolated
+from skugga.terrain.ground.surface import Surface
+from skugga.terrain.ground.surface_loops import cubic_weights, interpolate_nodes
 
 MAX_WINDOW_CELLS = 2**26
 """Maximum cells under a block. Only a map that distorts the raster heavily, as round a pole, has more."""
@@ -96,7 +97,7 @@ class ColumnWindow:
     def sheet(self) -> ColumnMesh:
         """The mesh of the columns' tops and walls."""
         rows, cols = self.height_m.shape
-        ground = self.columns.corners(self.row0, self.col0, rows, cols, self.frame)
+        ground = self.columns.corner_verticals(self.row0, self.col0, rows, cols, self.frame)
         doubled = np.repeat(np.repeat(self.height_m, 2, axis=0), 2, axis=1)
         return ColumnMesh(_corners(ground, self.height_m), diagonal_cuts(doubled), self.height_m)
 
@@ -140,19 +141,19 @@ class Columns:
         row, col = ((np.arange(first, first + count) + 0.5) * side - 0.5 for first, count in ((row0, rows), (col0, cols)))
         return self.elevation.heights_at(self.lod, *np.meshgrid(row, col, indexing="ij"))
 
-    def corners(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
+    def corner_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
         """Return frame points of height 0 and unit up vectors (rows + 1, cols + 1, 6) at the corners of a window's cells."""
         cells = self.grid
         grid = replace(cells, x0=float(cells.x(-0.5)), y0=float(cells.y(-0.5)))
-        return self.ground(grid, row0, col0, rows + 1, cols + 1, frame)
+        return self.grid_verticals(grid, row0, col0, rows + 1, cols + 1, frame)
 
-    def ground(self, grid: Grid, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
+    def grid_verticals(self, grid: Grid, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
         """Return frame points of height 0 and unit up vectors (rows, cols, 6) at the nodes of a grid."""
         surface = Surface(self.world, self.elevation, grid)
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, rows, cols, surface.stride)
         point, up = self.world.ground(grid.crs, x, y)
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
-        placed = interpolated(exact, exact_row, exact_col, surface.stride, row0, col0, rows, cols)
+        placed = interpolate_nodes(exact, exact_row, exact_col, surface.stride, row0, col0, rows, cols)
         return np.ascontiguousarray(np.moveaxis(placed, 0, -1))
 
 
@@ -209,14 +210,14 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
     if cell is None:
         stride = 1
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, *shape, stride)
-        cell = surface.cells_at(x, y, everywhere=True)
+        cell = surface.cells_at(x, y, allow_jumps=True)
         assert cell is not None
     cells = _interpolate_at(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
     columns = Columns(surface.world, surface.elevation, surface.lod)
     cell_row, cell_col = ((cells[..., k] + 0.5) / 2**columns.lod - 0.5 for k in (0, 1))
     window = _enclosing_window(columns, cell_row, cell_col, frame)
     rows, cols = window.height_m.shape
-    centres = columns.ground(columns.grid, window.row0, window.col0, rows, cols, frame)
+    centres = columns.grid_verticals(columns.grid, window.row0, window.col0, rows, cols, frame)
     cell_row, cell_col, valid, position, height, up = _find_tops(
         window.height_m, window.valid, centres, cell_row - window.row0, cell_col - window.col0
     )
@@ -246,7 +247,7 @@ def _interpolate_at(exact, first_row, first_col, stride, row, col):
     """Return values (n, m, k) float64 at fractional rows (n,) and columns (m,), interpolated from exact ones by cubics.
 
     ``exact`` holds the values at every ``stride``-th row and column. The interpolation is that of
-    ``skugga.terrain.ground.surface.interpolated``.
+    ``skugga.terrain.ground.surface_loops.interpolate_nodes``.
     """
     components = exact.shape[2]
     out = np.empty((row.size, col.size, components))

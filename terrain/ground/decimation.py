@@ -27,7 +27,7 @@ from skugga.terrain.geo.world import EARTH_RADIUS_M
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 """Bits for the smallest triangles within a triangle: all have data, all lack data, or both occur (at the outline of the data)."""
 
-MAX_LENGTH_UNDER_EYE = 64.0
+MAX_LENGTH_PER_EYE_HEIGHT = 64.0
 """Maximum length of a triangle under the eye, as a multiple of the eye's height above the ground.
 
 Positions are float32. Points of a triangle whose corners are E metres away are resolved to 4.8e-7 E. For a sun 8 degrees high,
@@ -48,17 +48,17 @@ class NodeErrors:
     error_m
         float32 (rows, cols): vertical distance of a node from the middle of the hypotenuse that it bisects, metres. Infinite where
         the outline of the data needs the node, 0 where nothing is drawn.
-    bisected
+    bisected_count
         uint8 (rows, cols): number of the triangles that a node bisects, counting only triangles with data everywhere, 0 to 2.
-    triangles
+    triangle_count
         Number of triangles of the mesh that uses all nodes: halves of cells whose three corners have data.
     """
 
     height_m: np.ndarray
     spacing_m: float
     error_m: np.ndarray
-    bisected: np.ndarray
-    triangles: int
+    bisected_count: np.ndarray
+    triangle_count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,10 @@ class DecimatedMesh:
     tolerance: float
 
 
-def node_errors(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
+def node_errors(heights_m: np.ndarray, spacing_m: float, is_curved: bool) -> NodeErrors:
     """Return the errors of all nodes of a grid of heights (rows, cols), metres, NaN where the surface is absent.
 
-    ``sagitta`` adds the bulge of the earth above a hypotenuse, length**2 / (8 R), with the earth's mean radius R. Raises
+    ``is_curved`` adds the bulge of the earth above a hypotenuse, length**2 / (8 R), with the earth's mean radius R. Raises
     ``InputError`` if the heights are not a two-dimensional array or the spacing is not positive.
     """
     height = np.ascontiguousarray(heights_m, np.float32)
@@ -91,18 +91,19 @@ def node_errors(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeE
         raise InputError("heights_m", height.shape, "an array of rows and columns")
     if not 0.0 < spacing_m < np.inf:
         raise InputError("spacing_m", spacing_m, "a positive number of metres")
-    bulge_per_m2 = 1.0 / (8.0 * EARTH_RADIUS_M) if sagitta else 0.0
-    error, bisected = _node_errors(height, bulge_per_m2 * spacing_m**2)
-    return NodeErrors(height, float(spacing_m), error, bisected, int(_smallest_triangles(height)))
+    bulge_per_m2 = 1.0 / (8.0 * EARTH_RADIUS_M) if is_curved else 0.0
+    error, bisected_count = _node_errors(height, bulge_per_m2 * spacing_m**2)
+    return NodeErrors(height, float(spacing_m), error, bisected_count, int(_smallest_triangles(height)))
 
 
 def decimate(
-    errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
+    errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, min_distance_m: float = 1.0
 ) -> DecimatedMesh:
     """Return the mesh of the nodes whose omission an eye at (row, col, height in metres) could see.
 
-    A node is used if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least ``near_m``.
-    A node is also used if omitting it moves the ground nearest to the eye by more than ``tolerance``, seen from the eye.
+    A node is used if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least
+    ``min_distance_m``. A node is also used if omitting it moves the ground nearest to the eye by more than ``tolerance``, seen from
+    the eye.
 
     If more than ``max_triangles`` triangles result, the tolerance rises to the smallest one that stays within the limit. The
     outline of the data is kept even if it alone exceeds the limit. Raises ``InputError`` for arguments that are not finite or not
@@ -114,23 +115,23 @@ def decimate(
         raise InputError("tolerance", tolerance, "a finite angle of 0 or more, in radians")
     if max_triangles < 1:
         raise InputError("max_triangles", max_triangles, "1 or more")
-    if not 0.0 < near_m < np.inf:
-        raise InputError("near_m", near_m, "a positive number of metres")
-    if errors.triangles == 0:
+    if not 0.0 < min_distance_m < np.inf:
+        raise InputError("min_distance_m", min_distance_m, "a positive number of metres")
+    if errors.triangle_count == 0:
         return DecimatedMesh(np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int32), float(tolerance))
     row, col, up = (float(v) for v in eye_row_col_m)
     removal_tolerance, nearest_m = _tolerances_from_own_error(
-        errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m)
+        errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(min_distance_m)
     )
-    _bend_near_eye(removal_tolerance, errors.error_m, row, col, nearest_m)
-    _split_under_eye(removal_tolerance, errors.height_m, row, col, up, errors.spacing_m, float(near_m))
-    _propagate(removal_tolerance)
+    _raise_near_eye(removal_tolerance, errors.error_m, row, col, nearest_m)
+    _split_under_eye(removal_tolerance, errors.height_m, row, col, up, errors.spacing_m, float(min_distance_m))
+    _propagate_to_parents(removal_tolerance)
     tolerance = float(tolerance)
-    triangles = errors.triangles - _count_saved(removal_tolerance, errors.bisected, tolerance)
+    triangles = errors.triangle_count - _count_saved(removal_tolerance, errors.bisected_count, tolerance)
     if triangles > max_triangles:
-        raised = _tolerance_that_saves(removal_tolerance, errors.bisected, errors.triangles - max_triangles)
+        raised = _tolerance_that_saves(removal_tolerance, errors.bisected_count, errors.triangle_count - max_triangles)
         tolerance = max(tolerance, float(raised))
-        triangles = errors.triangles - _count_saved(removal_tolerance, errors.bisected, tolerance)
+        triangles = errors.triangle_count - _count_saved(removal_tolerance, errors.bisected_count, tolerance)
     nodes, corners = _bisect(removal_tolerance, errors.height_m, tolerance, triangles)
     return DecimatedMesh(nodes, corners, tolerance)
 
@@ -236,7 +237,7 @@ def _smallest_triangles(height):
 
 
 @compiled
-def _tolerances_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
+def _tolerances_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, min_distance_m):
     """Return each node's removal tolerance (rows, cols) float32, in radians, and the eye's distance to the nearest node, metres.
 
     A node can be removed at its removal tolerance or a larger one. Here it is the node's error over its distance to the eye.
@@ -249,14 +250,14 @@ def _tolerances_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m
         for col in range(cols):
             east, up = (col - eye_col) * spacing_m, height[row, col] - eye_m
             distance2 = south2 + east * east + (up * up if np.isfinite(up) else 0.0)
-            distance2 = max(distance2, near_m * near_m)
+            distance2 = max(distance2, min_distance_m * min_distance_m)
             nearest = min(nearest, distance2)
             removal_tolerance[row, col] = error[row, col] / np.sqrt(distance2)
     return removal_tolerance, np.sqrt(nearest)
 
 
 @compiled
-def _bend_near_eye(removal_tolerance, error, eye_row, eye_col, nearest_m):
+def _raise_near_eye(removal_tolerance, error, eye_row, eye_col, nearest_m):
     """Raise the removal tolerances of nodes whose errors change the ground nearest to the eye, which may be far nearer.
 
     Omitting a node changes the triangles that it bisects like a tent: most at the node, and not at all at their other edges. If the
@@ -279,28 +280,28 @@ def _bend_near_eye(removal_tolerance, error, eye_row, eye_col, nearest_m):
 
 
 @compiled
-def _split_under_eye(removal_tolerance, height, eye_row, eye_col, eye_m, spacing_m, near_m):
+def _split_under_eye(removal_tolerance, height, eye_row, eye_col, eye_m, spacing_m, min_distance_m):
     """Require the nodes that halve overlong triangles under or next to the eye: set their removal tolerances to infinity.
 
-    ``MAX_LENGTH_UNDER_EYE`` bounds the length of these triangles. "Next to" means within 1/32 of a triangle's leg. This includes
-    all triangles that meet in a node right under the eye.
+    ``MAX_LENGTH_PER_EYE_HEIGHT`` bounds the length of these triangles. "Next to" means within 1/32 of a triangle's leg. This
+    includes all triangles that meet in a node right under the eye.
     """
     rows, cols = removal_tolerance.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
     ground_m = height[int(round(eye_row)), int(round(eye_col))]
     if not np.isfinite(ground_m):
         return
-    largest_m = MAX_LENGTH_UNDER_EYE * max(abs(eye_m - ground_m), near_m)
+    largest_m = MAX_LENGTH_PER_EYE_HEIGHT * max(abs(eye_m - ground_m), min_distance_m)
     step = 1
     while step < max(rows, cols) - 1:
         if 2 * step * spacing_m > largest_m:
             for south, east in ((1, 2), (2, 1), (1, -2), (2, -1), (-1, 2), (-2, 1), (-1, -2), (-2, -1)):
-                _require_over(removal_tolerance, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
+                _require_nodes_at(removal_tolerance, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
         step *= 2
 
 
 @internal
-def _require_over(removal_tolerance, at_row, at_col, step):
+def _require_nodes_at(removal_tolerance, at_row, at_col, step):
     """Require the nodes of one ``step`` that halve a triangle which contains a position."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
@@ -313,7 +314,7 @@ def _require_over(removal_tolerance, at_row, at_col, step):
 
 
 @compiled
-def _propagate(removal_tolerance):
+def _propagate_to_parents(removal_tolerance):
     """Raise each node's removal tolerance to that of the nodes whose parent it is, from the smallest triangles to the largest."""
     rows, cols = removal_tolerance.shape
     step = 1
@@ -343,34 +344,34 @@ def _value_at(values, row, col):
 
 
 @compiled
-def _count_saved(removal_tolerance, bisected, tolerance):
+def _count_saved(removal_tolerance, bisected_count, tolerance):
     """Return the number of triangles that a tolerance saves: one for each triangle with data everywhere that is not bisected."""
     saved = 0
     for row in range(removal_tolerance.shape[0]):
         for col in range(removal_tolerance.shape[1]):
-            saved += bisected[row, col] if removal_tolerance[row, col] <= tolerance else 0
+            saved += bisected_count[row, col] if removal_tolerance[row, col] <= tolerance else 0
     return saved
 
 
 @compiled
-def _tolerance_that_saves(removal_tolerance, bisected, triangles):
+def _tolerance_that_saves(removal_tolerance, bisected_count, triangles):
     """Return the smallest tolerance that saves at least ``triangles`` triangles, or else the one that saves most.
 
     A radix selection finds it, by the upper and then by the lower 16 bits of the removal tolerances. Positive floats have the same
     order as their bits.
     """
     half, mask = np.uint32(16), np.uint32(0xFFFF)
-    bits, bisected = removal_tolerance.ravel().view(np.uint32), bisected.ravel()
+    bits, bisected_count = removal_tolerance.ravel().view(np.uint32), bisected_count.ravel()
     counts = np.zeros(1 << 16, np.int64)
     for n in range(bits.size):
-        counts[bits[n] >> half] += bisected[n]
+        counts[bits[n] >> half] += bisected_count[n]
     saved = np.cumsum(counts[:0x7F80])  # removal tolerances from 0x7F80 on are infinite
     triangles = min(triangles, saved[-1])
     upper = np.searchsorted(saved, triangles)
     counts[:] = 0
     for n in range(bits.size):
         if bits[n] >> half == upper:
-            counts[bits[n] & mask] += bisected[n]
+            counts[bits[n] & mask] += bisected_count[n]
     lower = np.searchsorted(np.cumsum(counts), triangles - (saved[upper - 1] if upper > 0 else 0))
     return np.array([upper << 16 | lower], np.uint32).view(np.float32)[0]
 

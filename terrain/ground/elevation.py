@@ -8,7 +8,7 @@ first cell, so that they do not depend on the window that is read. Raster cells 
 cell of the level of detail are ignored.
 
 Holes (cells without data) are not visible, but they are filled for casting shadows. The fill continues the heights at the hole's
-edge smoothly, so it makes no walls and no pits. Cells farther than ``FILL_CELLS`` from any data stay empty and cast no shadows.
+edge smoothly, so it makes no walls and no pits. Cells farther than ``MAX_FILL_CELLS`` from any data stay empty and cast no shadows.
 
 A raster's cells reach half a cell beyond their centres. So the ground that casts shadows continues for one node beyond the
 outermost nodes of a grid on the raster. These rim nodes have the height of the raster's border (``heights_with_rim``). Visible
@@ -45,16 +45,16 @@ from skugga.terrain.level.gdal_guard import cap_caches
 from skugga.terrain.level.level_source import remedy
 from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
-FILL_CELLS = 64
+MAX_FILL_CELLS = 64
 """Maximum distance from its edge to which a hole is filled, in cells of the level of detail that is read."""
 
-PLAUSIBLE_M = (-11500.0, 9500.0)
+PLAUSIBLE_HEIGHTS_M = (-11500.0, 9500.0)
 """Lowest and highest plausible height on earth, metres.
 
 Cells with other values are holes: infinities, and undeclared sentinels (values that stand for missing data) such as -32768.
 """
 
-PLAUSIBLE_OFF_EARTH_M = (-32000.0, 32000.0)
+PLAUSIBLE_HEIGHTS_OFF_EARTH_M = (-32000.0, 32000.0)
 """Lowest and highest height on other celestial bodies, metres.
 
 Olympus Mons on Mars is 21 km high, the basin Rheasilvia on Vesta 19 km deep.
@@ -140,7 +140,7 @@ class Elevation:
         self.vertical = vertical_axis(source, dataset, units, positive)
         self._scale = dataset.scales[0] * self.vertical.scale * exaggeration
         self._offset = dataset.offsets[0] * self.vertical.scale * exaggeration
-        self._limits = tuple(v * exaggeration for v in plausible_m(self.crs))
+        self._limits = tuple(v * exaggeration for v in plausible_heights_m(self.crs))
         self._transform = axes_of(self.crs).affine @ dataset.transform
         self._cell_from_crs = ~self._transform
         x_cell = abs(self._transform.a)
@@ -243,7 +243,7 @@ class Elevation:
 
         Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_CELLS`` a side.
         """
-        height, valid = self._at_points(x, y)
+        height, valid = self._heights_at_points(x, y)
         return np.where(valid, height, np.nan)
 
     def filled_ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
@@ -251,7 +251,7 @@ class Elevation:
 
         Objects on the ground use these heights: ground models often have holes just where buildings are.
         """
-        return self._at_points(x, y)[0]
+        return self._heights_at_points(x, y)[0]
 
     def _wrap_longitudes(self, x: float | np.ndarray) -> float | np.ndarray:
         """Return longitudes shifted by multiples of 360 degrees to the nearest ones to the raster's centre.
@@ -263,7 +263,7 @@ class Elevation:
         middle = float(self.xy(0, (self.cols - 1) / 2)[0])
         return np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
 
-    def _at_points(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _heights_at_points(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights at coordinates, metres, float64, holes filled, NaN without data nearby; and the valid mask."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height, valid = np.full(x.size, np.nan), np.zeros(x.size, bool)
@@ -377,7 +377,7 @@ class Elevation:
         row0, row1 = max(row0, 0), min(row1, rows)
         if not self._wrap_period:
             col0, col1 = max(col0, 0), min(col1, cols)
-        values, valid = self._filled(lod, row0, row1, col0, col1)
+        values, valid = self._filled_heights(lod, row0, row1, col0, col1)
         if self.surface == "blocks":
             height, valid = cell_heights(values, valid, row - row0, col - col0)
         else:
@@ -388,24 +388,24 @@ class Elevation:
         """Return the higher one of ground and standing water, metres, float32; NaN where the ground is missing."""
         return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
-    def _filled(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
+    def _filled_heights(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the heights of a window's cells, metres, with holes filled, and the valid mask (``False`` in holes).
 
-        The fill reads a margin of ``FILL_CELLS`` round the window, so that a hole is filled alike in every window.
+        The fill reads a margin of ``MAX_FILL_CELLS`` round the window, so that a hole is filled alike in every window.
         """
         values = self._read(lod, row0, row1, col0, col1)
         valid = np.isfinite(values)
         if valid.all():
             return values, valid
         rows, cols = self._lod_shape(lod)
-        top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
-        left, right = col0 - FILL_CELLS - 1, col1 + FILL_CELLS + 1
+        top, bottom = max(row0 - MAX_FILL_CELLS - 1, 0), min(row1 + MAX_FILL_CELLS + 1, rows)
+        left, right = col0 - MAX_FILL_CELLS - 1, col1 + MAX_FILL_CELLS + 1
         if not self._wrap_period:  # where columns wrap, a hole's rim continues beyond the last one
             left, right = max(left, 0), min(right, cols)
         padded_values = self._read(lod, top, bottom, left, right)
         if np.isfinite(padded_values).any():
             padded_values = fillnodata(
-                padded_values, mask=np.isfinite(padded_values), max_search_distance=FILL_CELLS, smoothing_iterations=0
+                padded_values, mask=np.isfinite(padded_values), max_search_distance=MAX_FILL_CELLS, smoothing_iterations=0
             )
         return padded_values[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
@@ -494,11 +494,11 @@ class Elevation:
         self._is_resampling_chosen = True
 
 
-def plausible_m(crs: CRS) -> tuple[float, float]:
+def plausible_heights_m(crs: CRS) -> tuple[float, float]:
     """Return the lowest and highest plausible height of ground in a CRS, metres; nearly unlimited in an engineering CRS."""
     if crs.is_engineering:
         return -1e6, 1e6
-    return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_OFF_EARTH_M
+    return PLAUSIBLE_HEIGHTS_M if is_on_earth(crs) else PLAUSIBLE_HEIGHTS_OFF_EARTH_M
 
 
 def _dilated(mask: np.ndarray) -> np.ndarray:
@@ -519,13 +519,13 @@ class _GroundReader:
     The public methods of ``Elevation`` return the surface, which includes water.
     """
 
-    of: Elevation
+    elevation: Elevation
 
     def lod_shape(self, lod: int) -> tuple[int, int]:
-        return self.of._lod_shape(lod)
+        return self.elevation._lod_shape(lod)
 
     def read(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        return self.of._read_inside(lod, row0, row1, col0, col1)
+        return self.elevation._read_inside(lod, row0, row1, col0, col1)
 
     def choose_resampling(self) -> None:
-        self.of._choose_resampling()
+        self.elevation._choose_resampling()

@@ -59,7 +59,7 @@ def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
     for i in range(row.shape[0]):
         _locate_cells(row[i], row0, rows, corner[0], nearest[0], fraction[0])
         _locate_cells(col[i], col0, cols, corner[1], nearest[1], fraction[1])
-        _look_up(values, corner[0], corner[1], corner_values)
+        _gather_corners(values, corner[0], corner[1], corner_values)
         _interpolate(corner_values[0], corner_values[1], corner_values[2], corner_values[3], fraction[0], fraction[1], out[i])
         if all_valid:
             for j in range(row.shape[1]):
@@ -87,7 +87,7 @@ def _locate_cells(at, first, count, previous, nearest, fraction):
 
 
 @internal
-def _look_up(values, row, col, out):
+def _gather_corners(values, row, col, out):
     """Write the values of n cells and of their neighbours to the east, south and south-east into ``out`` (4, n)."""
     rows, cols = values.shape
     for j in range(row.size):

@@ -3,7 +3,8 @@
 The equation is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and S. D.
 Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
 180-181:170-179. A priority flood from the rim builds the tree, so no path ends in a pit: R. Barnes et al. (2014), "Priority-flood",
-Computers & Geosciences 62:117-127. A constant, ``HILLSIDE_AREA``, is added to A. Where A is smaller, slopes are those of hillsides.
+Computers & Geosciences 62:117-127. A constant, ``CHANNEL_HEAD_AREA_SHARE``, is added to A. Where A is smaller, slopes are those of
+hillsides.
 
 Main valleys form on a coarse grid, their tributaries on finer ones. Each refinement displaces the ground sideways by noise, so
 rivers meander instead of following eight directions.
@@ -25,16 +26,16 @@ STEPS_PER_REFINEMENT = (40, 20, 12, 8, 6)
 TIME_STEP = 0.25
 """Length of a step, in units of the time in which an uplift of 1 raises the ground by its longest side (K is 1)."""
 
-HILLSIDE_AREA = 1e-3
+CHANNEL_HEAD_AREA_SHARE = 1e-3
 """Area that drains through a channel's head, as a share of the square of the ground's longest side."""
 
-CREEP = 0.1
+CREEP_FRACTION = 0.1
 """Soil creep, which rounds crests: the fraction of the way to its neighbours' mean that a cell moves in a step."""
 
 FINAL_CREEP_STEPS = 6
 """Final steps of creep alone: they soften the straight edges of channels cut along eight directions."""
 
-SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
+DISPLACEMENT_CELLS, DISPLACEMENT_WAVELENGTH_CELLS = 1.8, 3.1
 """Displacement of the ground at a refinement, and the wavelength of its noise, in cells of the coarser grid."""
 
 
@@ -48,7 +49,7 @@ def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np
     height, side = start.copy(), max(start.shape) - 1.0
     for refinement in range(halvings + 1):
         if refinement:
-            height, uplift = _refine(height, SHIFT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
+            height, uplift = _refine(height, DISPLACEMENT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
             side *= 2.0
         for _ in range(STEPS_PER_REFINEMENT[min(refinement, len(STEPS_PER_REFINEMENT) - 1)]):
             order, receiver = drainage(height)
@@ -112,7 +113,7 @@ def _incise(height, uplift, order, receiver, cell):
         c, r = order[k], receiver[order[k]]
         if r != c:
             distance = cell * np.sqrt(float((c // cols - r // cols) ** 2 + (c % cols - r % cols) ** 2))
-            incision = TIME_STEP * np.sqrt(area[c] + HILLSIDE_AREA) / distance
+            incision = TIME_STEP * np.sqrt(area[c] + CHANNEL_HEAD_AREA_SHARE) / distance
             flat[c] = (flat[c] + TIME_STEP * lift[c] + incision * flat[r]) / (1.0 + incision)
 
 
@@ -123,11 +124,11 @@ def _creep(height):
     for i in range(1, rows - 1):
         for j in range(1, cols - 1):
             mean = 0.25 * (before[i - 1, j] + before[i + 1, j] + before[i, j - 1] + before[i, j + 1])
-            height[i, j] += CREEP * (mean - before[i, j])
+            height[i, j] += CREEP_FRACTION * (mean - before[i, j])
 
 
 @compiled
-def _refine(coarse_grid, shift, seed):
+def _refine(coarse_grid, displacement_cells, seed):
     """Return a grid of (2 m - 1, 2 n - 1) nodes, interpolated bilinearly in (m, n) nodes at positions displaced by noise.
 
     The rim is not displaced.
@@ -137,9 +138,9 @@ def _refine(coarse_grid, shift, seed):
     for i in range(2 * rows - 1):
         for j in range(2 * cols - 1):
             y, x = 0.5 * i, 0.5 * j
-            if shift > 0.0:
-                u, v = x / SHIFT_WAVE_CELLS, y / SHIFT_WAVE_CELLS
-                displacement = shift * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
+            if displacement_cells > 0.0:
+                u, v = x / DISPLACEMENT_WAVELENGTH_CELLS, y / DISPLACEMENT_WAVELENGTH_CELLS
+                displacement = displacement_cells * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
                 x += displacement * fractal_at(u, v, 2, seed)
                 y += displacement * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
             x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)

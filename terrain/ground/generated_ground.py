@@ -23,12 +23,14 @@ from skugga.terrain.ground.erosion import erode
 from skugga.terrain.ground.noise import fractal, noise_at, ridged_at
 from skugga.terrain.level.parts import FlatGround, GeneratedGround, Terrain
 
-ENGINEERING = 'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+ENGINEERING_CRS_WKT = (
+    'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+)
 
 STRIP_ROWS = 128
 """Rows that a thread computes at a time."""
 
-COARSEST_CELLS = 48
+COARSEST_GRID_CELLS = 48
 """Cells along the longest side of the grid on which main valleys form."""
 
 MAX_HALVINGS = 4
@@ -40,16 +42,16 @@ Rivers reach down to cells of 1/768 of the side of the generated ground. Finer s
 SURROUNDINGS_FACTOR = 1.5
 """Side of the eroded ground as a multiple of the part that becomes the raster, so that valleys lead out of the raster."""
 
-WINDING_CELLS, WINDING_WAVE_CELLS = 1.1, 7.3
+MEANDER_CELLS, MEANDER_WAVELENGTH_CELLS = 1.1, 7.3
 """Sideways displacement of the eroded ground by noise, and the wavelength of the noise, in cells of the eroded grid.
 
 It makes rivers wind: on the eroded grid they run in only eight directions.
 """
 
-GULLY_CELLS, GULLY_SHARE = 3.0, 0.05
+GULLY_WAVELENGTH_CELLS, GULLY_HEIGHT_RATIO = 3.0, 0.05
 """Gullies: wavelength of their longest octave in cells of the eroded grid, and their height over wavelength times slope."""
 
-SEDIMENT, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
+SEDIMENT_HEIGHTS, SEDIMENT_BLEND_HEIGHT, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
 """Valley fill of ``landscape``: its mean height and variation, its blend width to the hills, and the lake's share of the ground.
 
 Heights and width are shares of the relief.
@@ -71,21 +73,21 @@ def generated_ground(terrain: Terrain) -> MemoryFile:
 def _generate(spec: FlatGround | GeneratedGround) -> MemoryFile:
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells
-        return _raster(np.zeros((rows + 1, cols + 1), np.float32), spec.size[0] / cols, spec.size[1] / rows)
+        return _height_raster(np.zeros((rows + 1, cols + 1), np.float32), spec.size[0] / cols, spec.size[1] / rows)
     cols, rows = (round(side / spec.cell) for side in spec.size)
     heights = (_ridges if spec.kind == "ridges" else _landscape)(rows, cols, spec.seed)
     heights -= heights.min()
     heights /= heights.max()
     heights *= np.float32(spec.relief)
-    return _raster(heights, spec.cell, spec.cell)
+    return _height_raster(heights, spec.cell, spec.cell)
 
 
-def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
+def _height_raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
     """Return an in-memory GeoTIFF of heights (rows, cols), metres, from north to south, centred on the origin."""
     rows, cols = heights.shape
     memory = MemoryFile(ext=".tif")
     with memory.open(
-        driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS.from_wkt(ENGINEERING),
+        driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS.from_wkt(ENGINEERING_CRS_WKT),
         transform=Affine(dx, 0, -cols * dx / 2, 0, -dy, rows * dy / 2), tiled=True, blockxsize=256, blockysize=256,
     ) as dataset:  # fmt: skip
         dataset.write(heights, 1)
@@ -110,9 +112,9 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
     height = _uplift_and_erode(rows, cols, seed, uplift).astype(np.float64)
     height = (height - height.min()) / np.ptp(height)
     y, x = (np.arange(cells + 1) / max(rows, cols) for cells in (rows, cols))
-    floor = SEDIMENT[0] + SEDIMENT[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
+    floor = SEDIMENT_HEIGHTS[0] + SEDIMENT_HEIGHTS[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
     above = height - floor
-    filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND**2))
+    filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND_HEIGHT**2))
     lake = np.partition(filled.ravel(), int(LAKE_SHARE * filled.size))[int(LAKE_SHARE * filled.size)]
     return np.maximum(filled, lake).astype(np.float32)
 
@@ -124,15 +126,15 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
     side.
     """
     longest = max(rows, cols)
-    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_CELLS)), 0, MAX_HALVINGS))
+    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS)), 0, MAX_HALVINGS))
     # The shorter side gets cells in proportion, but enough for a valley.
-    nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
-    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_CELLS) for n in (nodes_x, nodes_y))
+    nodes_y, nodes_x = (max(round(COARSEST_GRID_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
+    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS) for n in (nodes_x, nodes_y))
     start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
     eroded = erode(start, uplift(x, y), halvings, seed + 20)
-    scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
+    scale = COARSEST_GRID_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
     first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
-    octaves = max(int(np.log2(GULLY_CELLS / scale)), 0)  # down to wavelengths of two cells
+    octaves = max(int(np.log2(GULLY_WAVELENGTH_CELLS / scale)), 0)  # down to wavelengths of two cells
     return _fill_strips(_add_roughness, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
 
 
@@ -165,9 +167,9 @@ def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             y, x = first_row + (row0 + i) * scale, first_col + j * scale
-            u, v = (0.8 * x - 0.6 * y) / WINDING_WAVE_CELLS, (0.6 * x + 0.8 * y) / WINDING_WAVE_CELLS
-            x += WINDING_CELLS * noise_at(u, v, seed)
-            y += WINDING_CELLS * noise_at(u + 31.7, v + 47.1, seed + 3)
+            u, v = (0.8 * x - 0.6 * y) / MEANDER_WAVELENGTH_CELLS, (0.6 * x + 0.8 * y) / MEANDER_WAVELENGTH_CELLS
+            x += MEANDER_CELLS * noise_at(u, v, seed)
+            y += MEANDER_CELLS * noise_at(u + 31.7, v + 47.1, seed + 3)
             y, x = min(max(y, 0.0), rows - 1.0), min(max(x, 0.0), cols - 1.0)
             r, c = min(int(y), rows - 2), min(int(x), cols - 2)
             left, right = max(c - 1, 0), min(c + 2, cols - 1)
@@ -178,6 +180,6 @@ def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed
             slope_x, _ = _cubic(row_slopes[0], row_slopes[1], row_slopes[2], row_slopes[3], y - r)
             if octaves > 0:
                 slope = np.sqrt(slope_y * slope_y + slope_x * slope_x)
-                gullies = ridged_at(x / GULLY_CELLS, y / GULLY_CELLS, octaves, seed + 6) - 0.85
-                height += GULLY_SHARE * GULLY_CELLS * slope * gullies
+                gullies = ridged_at(x / GULLY_WAVELENGTH_CELLS, y / GULLY_WAVELENGTH_CELLS, octaves, seed + 6) - 0.85
+                height += GULLY_HEIGHT_RATIO * GULLY_WAVELENGTH_CELLS * slope * gullies
             out[i, j] = height

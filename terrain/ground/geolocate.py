@@ -29,27 +29,27 @@ class Geolocator:
     world: World
     elevation: Elevation
 
-    def xy(self, at: tuple[float, float]) -> tuple[float, float]:
+    def xy(self, position: tuple[float, float]) -> tuple[float, float]:
         """Return the coordinates of a position in the elevation's CRS."""
         if self.world.flat:
             scale = 1.0 / self.world.metres_per_unit
-            return self.world.anchor_x + at[0] * scale, self.world.anchor_y + at[1] * scale
-        x, y = transformer(LONGITUDE_LATITUDE, self.elevation.crs).transform(*at)
+            return self.world.anchor_x + position[0] * scale, self.world.anchor_y + position[1] * scale
+        x, y = transformer(LONGITUDE_LATITUDE, self.elevation.crs).transform(*position)
         return float(x), float(y)
 
-    def ground_m(self, at: tuple[float, float]) -> float:
+    def ground_m(self, position: tuple[float, float]) -> float:
         """Return the ground's height at a position, metres; NaN where the ground has no data."""
-        x, y = self.xy(at)
+        x, y = self.xy(position)
         return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
 
-    def at_height(self, at: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    def at_height(self, position: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the datum, and the unit up vector there."""
-        x, y = self.xy(at)
+        x, y = self.xy(position)
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
         return point + height_m * up, up
 
     @property
-    def extent(self) -> str:
+    def extent_text(self) -> str:
         """The terrain's bounds as text, in the units of positions."""
         bounds = np.array(self.elevation.bounds)
         if self.world.flat:

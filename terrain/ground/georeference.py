@@ -16,13 +16,13 @@ MAX_LATITUDE_DEG = 91.0
 
 MAX_LONGITUDE_DEG = 540.0
 
-MAX_DEGREE_CELL = 0.02
+MAX_CELL_DEG = 0.02
 """Cell size in CRS units below which coordinates in the range of degrees are probably degrees, not those of a projected CRS."""
 
 MAX_CELL_M = 50_000.0
 """Maximum side of a cell in a projected CRS, metres: a thousand such cells reach round the earth."""
 
-STATE_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
+ASSIGN_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
 def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
@@ -66,13 +66,13 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     looks_like_degrees = (
         -MAX_LONGITUDE_DEG <= west <= east <= MAX_LONGITUDE_DEG and -MAX_LATITUDE_DEG <= south <= north <= MAX_LATITUDE_DEG
     )
-    has_small_cells = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < MAX_DEGREE_CELL
+    has_small_cells = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < MAX_CELL_DEG
     extent_text = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
     if dataset.crs is None:
         guess = (
             "; its coordinates may be degrees: EPSG:4326" if looks_like_degrees and has_small_cells and not gt.is_identity else ""
         )
-        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({STATE_CRS_HINT}{guess})")
+        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({ASSIGN_CRS_HINT}{guess})")
     try:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
@@ -90,14 +90,14 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
         expected_text = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
             source, f"its coordinates ({extent_text}) lie outside its CRS {crs.name}",
-            f"Give {expected_text}, or state the CRS of these coordinates, such as a UTM zone for metres ({STATE_CRS_HINT})",
+            f"Give {expected_text}, or state the CRS of these coordinates, such as a UTM zone for metres ({ASSIGN_CRS_HINT})",
         )  # fmt: skip
     if crs.is_projected and looks_like_degrees and has_small_cells:
         unit = crs.axis_info[0].unit_name
         raise SourceError(
             source,
             f"its coordinates ({extent_text}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
-            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({STATE_CRS_HINT})",
+            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({ASSIGN_CRS_HINT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MAX_CELL_M:

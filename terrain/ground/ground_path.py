@@ -22,7 +22,7 @@ MIN_SAMPLES = 16
 MAX_SAMPLES = 20_000
 """Approximate maximum number of points at which a whole path is checked."""
 
-UNDER_GROUND_M = 0.01
+UNDERGROUND_TOLERANCE_M = 0.01
 """Tolerance below the ground, metres: heights are float32."""
 
 TimedPosition = tuple[float, tuple[float, float, float]]
@@ -76,30 +76,30 @@ class GroundPath:
 
     def at_second(self, seconds: float) -> GroundPosition:
         """Return the position at a time of the clock, in seconds."""
-        point, up, height_m, ground_m = (values[0] for values in self._at(np.array([seconds])))
+        point, up, height_m, ground_m = (values[0] for values in self._evaluate(np.array([seconds])))
         return GroundPosition(point + height_m * up, up, float(height_m - ground_m))
 
     def points_earth_m(self, seconds: np.ndarray) -> np.ndarray:
         """Return earth-fixed points (n, 3), metres, at times (n,) of the clock, in seconds."""
-        point, up, height_m, _ = self._at(seconds)
+        point, up, height_m, _ = self._evaluate(seconds)
         return point + height_m[:, None] * up
 
     def azimuth_deg(self, seconds: float) -> float:
         """Return the direction of travel seen from above, degrees clockwise from north (from grid north in a flat world)."""
-        point, up, _, _ = self._at(np.array([seconds]))
+        point, up, _, _ = self._evaluate(np.array([seconds]))
         east, north, _ = self.horizontal_curve.direction_at(seconds) @ self.geolocator.world.earth_from_enu(point[0], up[0])
         return float(np.degrees(np.arctan2(east, north)))
 
     def check(self, name: str, may_be_under_ground: bool = False) -> None:
         """Raise ``LevelError`` with the name ``name`` if the path leaves the ground's data or goes under the ground."""
         seconds = self.sample_times_s()
-        _, _, height_m, ground_m = self._at(seconds)
+        _, _, height_m, ground_m = self._evaluate(seconds)
         if not np.isfinite(ground_m).all():
             off_terrain_s = seconds[~np.isfinite(ground_m)][0]
             raise LevelError(
                 name, Problem(f"leaves the terrain at second {off_terrain_s:.6g}"), "Keep all of the path over the terrain"
             )
-        is_under_ground = height_m < ground_m - UNDER_GROUND_M
+        is_under_ground = height_m < ground_m - UNDERGROUND_TOLERANCE_M
         if is_under_ground.any() and not may_be_under_ground:
             first = int(np.argmax(is_under_ground))
             fault = (
@@ -119,7 +119,7 @@ class GroundPath:
         knots = np.concatenate([[0.0], np.cumsum(np.ceil(samples))])
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 
-    def _at(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _evaluate(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return earth-fixed points (n, 3) of height 0, up vectors (n, 3), and heights (n,) of path and ground, metres."""
         world, elevation = self.geolocator.world, self.geolocator.elevation
         x, y, _ = world.map_position(elevation.crs, self.horizontal_curve.at(seconds))
@@ -142,7 +142,7 @@ def path_over_ground(
     for number, (_, position) in enumerate(keys):
         x, y = geolocator.xy(position[:2])
         if not (np.isfinite([x, y]).all() and np.isfinite(elevation.filled_ground_m(x, y))):
-            raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {geolocator.extent}")
+            raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {geolocator.extent_text}")
         points.append(world.ground(elevation.crs, np.float64(x), np.float64(y))[0])
     times_s = np.array([seconds for seconds, _ in keys], np.float64)
     heights_m = np.array([[position[2]] for _, position in keys], np.float64)

@@ -19,7 +19,7 @@ from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 from skugga.terrain.level.rasters import open_raster
 from skugga.terrain.srgb import linear_of_srgb
 
-MAX_SIDE = 4096
+MAX_SIDE_CELLS = 4096
 """Longest side at which imagery is read: 48 MiB of colours. Larger rasters are averaged down to it."""
 
 
@@ -40,7 +40,7 @@ class Imagery:
                     problem = f"it has {dataset.count} bands" if dataset.count < 3 else "it has no coordinate reference system"
                     raise SourceError(source, problem, "Give a raster with a CRS and red, green and blue as its first bands")
                 check_cells(source, dataset)
-                factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE)), 1)
+                factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE_CELLS)), 1)
                 shape = max(dataset.height // factor, 1), max(dataset.width // factor, 1)
                 data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)
                 valid = dataset.dataset_mask(out_shape=shape) > 0

@@ -98,7 +98,7 @@ class AttributeLengths:
 
 
 def attribute_lengths(
-    features: Features, attributes: Sequence[str], units: NamedUnits, subject: str, noun: str = "features"
+    features: Features, attributes: Sequence[str], units: NamedUnits, subject: str, feature_noun: str = "features"
 ) -> AttributeLengths:
     """Read a length of each feature from the first of its ``attributes`` with a value above 0.
 
@@ -110,7 +110,7 @@ def attribute_lengths(
         Names of attributes, in the order of preference.
     units
         Units of attributes. The numbers of other attributes are in metres.
-    subject, noun
+    subject, feature_noun
         Names of the lengths and of the features in notes, such as "heights" and "footprints".
     """
     unit_by_name = {_normalized(name): unit for name, unit in units.items()}
@@ -124,7 +124,7 @@ def attribute_lengths(
         lengths_m[is_new] = values_m[is_new]
         if is_new.any():
             unit_text = f" ({unit.text})" if unit.text else ""
-            notes.append(f"{subject}: {is_new.sum()} of {len(is_new)} {noun} from the attribute '{attribute}'{unit_text}")
+            notes.append(f"{subject}: {is_new.sum()} of {len(is_new)} {feature_noun} from the attribute '{attribute}'{unit_text}")
     return AttributeLengths(lengths_m, tuple(notes), tuple(invalid), has_values)
 
 

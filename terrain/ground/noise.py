@@ -15,7 +15,7 @@ OCTAVE_GAIN = 0.5
 
 
 @internal
-def _hashed(i, j, seed):
+def _hash_lattice_point(i, j, seed):
     """Return the 32-bit hash of a lattice point: two rounds of MurmurHash3's finaliser (Appleby, public domain).
 
     Products are of 64 bits.
@@ -32,7 +32,7 @@ def _hashed(i, j, seed):
 
 
 @internal
-def _ramp(h, x, y):
+def _gradient_dot(h, x, y):
     """Return the dot product of (x, y) with a lattice point's gradient, chosen by its hash.
 
     The eight gradients are parallel to no axis and no diagonal.
@@ -50,10 +50,10 @@ def noise_at(x, y, seed):
     x, y = x - west, y - low
     u = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
     v = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
-    south = _ramp(_hashed(i, j, seed), x, y)
-    south += u * (_ramp(_hashed(i + one, j, seed), x - 1.0, y) - south)
-    north = _ramp(_hashed(i, j + one, seed), x, y - 1.0)
-    north += u * (_ramp(_hashed(i + one, j + one, seed), x - 1.0, y - 1.0) - north)
+    south = _gradient_dot(_hash_lattice_point(i, j, seed), x, y)
+    south += u * (_gradient_dot(_hash_lattice_point(i + one, j, seed), x - 1.0, y) - south)
+    north = _gradient_dot(_hash_lattice_point(i, j + one, seed), x, y - 1.0)
+    north += u * (_gradient_dot(_hash_lattice_point(i + one, j + one, seed), x - 1.0, y - 1.0) - north)
     return south + v * (north - south)
 
 
@@ -70,10 +70,10 @@ def noise_along(x, y, seed, out):
         a, b = x[n] - west, y[n] - low
         u = a * a * a * (a * (a * 6.0 - 15.0) + 10.0)
         v = b * b * b * (b * (b * 6.0 - 15.0) + 10.0)
-        south = _ramp(_hashed(i, j, seed), a, b)
-        south += u * (_ramp(_hashed(i + one, j, seed), a - 1.0, b) - south)
-        north = _ramp(_hashed(i, j + one, seed), a, b - 1.0)
-        north += u * (_ramp(_hashed(i + one, j + one, seed), a - 1.0, b - 1.0) - north)
+        south = _gradient_dot(_hash_lattice_point(i, j, seed), a, b)
+        south += u * (_gradient_dot(_hash_lattice_point(i + one, j, seed), a - 1.0, b) - south)
+        north = _gradient_dot(_hash_lattice_point(i, j + one, seed), a, b - 1.0)
+        north += u * (_gradient_dot(_hash_lattice_point(i + one, j + one, seed), a - 1.0, b - 1.0) - north)
         out[n] = south + v * (north - south)
 
 

@@ -174,22 +174,22 @@ def _finest_lod(rows: int, cols: int, lod: int, max_cells: int) -> int:
     return next((finer for finer in range(lod) if (rows >> finer) * (cols >> finer) <= max_cells), lod)
 
 
-def _estimated_maxima(ground: LodReader, fine_lod: int, finer: int, lod: int) -> tuple[np.ndarray, float]:
+def _estimated_maxima(ground: LodReader, fine_lod: int, mean_lod: int, lod: int) -> tuple[np.ndarray, float]:
     """Estimate the maximum heights in cells of the level of detail ``fine_lod``, and the minimum of all ground, metres.
 
     The cells are those within whole cells of the coarser level of detail ``lod``. Extremes come from the means of the level of
-    detail ``finer``. The estimate assumes that the ground varies within a cell about as much as from cell to cell.
+    detail ``mean_lod``. The estimate assumes that the ground varies within a cell about as much as from cell to cell.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    block, rows = 2 ** (fine_lod - finer), ground.lod_shape(finer)[0]
+    block, rows = 2 ** (fine_lod - mean_lod), ground.lod_shape(mean_lod)[0]
     m, n = (count * 2 ** (lod - fine_lod) for count in ground.lod_shape(lod))
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
     count = max(MEAN_ROWS_PER_READ // block, 1)
     for first in range(0, m, count):
         last = min(first + count, m)
         top, bottom = max(first * block - 1, 0), min(last * block + 1, rows)
-        mean = ground.read(finer, top, bottom, 0, ground.lod_shape(finer)[1])
+        mean = ground.read(mean_lod, top, bottom, 0, ground.lod_shape(mean_lod)[1])
         above = maximum_filter(np.nan_to_num(mean, nan=-np.inf), size=3, mode="nearest")
         below = minimum_filter(np.nan_to_num(mean, nan=np.inf), size=3, mode="nearest")
         half_range = np.where(np.isfinite(above), above - below, 0.0) / 2

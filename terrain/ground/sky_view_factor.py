@@ -24,7 +24,8 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
-from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.cell_finder import CellFinder, cell_finder_of, cell_in_plane, project_to_plane
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.interpolation_loops import lerp_corners
 
@@ -33,54 +34,6 @@ MAX_SIDE_NODES = 1024
 
 MIN_WIDTH_SHARE = 0.01
 """Minimum width of a cell as a share of its height: at a pole a cell has no width."""
-
-LATTICE_NODES = 65
-"""Nodes a side of the lattice that maps positions to cells of a projected raster.
-
-Bilinear interpolation between them has an error below a hundredth of a node of the grid of horizon angles.
-"""
-
-MAX_LOCAL_SPAN_DEG = 20.0
-"""Maximum span of a raster in longitude and latitude, and its minimum distance to the poles, for the plane ``STEREOGRAPHIC``.
-
-That plane is faster than ``DEGREES``, which larger rasters in longitude and latitude use.
-"""
-
-FLAT_PLANE, DEGREES, STEREOGRAPHIC = 0, 1, 2
-"""Planes on which a ``CellFinder`` maps positions to cells.
-
-They are the plane of a flat world, longitude and latitude, and the stereographic projection round the anchor (the centre of the
-level's bounds).
-"""
-
-EQUATOR_M, ECCENTRICITY_SQUARED = WGS84.a, WGS84.es
-
-
-@dataclass(frozen=True, eq=False)
-class CellFinder:
-    """Maps earth-fixed points to cells of a raster without PROJ.
-
-    A point is projected to a plane. A lattice of nodes on that plane holds the cells, and between nodes they are bilinear.
-
-    Attributes
-    ----------
-    plane
-        ``FLAT_PLANE``, ``DEGREES`` or ``STEREOGRAPHIC``.
-    axes
-        (3, 3): unit vectors east, north and up at the anchor, earth-fixed, as rows.
-    first
-        (2,): x and y in the plane of the lattice's first node.
-    step
-        (2,): spacing of the nodes in x and y.
-    cells
-        float64 (n, m, 2): rows and columns in the raster at the nodes ``first + (j, i) * step``.
-    """
-
-    plane: int
-    axes: np.ndarray
-    first: np.ndarray
-    step: np.ndarray
-    cells: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +65,7 @@ class SkyView:
         return pyramid(self.occlusion, np.mean)
 
     @cached_property
-    def highest(self) -> tuple[np.ndarray, np.ndarray]:
+    def maxima(self) -> tuple[np.ndarray, np.ndarray]:
         """Mip pyramid of maxima over 2 x 2 nodes, as ``pyramid`` returns it."""
         return pyramid(self.occlusion, np.max)
 
@@ -137,7 +90,7 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     )
     node_m = float(np.sqrt(col_spacing_m[len(row) // 2] * row_spacing_m[len(row) // 2]))
     return SkyView(
-        sky_occlusion(height_m, col_spacing_m, row_spacing_m, world.curvature), lod, node_m, _cell_finder(elevation, world)
+        sky_occlusion(height_m, col_spacing_m, row_spacing_m, world.curvature), lod, node_m, cell_finder_of(elevation, world)
     )
 
 
@@ -311,50 +264,6 @@ def pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple
     return np.concatenate([mip.ravel() for mip in mips]).astype(np.float32), table
 
 
-def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
-    axes = world.earth_from_anchor.T
-    rim = np.linspace(-0.5, elevation.rows - 0.5, 33), np.linspace(-0.5, elevation.cols - 0.5, 33)
-    x, y = elevation.xy(*np.meshgrid(*rim, indexing="ij"))
-    if world.flat:
-        plane, count = FLAT_PLANE, 2
-        x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
-    elif is_longitude_latitude(elevation.crs) and not _is_local(elevation.bounds):
-        plane, count = DEGREES, 2
-    else:
-        plane, count = STEREOGRAPHIC, LATTICE_NODES
-        _, up = world.ground(elevation.crs, x, y)
-        east, north, upward = np.moveaxis(up @ axes.T, -1, 0)
-        x, y = east / (1.0 + upward), north / (1.0 + upward)
-    first = np.array([np.nanmin(x), np.nanmin(y)])
-    step = (np.array([np.nanmax(x), np.nanmax(y)]) - first) / (count - 1)
-    nodes = np.meshgrid(*(first[k] + np.arange(count) * step[k] for k in (0, 1)))
-    return CellFinder(plane, axes, first, step, np.stack(_cells_at(elevation, world, plane, axes, *nodes), axis=-1))
-
-
-def _is_local(bounds_deg: tuple[float, float, float, float]) -> bool:
-    west, south, east, north = bounds_deg
-    return max(east - west, north - south) <= MAX_LOCAL_SPAN_DEG and max(-south, north) <= 90.0 - MAX_LOCAL_SPAN_DEG
-
-
-def _cells_at(
-    elevation: Elevation, world: World, plane: int, axes: np.ndarray, x: np.ndarray, y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns in a raster of positions in a finder's plane."""
-    if plane == FLAT_PLANE:
-        return elevation.cell_of(x / world.metres_per_unit + world.anchor_x, y / world.metres_per_unit + world.anchor_y)
-    if plane == DEGREES:
-        return elevation.cell_of(x, y)
-    square = x * x + y * y
-    up = np.stack([2.0 * x, 2.0 * y, 1.0 - square], axis=-1) / (1.0 + square)[..., None] @ axes
-    lon, lat = np.degrees(np.arctan2(up[..., 1], up[..., 0])), np.degrees(np.arcsin(np.clip(up[..., 2], -1.0, 1.0)))
-    if not is_longitude_latitude(elevation.crs):
-        lon, lat = transformer(LONGITUDE_LATITUDE, elevation.crs).transform(lon, lat)
-    if elevation.crs.is_geographic:
-        middle = float(elevation.xy(0, (elevation.cols - 1) / 2)[0])
-        lon = lon + 360.0 * np.rint((middle - lon) / 360.0)
-    return elevation.cell_of(lon, lat)
-
-
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     """Return (fractional) rows and columns (..., 2) float64 in ``SkyView.occlusion`` of the ground below frame points (..., 3).
 
@@ -363,14 +272,14 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
     finder = view.finder
     cells = np.empty((height_m.size, 2))
     run_in_chunks(
-        len(cells), _cells, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m,
-        finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.lod, cells,
+        len(cells), _find_nodes, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth,
+        frame.origin_earth_m, finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.lod, cells,
     )  # fmt: skip
     return cells.reshape(*height_m.shape, 2)
 
 
 @compiled
-def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
+def _find_nodes(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
     """Write rows and columns of the points [begin, end) into ``out`` (n, 2), in cells of ``side`` raster cells a side.
 
     The latitude follows EPSG Guidance Note 7-2, section 4.1.1. In the term with the height, the equator's radius replaces the
@@ -385,71 +294,6 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
         x, y = project_to_plane(x, y, z, height[n], plane, axes, first, step)
         row, col = cell_in_plane(x, y, first, step, lattice)
         out[n, 0], out[n, 1] = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
-
-
-@internal
-def project_to_plane(x, y, z, height, plane, axes, first, step):
-    """Return the position (x, y), in the plane of a ``CellFinder``, of the ground below an earth-fixed point with a height.
-
-    ``plane``, ``axes``, ``first`` and ``step`` are the attributes of the finder, as arrays or tuples.
-    """
-    if plane == FLAT_PLANE:
-        return x, y
-    z *= (EQUATOR_M + height) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height)
-    if plane == DEGREES:
-        longitude, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.sqrt(x * x + y * y)))
-        return longitude - 360.0 * np.rint((longitude - first[0] - 0.5 * step[0]) / 360.0), latitude
-    east = axes[0][0] * x + axes[0][1] * y + axes[0][2] * z
-    north = axes[1][0] * x + axes[1][1] * y + axes[1][2] * z
-    up = axes[2][0] * x + axes[2][1] * y + axes[2][2] * z
-    denominator = np.sqrt(x * x + y * y + z * z) + up
-    return east / denominator, north / denominator
-
-
-@internal
-def cell_in_plane(x, y, first, step, lattice):
-    """Return the row and column in the raster of a position in the plane of a ``CellFinder``; NaN where it has none."""
-    lattice_x, lattice_y, j, i = lattice_square(x, y, first, step, lattice.shape[0], lattice.shape[1])
-    return cell_in_square(square_corners(lattice, i, j), lattice_x - j, lattice_y - i)
-
-
-@internal
-def lattice_square(x, y, first, step, rows, cols):
-    """Return a position's (fractional) column and row in the lattice of a ``CellFinder``, and those of its square.
-
-    A square lies between four nodes of the lattice. The fractional column and row are NaN for a position that is not finite. A
-    position off the lattice has the nearest square.
-    """
-    lattice_x, lattice_y = (x - first[0]) / step[0], (y - first[1]) / step[1]
-    is_finite = np.isfinite(lattice_x) & np.isfinite(lattice_y)
-    j = np.int32(min(max(lattice_x if is_finite else 0.0, 0.0), cols - 2.0))
-    i = np.int32(min(max(lattice_y if is_finite else 0.0, 0.0), rows - 2.0))
-    return lattice_x if is_finite else np.nan, lattice_y if is_finite else np.nan, j, i
-
-
-@internal
-def square_corners(lattice, i, j):
-    """Return the raster rows, then the raster columns, at the four corners of square (``i``, ``j``) of a ``CellFinder``'s lattice.
-
-    The corners are in the order (i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1).
-    """
-    return (
-        lattice[i, j, 0], lattice[i, j + 1, 0], lattice[i + 1, j, 0], lattice[i + 1, j + 1, 0],
-        lattice[i, j, 1], lattice[i, j + 1, 1], lattice[i + 1, j, 1], lattice[i + 1, j + 1, 1],
-    )  # fmt: skip
-
-
-@internal
-def cell_in_square(corners, u, v):
-    """Return the row and column in the raster at the fractions ``u`` across and ``v`` down a square, bilinear.
-
-    ``corners`` are those of ``square_corners``.
-    """
-    r0, r1, r2, r3, c0, c1, c2, c3 = corners
-    upper, lower = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
-    row = upper + v * (lower - upper)
-    upper, lower = c0 + u * (c1 - c0), c2 + u * (c3 - c2)
-    return row, upper + v * (lower - upper)
 
 
 class MipPair(NamedTuple):

@@ -24,7 +24,7 @@ SENTINELS = (
 MIN_SENTINEL = 1e9
 """Absolute value from which a number, such as 1e38, is a sentinel: no unit gives such heights."""
 
-NEAR_SHARE = 0.25
+NEAR_DISTANCE_SHARE = 0.25
 """Other values count as near a sentinel within this share of its distance to their mean."""
 
 MIN_NEAR_DISTANCE_M = 50.0
@@ -89,7 +89,7 @@ class UndeclaredNodata:
         self._plausible_sentinels[value] += int(is_sentinel.sum())
         if others_m.size:
             sentinel_m = float(height_m[is_sentinel][0])
-            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - sentinel_m), MIN_NEAR_DISTANCE_M)
+            near_m = max(NEAR_DISTANCE_SHARE * abs(float(others_m.mean()) - sentinel_m), MIN_NEAR_DISTANCE_M)
             self._near_counts[value] += int((np.abs(others_m - sentinel_m) < near_m).sum())
 
     @property
@@ -110,9 +110,9 @@ class UndeclaredNodata:
                 else ""
             )
             messages.append(
-                f"{_percent_text(self.implausible_count, self.cells)} of the raster's cells are no heights on earth and left out "
-                f"as holes: {self.implausible_range(axis)}. If they {nodata_advice}are in another unit, {remedy('units', 'UNIT')}. "
-                f"UNIT is one of {', '.join(METRES_PER_UNIT)}"
+                f"{_percent_text(self.implausible_count, self.cells)} of the raster's cells have impossible heights and are "
+                f"left out as holes: {self.implausible_range(axis)}. If they {nodata_advice}are in another unit, "
+                f"{remedy('units', 'UNIT')}. UNIT is one of {', '.join(METRES_PER_UNIT)}"
             )
         return tuple(messages)
 
@@ -122,7 +122,7 @@ class UndeclaredNodata:
         return f"{' to '.join(ends)}, read as {axis.statement}"
 
     def _sentinel_warning(self, value: float, count: int) -> str:
-        effect = "far from all other heights" if value in self._plausible_sentinels else "no height on earth, and left out as holes"
+        effect = "far from all other heights" if value in self._plausible_sentinels else "an impossible height, left out as a hole"
         value_text = _shortest_text(value)
         problem = f"{_percent_text(count, self.cells)} of the raster's cells are {value_text}, {effect}"
         return f"{problem}. If that means no data, {remedy('nodata', value_text)}"

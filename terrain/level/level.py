@@ -101,7 +101,7 @@ class ShadowSettings(Model):
     stencil: Literal["auto", "one_pass", "two_pass"] = Field(
         default="auto", description="Stencil passes of shadow volumes: both sides at once, or one after the other."
     )
-    counting: Annotated[Literal["auto", "z_fail"], RequestOptions(auto=True)] = Field(
+    counting: Annotated[Literal["auto", "z_fail"], RequestOptions(allows_auto=True)] = Field(
         default="auto",
         description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or z-fail for all.",
     )
@@ -170,7 +170,7 @@ class LevelShadows(Shadows):
 
         ``sun_altitude_deg`` is ``None`` without a sun.
         """
-        return next((number for number, pin in enumerate(self.pins) if pin.holds(view, sun_altitude_deg)), None)
+        return next((number for number, pin in enumerate(self.pins) if pin.applies_to(view, sun_altitude_deg)), None)
 
     @property
     def all_settings(self) -> dict[str, ShadowSettings]:
@@ -405,7 +405,7 @@ def override_text(algorithm: str | dict[str, Any]) -> str:
     return ",".join(f"{key}={value}" for key, value in flat.items())
 
 
-def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
+def override_settings(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
     """Return shadow settings with the values that a request changes.
 
     ``changes`` are the values by name of the setting; a value ``None`` changes nothing. Raises ``InputError``.

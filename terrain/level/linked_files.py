@@ -86,7 +86,7 @@ def linked_files(source: str) -> tuple[str, ...]:
     return tuple(links)
 
 
-def xml_head(head: bytes) -> str | None:
+def xml_root_name(head: bytes) -> str | None:
     """Return the name of the root element of an XML text from its first bytes; ``None`` if it is not XML."""
     text = head.decode("utf-8", "replace").lstrip("\ufeff").lstrip()
     if not text.startswith("<"):
@@ -100,7 +100,7 @@ def vrt_elements(path: Path) -> ElementTree.Element | None:
     """Return the root element of a virtual raster or vector file; ``None`` for any other file and for an unreadable one."""
     try:
         with path.open("rb") as file:
-            if xml_head(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MAX_XML_BYTES:
+            if xml_root_name(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MAX_XML_BYTES:
                 return None
         return ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -148,7 +148,7 @@ def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
 def _service_addresses(path: Path) -> Iterator[str]:
     """Yield the addresses in a file if it may describe a web service: XML that is none of ``VECTOR_XML_ROOTS``."""
     with path.open("rb") as file:
-        root = xml_head(head := file.read(4096))
+        root = xml_root_name(head := file.read(4096))
         if root is None or root in VECTOR_XML_ROOTS:
             return
         text = head + file.read(MAX_XML_BYTES)

@@ -1,6 +1,6 @@
 """Scopes of pins, and the search for pins that can never apply.
 
-A pin holds shadow settings of a level file for a scope: one view or all views, and a range of sun altitudes.
+A pin applies_to shadow settings of a level file for a scope: one view or all views, and a range of sun altitudes.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PinScope(Model):
             parts.append(f"sun {low:g} to {high:g} degrees high")
         return ", ".join(parts)
 
-    def holds(self, view: str, sun_altitude_deg: float | None) -> bool:
+    def applies_to(self, view: str, sun_altitude_deg: float | None) -> bool:
         """Return whether the pin applies to a view and a sun altitude (``None``: no sun)."""
         if self.view is not None and self.view != view:
             return False
@@ -58,7 +58,7 @@ class PinScope(Model):
 def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
     """Return the ranges of sun altitudes, degrees, in which a pin applies to a view and no earlier pin does.
 
-    ``number`` is the pin's index in ``scopes``, which holds the scopes of all pins in the order of the file.
+    ``number`` is the pin's index in ``scopes``, which applies_to the scopes of all pins in the order of the file.
     """
     scope = scopes[number]
     if scope.view not in (None, view):
@@ -71,10 +71,10 @@ def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> l
     return uncovered
 
 
-def covered_pins(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
+def covered_pins(scopes: Sequence[PinScope], views: Collection[str], has_no_sun: bool) -> Iterator[tuple[int, list[int]]]:
     """Yield the index of each pin that can never apply, with the indices of the earlier pins that apply instead.
 
-    ``views`` are the names of the level's views, ``sunless`` says whether the level has no sun.
+    ``views`` are the names of the level's views, ``has_no_sun`` says whether the level has no sun.
     """
     for number, scope in enumerate(scopes):
         scope_views = [view for view in views if scope.view in (None, view)]
@@ -83,9 +83,9 @@ def covered_pins(scopes: Sequence[PinScope], views: Collection[str], sunless: bo
             for earlier_number, earlier in enumerate(scopes[:number])
             if scope.view is None or earlier.view in (None, scope.view)
         ]
-        sunless_views = [view for view in scope_views if sunless and scope.sun_altitude_deg is None]
+        sunless_views = [view for view in scope_views if has_no_sun and scope.sun_altitude_deg is None]
         applies_without_sun = any(
-            not any(scopes[earlier_number].holds(view, None) for earlier_number in earlier_pins) for view in sunless_views
+            not any(scopes[earlier_number].applies_to(view, None) for earlier_number in earlier_pins) for view in sunless_views
         )
         if not applies_without_sun and not any(uncovered_altitudes(scopes, number, view) for view in scope_views):
             yield number, earlier_pins

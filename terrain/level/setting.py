@@ -17,7 +17,7 @@ FrontEnd = Literal["render", "select", "pictures", "plans"]
 
 AUTO = "auto"
 """Value with which a level file leaves a setting to the selector. Requests omit the setting instead, unless
-``RequestOptions.auto``.
+``RequestOptions.allows_auto``.
 """
 
 _TYPE_CONSTRUCTORS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
@@ -35,13 +35,13 @@ class RequestOptions:
         Front ends that accept the field.
     request_type
         Type of the field in requests, if a level file allows more forms than a request; ``None``: the same type.
-    auto
+    allows_auto
         Whether a request may set ``auto``.
     """
 
     front_ends: tuple[FrontEnd, ...] = get_args(FrontEnd)
     request_type: Any = None
-    auto: bool = False
+    allows_auto: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Setting:
         return tuple(word for part in _union_parts(self.type) if get_origin(part) is Literal for word in get_args(part))
 
     @property
-    def plain_type(self) -> type:
+    def command_line_type(self) -> type:
         """``int``, ``float`` or ``str``: the type for a command line, which has no unions."""
         types = {type(word) for word in self.words}
         types |= {_unannotated(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
@@ -106,7 +106,7 @@ def _request_type(field: FieldInfo, options: RequestOptions) -> Any:
     """
     if options.request_type is not None:
         return options.request_type
-    request_type = field.annotation if options.auto else reduce(or_, _without_auto(field.annotation))
+    request_type = field.annotation if options.allows_auto else reduce(or_, _without_auto(field.annotation))
     limits = [item for item in field.metadata if not isinstance(item, RequestOptions)]
     return _TYPE_CONSTRUCTORS["Annotated"][(request_type, *limits)] if limits else request_type
 

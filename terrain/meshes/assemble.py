@@ -115,7 +115,7 @@ def solids(placement: Placement, seconds: float) -> Solids:
         albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in visible)]),
         corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
         body=np.repeat(np.arange(len(visible), dtype=np.int32), counts),
-        closed=tuple(body.closed for body, _ in visible),
+        is_closed=tuple(body.is_closed for body, _ in visible),
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
     )
@@ -200,8 +200,8 @@ def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geoloc
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
         if position is None:
-            raise LevelError.missing(f"{key_path}.at", f"Set a position on the terrain: within {geolocator.extent}")
-        raise LevelError(f"{key_path}.at", position, f"a position on the terrain: within {geolocator.extent}")
+            raise LevelError.missing(f"{key_path}.at", f"Set a position on the terrain: within {geolocator.extent_text}")
+        raise LevelError(f"{key_path}.at", position, f"a position on the terrain: within {geolocator.extent_text}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Pose(point + height * up, world.earth_from_enu(point, up))
 

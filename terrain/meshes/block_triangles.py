@@ -25,7 +25,7 @@ def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray
     return triangles, np.arange(len(triangles)) < len(roof)
 
 
-def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
+def sloped_block_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (m, 3) of a block of four corners under a sloped roof, and the mask (m,) of those on its roof.
 
     Vertices 0 to 3 are the eaves and 4 to 7 the floor. The points of the ridge follow.

@@ -76,7 +76,7 @@ class Body:
         return vertex_index.reshape(-1).astype(np.int32)[self.triangles]
 
     @cached_property
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
         """Whether the surface is closed: every directed edge occurs once, and once reversed, after merging vertices by position."""
         a = self.merged_triangles.astype(np.int64)
         if not len(a):

@@ -30,7 +30,7 @@ from skugga.terrain.ground.length_attributes import matching_attribute
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import MeshSpec, RoofForm
-from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
+from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_block_triangles
 from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
 from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes
 from skugga.terrain.meshes.roofs import roof_over
@@ -171,7 +171,7 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
     base, floor_warnings = _floor_heights(np.where(has_height, attribute_heights.base_m[feature], 0.0), height, features, feature)
     selected = has_height & ~(height <= base)
     key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[selected]]
-    mean_m, lowest_m = _ground_along(polygons[selected], elevation)
+    mean_m, lowest_m = _ground_heights_along(polygons[selected], elevation)
     on_terrain = np.isfinite(mean_m)
     if not on_terrain.any():
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
@@ -277,7 +277,7 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
         valid = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
         heights = np.full(len(polygons), np.nan)
-        heights[valid] = top[valid] - _ground_along(outlines[valid], ground)[0]
+        heights[valid] = top[valid] - _ground_heights_along(outlines[valid], ground)[0]
         return heights
 
 
@@ -321,7 +321,7 @@ def _identity(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+def _ground_heights_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean and the lowest ground height (n,) along each polygon's outer ring, metres.
 
     The mean is NaN if most of the polygon has no valid ground.
@@ -371,7 +371,7 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
             ridge, ridge_up = world.ground(crs, *(sloped.weights @ xy[order]).T)
             eaves_m = roof_m - sloped.rise_m
             corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
-            triangles, is_roof = sloped_triangles(sloped)
+            triangles, is_roof = sloped_block_triangles(sloped)
             vertices = np.concatenate(corners) - origin
         wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
         placed.append(

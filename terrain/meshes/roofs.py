@@ -24,7 +24,7 @@ MAX_RISE_SHARE = 0.45
 MAX_CORNER_COSINE = 0.17
 """Maximum cosine between neighbouring sides of a nearly rectangular footprint: 10 degrees off a right angle."""
 
-MAX_SIDE_DIFFERENCE = 0.12
+MAX_SIDE_DIFFERENCE_SHARE = 0.12
 """Maximum difference between opposite sides of a nearly rectangular footprint, as a share of the longer one."""
 
 HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
@@ -39,7 +39,7 @@ Beyond it the roof has an apex in place of a ridge (a tent roof).
 PITCHED_TRIANGLES = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0, 4]])
 """Triangles of two slopes and two ends. Vertices 0 to 3 are the corners; 4 (between corners 3 and 0) and 5 are the ridge."""
 
-TENT_TRIANGLES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+PYRAMID_TRIANGLES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
 """Triangles of four slopes to an apex, vertex 4."""
 
 PITCHED_SLOPE_TRIANGLES = 4
@@ -83,7 +83,7 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
     side_directions = sides / np.maximum(length, 1e-12)[:, None]
     max_corner_cosine = np.abs(np.einsum("ij,ij->i", side_directions, np.roll(side_directions, -1, axis=0))).max()
     side_difference = np.abs(length[:2] - length[2:]) / np.maximum(length[:2], length[2:])
-    if max_corner_cosine > MAX_CORNER_COSINE or side_difference.max() > MAX_SIDE_DIFFERENCE:
+    if max_corner_cosine > MAX_CORNER_COSINE or side_difference.max() > MAX_SIDE_DIFFERENCE_SHARE:
         return None
     pairs = (length[:2] + length[2:]) / 2.0
     first, width, long = (0, pairs[1], pairs[0]) if pairs[0] >= pairs[1] else (1, pairs[0], pairs[1])
@@ -93,7 +93,7 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
     rise_m = float(min(ROOF_SLOPE * width / 2.0, MAX_RISE_SHARE * height_m))
     ridge_inset = 0.5 * width / long if form == "hipped" else 0.0
     if ridge_inset > APEX_SHARE:
-        return Roof(first, np.full((1, 4), 0.25), TENT_TRIANGLES, len(TENT_TRIANGLES), rise_m)
+        return Roof(first, np.full((1, 4), 0.25), PYRAMID_TRIANGLES, len(PYRAMID_TRIANGLES), rise_m)
     start, end = np.array([0.5, 0.0, 0.0, 0.5]), np.array([0.0, 0.5, 0.5, 0.0])
     weights = np.stack([start + (end - start) * ridge_inset, end + (start - end) * ridge_inset])
     return Roof(first, weights, PITCHED_TRIANGLES, len(PITCHED_TRIANGLES) if form == "hipped" else PITCHED_SLOPE_TRIANGLES, rise_m)

@@ -23,7 +23,7 @@ class Solids:
         float32 (m, 3, 3), unit shading normals at the triangles' corners: smooth over curved parts, sharp at creases.
     body
         int32 (m,): index of each triangle's body.
-    closed
+    is_closed
         For each body whether its surface is closed: two triangles share every edge, in opposite directions.
     caster_vertices_earth_m, caster_triangles
         Vertices and triangles that cast shadows, in the same form. Simpler models (stand-ins) replace some visible bodies.
@@ -34,6 +34,6 @@ class Solids:
     albedo: np.ndarray
     corner_normals_earth: np.ndarray
     body: np.ndarray
-    closed: tuple[bool, ...]
+    is_closed: tuple[bool, ...]
     caster_vertices_earth_m: np.ndarray
     caster_triangles: np.ndarray

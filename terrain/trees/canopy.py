@@ -50,7 +50,7 @@ MAX_CROWN_RATIO = 1.2
 HEXAGONAL_PACKING = 2.0 / np.sqrt(3.0)
 """Number of crowns in a square with a crown's diameter as side, in a closed canopy (hexagonal packing)."""
 
-_BLOCK = 1024
+_BLOCK_CELLS = 1024
 """Side of the blocks of treetop detection, cells."""
 
 _SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
@@ -190,8 +190,8 @@ class Canopy:
         crs: CRS,
         unit_m: float,
         window: CellWindow,
-        crown_of: Callable[[np.ndarray], np.ndarray],
-        window_m: tuple[float, float],
+        crown_diameter_of: Callable[[np.ndarray], np.ndarray],
+        radius_line: tuple[float, float],
         seed: int,
     ) -> Iterator[CanopyTrees]:
         """Yield the trees of a window of the canopy, in parts.
@@ -207,9 +207,9 @@ class Canopy:
             Unit of ``crs`` in metres.
         window
             The window of cells.
-        crown_of
+        crown_diameter_of
             Function from heights to usual crown diameters, both in metres.
-        window_m
+        radius_line
             Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_M``).
         seed
             Seed of the hashes from which positions and other random properties of trees derive.
@@ -220,36 +220,36 @@ class Canopy:
             If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
-        detection_limit_m = _detection_limit_m(cell_m, crown_of, self.min_height_m)
+        detection_limit_m = _detection_limit_m(cell_m, crown_diameter_of, self.min_height_m)
         if self.min_height_m < TREE_HEIGHT_M:
             detection_limit_m = max(detection_limit_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
         if detection_limit_m > self.min_height_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
-                yield from self._scatter_low_trees(crs, unit_m, square, crown_of, detection_limit_m, seed)
+                yield from self._scatter_low_trees(crs, unit_m, square, crown_diameter_of, detection_limit_m, seed)
         if np.isinf(detection_limit_m):
             return
-        for row, col, height_m in self.tops(to_m, window, window_m):
+        for row, col, height_m in self.treetops(to_m, window, radius_line):
             x, y = self.xy(crs, row, col)
             valid = np.isfinite(x) & np.isfinite(y) & (height_m >= detection_limit_m)
             positions = TreePositions(x[valid], y[valid], point_keys(seed, x[valid] * unit_m, y[valid] * unit_m))
             yield CanopyTrees(positions, height_m[valid])
 
-    def tops(
-        self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
+    def treetops(
+        self, metres_from_cells: np.ndarray, window: CellWindow, radius_line: tuple[float, float]
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield rows, columns and heights (metres) of the treetops in a window, block by block.
 
-        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``window_m`` is the radius of a
+        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``radius_line`` is the radius of a
         treetop's window: metres, and metres per metre of height.
         """
-        offsets, distance_m = _window_offsets(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
+        offsets, distance_m = _window_offsets(metres_from_cells, radius_line[0] + radius_line[1] * MAX_HEIGHT_M)
         halo = int(np.abs(offsets).max())
-        for top in range(window.row0, window.row1, _BLOCK):
-            for left in range(window.col0, window.col1, _BLOCK):
-                rows, cols = min(_BLOCK, window.row1 - top), min(_BLOCK, window.col1 - left)
+        for top in range(window.row0, window.row1, _BLOCK_CELLS):
+            for left in range(window.col0, window.col1, _BLOCK_CELLS):
+                rows, cols = min(_BLOCK_CELLS, window.row1 - top), min(_BLOCK_CELLS, window.col1 - left)
                 heights = self.heights_m(top - halo, left - halo, rows + 2 * halo, cols + 2 * halo)
-                is_top = _treetop_mask(heights, halo, top - halo, left - halo, offsets, distance_m, *window_m)
+                is_top = _treetop_mask(heights, halo, top - halo, left - halo, offsets, distance_m, *radius_line)
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
@@ -313,7 +313,7 @@ class Canopy:
         crs: CRS,
         unit_m: float,
         square: shapely.Polygon,
-        crown_of: Callable[[np.ndarray], np.ndarray],
+        crown_diameter_of: Callable[[np.ndarray], np.ndarray],
         below_m: float,
         seed: int,
     ) -> Iterator[CanopyTrees]:
@@ -324,11 +324,11 @@ class Canopy:
         west, south, _, _ = square.bounds
         origin, step, heights = self._linear_map(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
-        edges_m = _height_classes(crown_of, self.min_height_m)
+        edges_m = _height_classes(crown_diameter_of, self.min_height_m)
         class_numbers = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
         for number in class_numbers.tolist():
             low_m, high_m = edges_m[number : number + 2]
-            crown_m = crown_of(np.sqrt([low_m * high_m]))[0]
+            crown_m = crown_diameter_of(np.sqrt([low_m * high_m]))[0]
             p = scatter_trees(square, HEXAGONAL_PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
             is_inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
@@ -377,22 +377,22 @@ def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     return cKDTree(points).query(points, k=CROWN_NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
-def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
+def _detection_limit_m(cell_m: float, crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
     """Return the minimum height of trees that can be detected in cells of a size, metres.
 
     It is 0 if all trees can be detected, and infinite if none can.
     """
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
-    is_too_small = crown_of(heights) < MIN_CROWN_CELLS * cell_m
+    is_too_small = crown_diameter_of(heights) < MIN_CROWN_CELLS * cell_m
     if cell_m > MAX_DETECTION_CELL_M or is_too_small.all():
         return np.inf
     return float(heights[is_too_small][-1]) if is_too_small.any() else 0.0
 
 
-def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
+def _height_classes(crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
     """Return the edges of height classes, metres. Within a class crown diameters grow by at most a factor of sqrt(2)."""
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
-    octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
+    octave = np.floor(2.0 * np.log2(crown_diameter_of(heights) / crown_diameter_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
     return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))
 

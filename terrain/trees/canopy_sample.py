@@ -26,12 +26,12 @@ Undergrowth of trees has a smaller share.
 MAX_SHRUBS = 1_000_000
 """Shrubs are left out if there are more than this, unless the level sets ``least_height``."""
 
-SURFACE_ABOVE_M = (-5.0, 100.0)
+SURFACE_HEIGHT_RANGE_M = (-5.0, 100.0)
 """Heights above the ground that a surface model has in at least the share ``SURFACE_SHARE`` of its cells."""
 
 SURFACE_SHARE = 0.95
 
-MIN_GROUND_STD_M, ABOVE_SEA_SLOPE = 3.0, (0.7, 1.3)
+MIN_GROUND_STD_M, ABOVE_SEA_SLOPE_RANGE = 3.0, (0.7, 1.3)
 """Minimum standard deviation of the ground's heights for a regression, and slopes that mean heights above sea level.
 
 Heights above sea level rise with the ground, metre by metre.
@@ -43,7 +43,7 @@ MIN_ABOVE_SEA_M = 30.0
 Heights above ground have a lower one, since all canopies have gaps with shrubs in them.
 """
 
-MIN_CELLS = 20
+MIN_TESTED_CELLS = 20
 """Minimum number of cells with a height of the canopy and of the ground for the test."""
 
 
@@ -118,16 +118,16 @@ def height_class_shares(heights_m: np.ndarray) -> HeightClassShares:
 def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray) -> None:
     """Raise ``SourceError`` if canopy heights (n,) are heights above sea level, like the ground heights (n,) at the same cells."""
     valid = np.isfinite(heights_m) & np.isfinite(ground_m)
-    if valid.sum() < MIN_CELLS:
+    if valid.sum() < MIN_TESTED_CELLS:
         return
     heights_m, ground_m = heights_m[valid], ground_m[valid]
     above_m = heights_m - ground_m
-    share = np.mean((above_m >= SURFACE_ABOVE_M[0]) & (above_m <= SURFACE_ABOVE_M[1]))
+    share = np.mean((above_m >= SURFACE_HEIGHT_RANGE_M[0]) & (above_m <= SURFACE_HEIGHT_RANGE_M[1]))
     if share < SURFACE_SHARE:
         return
     if np.std(ground_m) >= MIN_GROUND_STD_M:
         rise = np.cov(ground_m, heights_m)[0, 1] / np.var(ground_m, ddof=1)
-        is_above_sea = ABOVE_SEA_SLOPE[0] <= rise <= ABOVE_SEA_SLOPE[1]
+        is_above_sea = ABOVE_SEA_SLOPE_RANGE[0] <= rise <= ABOVE_SEA_SLOPE_RANGE[1]
     else:
         is_above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_M
     if is_above_sea:

@@ -63,9 +63,9 @@ class WhorledTree:
         Share of missing branches.
     outline_exponent
         Exponent of the outline: 1 is a cone, a lower one makes it bulge.
-    twig, twig_spacing, twig_half_width
+    twig_length, twig_spacing, twig_half_width
         Length of the longest twig, distance between twigs, and half a twig's width with needles.
-    stem
+    stem_radius
         Half the stem's width.
     needle_albedo, bark_albedo
         Linear albedo.
@@ -82,10 +82,10 @@ class WhorledTree:
     twig_droop: float
     missing_share: float
     outline_exponent: float
-    twig: float
+    twig_length: float
     twig_spacing: float
     twig_half_width: float
-    stem: float
+    stem_radius: float
     needle_albedo: Colour
     bark_albedo: Colour
 
@@ -114,11 +114,11 @@ class ClumpedTree:
         Droop of sprigs (bunches of leaves), relative to their horizontal distance from the clump's centre.
     sprigs, leaves
         Number of sprigs (bunches of leaves) in a clump, and of leaves in a sprig.
-    leaf
+    leaf_size
         Length and half width of a leaf.
     lowest_limb_height
         Height of the lowest limb.
-    stem
+    stem_radius
         Half the stem's width.
     leaf_albedo, bark_albedo, limb_albedo
         Linear albedo.
@@ -135,9 +135,9 @@ class ClumpedTree:
     sprig_droop: float
     sprigs: int
     leaves: int
-    leaf: tuple[float, float]
+    leaf_size: tuple[float, float]
     lowest_limb_height: float
-    stem: float
+    stem_radius: float
     leaf_albedo: Colour
     bark_albedo: Colour
     limb_albedo: Colour
@@ -189,7 +189,9 @@ def _grow_whorled(model: WhorledTree, rng: np.random.Generator) -> Strokes:
     boughs, twigs = _boughs(model, branches), _twigs(model, branches, rng)
     shoots = rng.normal(0.0, 0.003, (7, 3)) + (0.0, 0.0, 0.03)
     leader = _needle_twigs(np.tile((0.0, 0.0, 0.965), (7, 1)), shoots, np.ones(7), model, rng)
-    return _concatenate_strokes(_stem(model.stem, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader)
+    return _concatenate_strokes(
+        _stem(model.stem_radius, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader
+    )
 
 
 def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
@@ -235,7 +237,7 @@ def _twigs(model: WhorledTree, branches: _Branches, rng: np.random.Generator) ->
     t = np.clip((nth // 2 + rng.random(len(i))) / pairs[i], 0.06, 1.0)
     side_sign = np.where(nth % 2 == 0, 1.0, -1.0) * rng.uniform(0.35, 1.0, len(i))
     sideways = branches.direction[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
-    reach = np.minimum(model.twig, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
+    reach = np.minimum(model.twig_length, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
     twig = _normalized(0.75 * branches.direction[i] + side_sign[:, None] * sideways) * reach[:, None]
     twig[:, 2] -= reach * model.twig_droop * rng.uniform(0.1, 1.0, len(i)) * branches.crown_depth[i]
     # Needles near the stem are old and dull, recent ones at the tip are fresh.
@@ -260,7 +262,7 @@ def _needle_twigs(
 
 def _grow_clumped(model: ClumpedTree, rng: np.random.Generator) -> Strokes:
     centre, size = _clump_centres(model, rng)
-    stem = _stem(model.stem, 0.8, 0.2 * model.stem, model.bark_albedo, model.limb_albedo, rng)
+    stem = _stem(model.stem_radius, 0.8, 0.2 * model.stem_radius, model.bark_albedo, model.limb_albedo, rng)
     return _concatenate_strokes(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
 
 
@@ -279,7 +281,7 @@ def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.ra
     scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.sprig_droop)
     base = sprig[leaf] + rng.normal(0.0, 1.0, (len(leaf), 3)) * scatter
     blade = _normalized(rng.normal(0.0, 0.6, (len(leaf), 3)) + direction[leaf] + (0.0, 0.0, -0.9 * model.sprig_droop))
-    long, wide = np.outer(rng.uniform(0.6, 1.25, len(leaf)), model.leaf).T
+    long, wide = np.outer(rng.uniform(0.6, 1.25, len(leaf)), model.leaf_size).T
     albedo = tint[leaf] * rng.uniform(0.87, 1.13, (len(leaf), 1))
     return _strokes(base, base + blade * long[:, None], np.column_stack([wide, 0.5 * wide]), albedo)
 
@@ -312,7 +314,7 @@ def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> 
     """Return limbs from the stem to each clump. Beginning with the innermost, each clump joins the nearest limb or the stem."""
     height = np.linspace(model.lowest_limb_height, 0.8, 24)
     nodes = np.column_stack([np.zeros((24, 2)), height])
-    radii = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
+    radii = 0.75 * model.stem_radius * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem_radius
     start, end, radius = [], [], []
     for clump in centre[np.argsort(np.linalg.norm(centre[:, :2], axis=1))]:
         to_clump = clump - nodes

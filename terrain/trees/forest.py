@@ -77,7 +77,7 @@ HEIGHT_UNITS = with_unit_suffixes(("height", "tree_height", "measured_height", "
 CROWN_UNITS = with_unit_suffixes(("crown", "crown_diameter", "crown_width", "diameter_crown"))
 """Units of attributes with diameters of crowns."""
 
-VALID_RANGE_M = (0.1, 150.0)
+VALID_SIZE_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
 SAMPLES_PER_SIDE, GROUND_SAMPLES_PER_SIDE = 1024, 64
@@ -88,7 +88,7 @@ MAX_OUTLINE_DISTANCE_M = 5e6
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class PlantingMap:
     """The map in which tree positions are computed before they are projected onto the ground.
 
     On the globe it is an equal-area map about the anchor, so that a density means the same everywhere. A flat world uses the CRS of
@@ -153,7 +153,7 @@ class Stems:
     Attributes
     ----------
     positions
-        Positions (n,) in the site's map.
+        Positions (n,) in the planting map.
     height_m
         Heights float64 (n,), metres.
     crown_m
@@ -234,13 +234,13 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     SourceError
         If a stand's file is wrong.
     """
-    site, planted_stands, count = Site(world, elevation, loaded.level.terrain.exaggeration), [], 0
+    planting_map, planted_stands, count = PlantingMap(world, elevation, loaded.level.terrain.exaggeration), [], 0
     notes: list[str] = []
     warnings: list[str] = []
     for number, spec in enumerate(loaded.level.forest):
         key_path = f"{loaded.path}: forest.{number}"
-        stems = _stems(spec, loaded.resolve(spec.source), key_path, site, MAX_TREES - count)
-        trees = _plant_stand(stems, spec.species, key_path, site)
+        stems = _stems(spec, loaded.resolve(spec.source), key_path, planting_map, MAX_TREES - count)
+        trees = _plant_stand(stems, spec.species, key_path, planting_map)
         count += len(trees.rank)
         planted_stands.append(trees)
         omission_text = _omission_text(stems, len(trees.rank))
@@ -286,7 +286,7 @@ class StandFeatures:
     warnings: tuple[str, ...]
 
 
-def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
+def _stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
     """Return the stems of a stand from a file of polygons, points or canopy heights. The file's content decides which."""
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
@@ -294,21 +294,21 @@ def _stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: 
         crowns = (matching_attribute(spec.crown, names),) if isinstance(spec.crown, str) else ()
         heights = (matching_attribute(spec.height, names),) if isinstance(spec.height, str) else ()
         point_heights = recognised_attributes(names, HEIGHT_UNITS) if spec.height is None else heights
-        features = _single_parts(read_features(source, site.crs, (*point_heights, *crowns), layer=layer))
+        features = _single_parts(read_features(source, planting_map.crs, (*point_heights, *crowns), layer=layer))
     except SourceError:
         if _is_vector(source):
             raise
-        return _canopy_stems(spec, source, key_path, site, max_trees)
+        return _canopy_stems(spec, source, key_path, planting_map, max_trees)
     if spec.least_height is not None:
         problem = Problem(f"'{spec.least_height}' needs a raster of canopy heights as the source")
         raise LevelError(f"{key_path}.least_height", problem, "Remove the key")
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
         stand = _stand_features(features, heights, crowns, spec.height is None, "the key height sets a range or an attribute")
-        stems = _polygon_stems(spec, stand, key_path, site, max_trees)
+        stems = _polygon_stems(spec, stand, key_path, planting_map, max_trees)
     elif (dimensions == 0).all():
         stand = _stand_features(features, point_heights, crowns, spec.height is None, "no attribute has them")
-        stems = _point_stems(spec, stand, key_path, site, max_trees)
+        stems = _point_stems(spec, stand, key_path, planting_map, max_trees)
     else:
         geometry_problem = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
         raise SourceError(source, geometry_problem, "Use only polygons, only points, or a raster of canopy heights")
@@ -337,17 +337,17 @@ def _stand_features(
 
 
 def _valid_lengths_m(features: Features, attributes: Sequence[str], lengths: AttributeLengths) -> np.ndarray:
-    """Return lengths float64 (n,), metres, NaN where they are not in ``VALID_RANGE_M``.
+    """Return lengths float64 (n,), metres, NaN where they are not in ``VALID_SIZE_RANGE_M``.
 
     Raises ``SourceError`` if no length is valid.
     """
     check_lengths(features.name, lengths)
     with np.errstate(invalid="ignore"):
-        valid = (lengths.values_m >= VALID_RANGE_M[0]) & (lengths.values_m <= VALID_RANGE_M[1])
+        valid = (lengths.values_m >= VALID_SIZE_RANGE_M[0]) & (lengths.values_m <= VALID_SIZE_RANGE_M[1])
     if not valid.any():
         first_value = features.attributes[attributes[0]][0]
         problem = f"the attribute {attributes[0]} has no valid value ({first_value} ...)"
-        raise SourceError(features.name, problem, f"Use lengths from {VALID_RANGE_M[0]} m to {VALID_RANGE_M[1]:g} m")
+        raise SourceError(features.name, problem, f"Use lengths from {VALID_SIZE_RANGE_M[0]} m to {VALID_SIZE_RANGE_M[1]:g} m")
     return np.where(valid, lengths.values_m, np.nan)
 
 
@@ -362,23 +362,23 @@ def _is_vector(source: str) -> bool:
     return True
 
 
-def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, site: Site, max_trees: int) -> Stems:
+def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
     if spec.density is None:
         raise LevelError.missing(f"{key_path}.density", "Set the trees per hectare: the source has polygons")
     geometry = stand.features.geometry
     total_count, index = len(geometry), np.arange(len(geometry))
-    if site.outline is not None:
-        shapely.prepare(site.outline)
-        is_near = shapely.intersects(site.outline, geometry)
+    if planting_map.outline is not None:
+        shapely.prepare(planting_map.outline)
+        is_near = shapely.intersects(planting_map.outline, geometry)
         geometry, index = geometry[is_near], index[is_near]
-        is_within = shapely.contains_properly(site.outline, geometry)
-        geometry[~is_within] = shapely.intersection(geometry[~is_within], site.outline)
+        is_within = shapely.contains_properly(planting_map.outline, geometry)
+        geometry[~is_within] = shapely.intersection(geometry[~is_within], planting_map.outline)
         if not len(geometry):
-            raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), site)
-    expected = shapely.area(geometry).sum() * site.unit_m**2 / HECTARE_M2 * spec.density
+            raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), planting_map)
+    expected = shapely.area(geometry).sum() * planting_map.unit_m**2 / HECTARE_M2 * spec.density
     if expected > max_trees:
         raise _too_many_trees_error(key_path, round(expected), max_trees)
-    stand_positions = [scatter_trees(area, spec.density, spec.seed, site.unit_m) for area in geometry]
+    stand_positions = [scatter_trees(area, spec.density, spec.seed, planting_map.unit_m) for area in geometry]
     feature_row = np.repeat(index, [len(positions) for positions in stand_positions])
     positions, first = join_positions(stand_positions)
     feature_row = feature_row[first]
@@ -387,15 +387,17 @@ def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, site: 
     return _valid_stems(Stems(positions, *_sizes_m(spec, stand, feature_row, positions.key), omissions=omissions))
 
 
-def _point_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, site: Site, max_trees: int) -> Stems:
+def _point_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
     if spec.density is not None:
         problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
         raise LevelError(f"{key_path}.density", problem, "Remove the key")
     x, y = shapely.get_x(stand.features.geometry), shapely.get_y(stand.features.geometry)
-    covered = np.flatnonzero(site.elevation.covers(*site.to_terrain_crs(x, y)))
+    covered = np.flatnonzero(planting_map.elevation.covers(*planting_map.to_terrain_crs(x, y)))
     if not len(covered):
-        raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), site)
-    key, first = np.unique(point_keys(spec.seed, x[covered] * site.unit_m, y[covered] * site.unit_m), return_index=True)
+        raise _off_terrain_error(key_path, shapely.total_bounds(stand.features.geometry), planting_map)
+    key, first = np.unique(
+        point_keys(spec.seed, x[covered] * planting_map.unit_m, y[covered] * planting_map.unit_m), return_index=True
+    )
     first = covered[first]
     if len(key) > max_trees:
         raise _too_many_trees_error(key_path, len(key), max_trees)
@@ -418,7 +420,7 @@ def _sizes_m(spec: ForestSpec, stand: StandFeatures, row: np.ndarray, key: np.nd
     return height_m, None if stand.crown_m is None else stand.crown_m[row]
 
 
-def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_trees: int) -> Stems:
+def _canopy_stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
     for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             problem = Problem(f"'{getattr(spec, name)}' does not apply to a raster of canopy heights")
@@ -427,17 +429,19 @@ def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_
         raise LevelError(f"{key_path}.crown", spec.crown, "a range [min, max] in metres (a raster has no attributes)")
     canopy, parts, count = Canopy(source), [], 0
     try:
-        window = canopy.window(site.crs, site.outline)
+        window = canopy.window(planting_map.crs, planting_map.outline)
         if window is None:
-            raise _off_terrain_error(key_path, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
+            raise _off_terrain_error(
+                key_path, shapely.total_bounds(shapely.MultiPoint(canopy.outline(planting_map.crs))), planting_map
+            )
         base, slope = species_line(CROWN_M, spec.species)
-        window_m = species_line(TREETOP_WINDOW_M, spec.species)
-        cells = _check_canopy(canopy, window, site)
+        radius_line = species_line(TREETOP_WINDOW_M, spec.species)
+        cells = _check_canopy(canopy, window, planting_map)
         shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / HEXAGONAL_PACKING
         canopy.min_height_m = spec.least_height or _default_min_height_m(
-            cells, window, canopy.cell_m(site.crs, site.unit_m, window), shrub_m2
+            cells, window, canopy.cell_m(planting_map.crs, planting_map.unit_m, window), shrub_m2
         )
-        for part in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
+        for part in canopy.trees(planting_map.crs, planting_map.unit_m, window, lambda h: base + slope * h, radius_line, spec.seed):
             parts.append(part)
             count += len(part.positions)
             if count > max_trees:
@@ -452,12 +456,12 @@ def _canopy_stems(spec: ForestSpec, source: str, key_path: str, site: Site, max_
         limit_m = f"{GIANT_HEIGHT_M:g} m"
         warnings.append(f"most of its cells with trees are higher than {limit_m}. Check the unit of its heights.")
     return Stems(
-        positions, height, crown, MAX_CROWN_RATIO * growing_space_m(positions.x, positions.y, site.unit_m),
+        positions, height, crown, MAX_CROWN_RATIO * growing_space_m(positions.x, positions.y, planting_map.unit_m),
         omissions=(f"of its cells {text}",) if (text := cells.omission_text(canopy.min_height_m)) else (), warnings=tuple(warnings),
     )  # fmt: skip
 
 
-def _check_canopy(canopy: Canopy, window: CellWindow, site: Site) -> HeightClassShares:
+def _check_canopy(canopy: Canopy, window: CellWindow, planting_map: PlantingMap) -> HeightClassShares:
     """Check a canopy and return its cells' shares by height class.
 
     Raises ``SourceError`` if all cells are nodata, or if the heights are above sea level instead of above ground.
@@ -468,8 +472,8 @@ def _check_canopy(canopy: Canopy, window: CellWindow, site: Site) -> HeightClass
         if np.isnan(raster_heights_m).all():
             raise SourceError(canopy.name, "no height in any cell (all nodata)", "Use a raster with canopy heights")
     row, col, sampled_heights_m = canopy.sample(window, GROUND_SAMPLES_PER_SIDE)
-    ground_m = site.elevation.ground_m(*site.to_terrain_crs(*canopy.xy(site.crs, row, col)))
-    check_above_ground(canopy.name, sampled_heights_m, ground_m / site.exaggeration)
+    ground_m = planting_map.elevation.ground_m(*planting_map.to_terrain_crs(*canopy.xy(planting_map.crs, row, col)))
+    check_above_ground(canopy.name, sampled_heights_m, ground_m / planting_map.exaggeration)
     return height_class_shares(heights_m)
 
 
@@ -482,19 +486,21 @@ def _default_min_height_m(cells: HeightClassShares, window: CellWindow, cell_m: 
     return SHRUB_HEIGHT_M if cells.is_mostly_shrubs and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
-def _plant_stand(stems: Stems, species: Species, key_path: str, site: Site) -> Trees:
+def _plant_stand(stems: Stems, species: Species, key_path: str, planting_map: PlantingMap) -> Trees:
     """Return the trees of a stand: put the stems on the ground, and derive random properties from their hashes.
 
     Trees over holes or under water are left out. Raises ``LevelError`` if all are off the terrain.
     """
-    x, y = site.to_terrain_crs(stems.positions.x, stems.positions.y)
-    covered = site.elevation.covers(x, y)
+    x, y = planting_map.to_terrain_crs(stems.positions.x, stems.positions.y)
+    covered = planting_map.elevation.covers(x, y)
     if len(covered) and not covered.any():
         raise _off_terrain_error(
-            key_path, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.positions.x, stems.positions.y]))), site
+            key_path,
+            shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.positions.x, stems.positions.y]))),
+            planting_map,
         )
-    ground_m = site.elevation.ground_m(x, y)
-    on_land = ground_m > site.elevation.water_m
+    ground_m = planting_map.elevation.ground_m(x, y)
+    on_land = ground_m > planting_map.elevation.water_m
     stems, x, y, ground_m = stems[on_land], x[on_land], y[on_land], ground_m[on_land]
     key = stems.positions.key
     variant = random_variants(key, species)
@@ -503,7 +509,7 @@ def _plant_stand(stems: Stems, species: Species, key_path: str, site: Site) -> T
         crown_m = crown_m if stems.growing_space_m is None else np.minimum(crown_m, stems.growing_space_m)
     else:
         crown_m = stems.crown_m
-    point, up = site.world.ground(site.elevation.crs, x, y)
+    point, up = planting_map.world.ground(planting_map.elevation.crs, x, y)
     return Trees(
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),
@@ -548,15 +554,15 @@ def _too_many_trees_error(key_path: str, count: int, max_trees: int, qualifier: 
     return LevelError.over_limit(key_path, " ".join(f"{qualifier} {count:,} trees".split()), limit, "Plant fewer trees")
 
 
-def _off_terrain_error(key_path: str, bounds: np.ndarray, site: Site) -> LevelError:
-    """Return the error of a stand that is entirely off the terrain; ``bounds`` are those of the stand in the site's map."""
-    crs = site.elevation.crs
-    if site.crs != crs:
+def _off_terrain_error(key_path: str, bounds: np.ndarray, planting_map: PlantingMap) -> LevelError:
+    """Return the error of a stand that is entirely off the terrain; ``bounds`` are those of the stand in the planting map."""
+    crs = planting_map.elevation.crs
+    if planting_map.crs != crs:
         try:
             west, south, east, north = bounds
-            bounds = np.array(transformer(site.crs, crs).transform_bounds(west, south, east, north, densify_pts=21))
+            bounds = np.array(transformer(planting_map.crs, crs).transform_bounds(west, south, east, north, densify_pts=21))
         except ProjError:
             bounds = np.full(4, np.nan)
-    stand_bounds, terrain_bounds = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))
+    stand_bounds, terrain_bounds = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, planting_map.elevation.bounds))
     remedy = f"Use trees on the terrain, at {terrain_bounds} (west, south, east, north; {crs.name})"
     return LevelError(f"{key_path}.source", Problem(f"its trees are off the terrain, at {stand_bounds}"), remedy)

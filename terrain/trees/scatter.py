@@ -16,7 +16,7 @@ import shapely
 
 from skugga.terrain.compiled import compiled, internal
 
-MIN_SPACING = 0.5
+MIN_SPACING_CELLS = 0.5
 """Minimum distance between two trees, in cells. A cell's centre is at least as far from all trees in other cells."""
 
 HECTARE_M2 = 10_000.0
@@ -24,10 +24,10 @@ HECTARE_M2 = 10_000.0
 _MAX_ATTEMPTS = 24
 """Random positions tried in a cell before its centre is used."""
 
-_TILE = 128
+_TILE_CELLS = 128
 """Side in cells of the tiles that are filled with trees one at a time."""
 
-_HALO = 3
+_HALO_CELLS = 3
 """Width in cells of the border of a tile on which the tile's positions depend.
 
 A cell depends on neighbours of three earlier colours (``_jittered_positions``), each one cell further away.
@@ -38,7 +38,7 @@ _GOLDEN_GAMMA, _MIX_MULTIPLIER_1, _MIX_MULTIPLIER_2 = (
     np.uint64(0xBF58476D1CE4E5B9),
     np.uint64(0x94D049BB133111EB),
 )
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+_SHIFT_11, _SHIFT_27, _SHIFT_30, _SHIFT_31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def scatter_trees(
     )
 
 
-def join_positions(sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray]:
+def join_positions(position_sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray]:
     """Join sets of positions, without duplicates and sorted by hash.
 
     Returns
@@ -97,28 +97,28 @@ def join_positions(sets: list[TreePositions]) -> tuple[TreePositions, np.ndarray
     places, first
         The positions, and their indices in the concatenated sets.
     """
-    all_places = _concatenate_positions(sets)
+    all_places = _concatenate_positions(position_sets)
     key, first = np.unique(all_places.key, return_index=True)
     return TreePositions(all_places.x[first], all_places.y[first], key), first
 
 
-def _concatenate_positions(sets: list[TreePositions]) -> TreePositions:
-    if not sets:
+def _concatenate_positions(position_sets: list[TreePositions]) -> TreePositions:
+    if not position_sets:
         return TreePositions(np.empty(0), np.empty(0), np.empty(0, np.uint64))
-    return TreePositions(*(np.concatenate([getattr(positions, name) for positions in sets]) for name in ("x", "y", "key")))
+    return TreePositions(*(np.concatenate([getattr(positions, name) for positions in position_sets]) for name in ("x", "y", "key")))
 
 
 def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[TreePositions]:
     west, south, east, north = (int(np.floor(v / pitch)) for v in area.bounds)
-    cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE), np.arange(south, north + 1, _TILE)))
+    cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE_CELLS), np.arange(south, north + 1, _TILE_CELLS)))
     shapely.prepare(area)
     is_within = np.zeros(len(cols), bool)
     if len(cols) > 1:
-        tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE) * pitch, (rows + _TILE) * pitch)
+        tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE_CELLS) * pitch, (rows + _TILE_CELLS) * pitch)
         is_touched = shapely.intersects(area, tiles)
         cols, rows, is_within = cols[is_touched], rows[is_touched], shapely.contains_properly(area, tiles[is_touched])
     for col, row, is_inside in zip(cols.tolist(), rows.tolist(), is_within.tolist(), strict=True):
-        x, y, key = _jittered_positions(seed, row, col, min(_TILE, north + 1 - row), min(_TILE, east + 1 - col))
+        x, y, key = _jittered_positions(seed, row, col, min(_TILE_CELLS, north + 1 - row), min(_TILE_CELLS, east + 1 - col))
         x, y = x * pitch, y * pitch
         if not is_inside:
             is_in_polygon = shapely.contains_xy(area, x, y)
@@ -130,9 +130,9 @@ def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Itera
 def _splitmix64(x):
     """Return splitmix64 of x (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN_GAMMA
-    x = (x ^ (x >> _S30)) * _MIX_MULTIPLIER_1
-    x = (x ^ (x >> _S27)) * _MIX_MULTIPLIER_2
-    return x ^ (x >> _S31)
+    x = (x ^ (x >> _SHIFT_30)) * _MIX_MULTIPLIER_1
+    x = (x ^ (x >> _SHIFT_27)) * _MIX_MULTIPLIER_2
+    return x ^ (x >> _SHIFT_31)
 
 
 @internal
@@ -143,7 +143,7 @@ def pair_key(seed, i, j):
 
 @internal
 def _uniform_number(key, stream):
-    return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _S11) * 2.0**-53
+    return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _SHIFT_11) * 2.0**-53
 
 
 @compiled
@@ -169,13 +169,13 @@ def _jittered_positions(seed, row0, col0, rows, cols):
     Cells have four colours in a 2 x 2 pattern, and the loop fills them colour by colour. A cell uses its first random position that
     keeps the minimum spacing to its neighbours of earlier colours, or else its centre.
     """
-    high, wide = rows + 2 * _HALO, cols + 2 * _HALO
+    high, wide = rows + 2 * _HALO_CELLS, cols + 2 * _HALO_CELLS
     xs, ys = np.full((high, wide), np.inf), np.full((high, wide), np.inf)
     for colour in range(4):
         for r in range(high):
-            row = row0 + r - _HALO
+            row = row0 + r - _HALO_CELLS
             for c in range(wide):
-                col = col0 + c - _HALO
+                col = col0 + c - _HALO_CELLS
                 if (row & 1) * 2 + (col & 1) != colour:
                     continue
                 key = pair_key(seed, row, col)
@@ -186,7 +186,7 @@ def _jittered_positions(seed, row0, col0, rows, cols):
                     for m in range(max(r - 1, 0), min(r + 2, high)):
                         for n in range(max(c - 1, 0), min(c + 2, wide)):
                             nearest = min(nearest, (xs[m, n] - x) ** 2 + (ys[m, n] - y) ** 2)
-                    if nearest >= MIN_SPACING**2:
+                    if nearest >= MIN_SPACING_CELLS**2:
                         px, py = x, y
                         break
                 xs[r, c], ys[r, c] = px, py
@@ -194,5 +194,9 @@ def _jittered_positions(seed, row0, col0, rows, cols):
     for r in range(rows):
         for c in range(cols):
             n = r * cols + c
-            x[n], y[n], key[n] = xs[r + _HALO, c + _HALO], ys[r + _HALO, c + _HALO], pair_key(seed, row0 + r, col0 + c)
+            x[n], y[n], key[n] = (
+                xs[r + _HALO_CELLS, c + _HALO_CELLS],
+                ys[r + _HALO_CELLS, c + _HALO_CELLS],
+                pair_key(seed, row0 + r, col0 + c),
+            )
     return x, y, key

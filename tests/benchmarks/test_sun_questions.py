@@ -29,7 +29,7 @@ def test_suncalc_is_close_to_the_sun_of_its_date():
     noon = np.datetime64("2020-03-21T11:24:00")
     times = noon + np.round(np.arange(-43200.0 + 300.0, 43200.0, 600.0)).astype("timedelta64[s]")
     path = sun_path(times, 9.0, 46.95)
-    assert np.abs(altitude - (path.altitude_deg - path.lift_deg)).max() < 0.25
+    assert np.abs(altitude - (path.altitude_deg - path.refraction_deg)).max() < 0.25
     assert np.abs((azimuth - path.azimuth_deg + 180.0) % 360.0 - 180.0).max() < 0.3
 
 

@@ -10,7 +10,7 @@ import pytest
 from skugga.shadows.truth.metrics import MAX_INTERIOR, metric_coverage
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.geo.sun import sun_of
-from skugga.terrain.geo.sun_path import YEARS
+from skugga.terrain.geo.sun_path import SUPPORTED_YEARS
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World
 from skugga.terrain.level.level import load_level, parse_sun
 from skugga.terrain.level.parts import SunSpec
@@ -83,9 +83,9 @@ PLACE_WORLD = World(LONGITUDE_LATITUDE, False, 12.0, 57.7, 12.0, 57.7)
 
 INVALID_TIMES = {
     "2016-12-31T23:59:60Z": "ISO 8601",  # a leap second: no clock of this machine has it
-    "0001-01-01T00:00:00Z": f"years {YEARS[0]}",
-    "0001-01-01T00:00:00+14:00": f"years {YEARS[0]}",
-    "9999-12-31T23:59:59-14:00": f"years {YEARS[0]}",
+    "0001-01-01T00:00:00Z": f"years {SUPPORTED_YEARS[0]}",
+    "0001-01-01T00:00:00+14:00": f"years {SUPPORTED_YEARS[0]}",
+    "9999-12-31T23:59:59-14:00": f"years {SUPPORTED_YEARS[0]}",
     "0000-01-01T00:00:00Z": "ISO 8601",
     "10000-01-01T00:00:00Z": "ISO 8601",
     "2024-02-30T00:00:00Z": "ISO 8601",

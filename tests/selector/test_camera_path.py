@@ -29,7 +29,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.camera import PerspectiveView, look_at
-from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.ground.generated_ground import ENGINEERING_CRS_WKT
 from skugga.terrain.level.level import SUN, Level, Pin, SunSpec, load_level
 from skugga.terrain.scene import Scene, build_scene
 
@@ -100,7 +100,7 @@ def scene(tmp_path_factory) -> Scene:
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 1.0, (number + 0.5) / 40 - 1.0], axis=1) * 400.0
     ring = [[150, 150], [450, 150], [450, 450], [150, 450], [150, 150]]
     wood = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
-    crs = {"type": "name", "properties": {"name": ENGINEERING}}
+    crs = {"type": "name", "properties": {"name": ENGINEERING_CRS_WKT}}
     (folder / "wood.geojson").write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [wood]}))
     level = {
         "version": 1,

@@ -29,7 +29,7 @@ from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import LightKind
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.ground.generated_ground import ENGINEERING_CRS_WKT
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -65,7 +65,10 @@ def level_file(tmp_path_factory):
     ``earth`` is a ground on the round earth.
     """
     folder: Path = tmp_path_factory.mktemp("capabilities")
-    for name, places, crs in (("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING), ("pines", (EARTH_POSITION,), "EPSG:4326")):
+    for name, places, crs in (
+        ("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING_CRS_WKT),
+        ("pines", (EARTH_POSITION,), "EPSG:4326"),
+    ):
         points = shapely.to_wkb(np.array([shapely.Point(*place) for place in places], object))
         pyogrio.raw.write(folder / f"{name}.gpkg", points, [], [], geometry_type="Point", crs=crs)
 
@@ -239,7 +242,7 @@ def test_plan_gives_the_refusal_of_rejected_algorithms(scene_on):
 def test_plan_refuses_planar_on_the_round_earth(write_raster, make_scene):
     """Level ground bends with the earth. Planar needs a flat world, where a raster of constant height is a plane."""
     heights = np.full((64, 64), 12.0, np.float32)
-    flat_scene = make_scene(write_raster(heights, ENGINEERING, 0, 64, 1.0, name="flat.tif"), effects=FORCED_SHADOWS)
+    flat_scene = make_scene(write_raster(heights, ENGINEERING_CRS_WKT, 0, 64, 1.0, name="flat.tif"), effects=FORCED_SHADOWS)
     assert plan_of(flat_scene, flat_scene.view(), algorithm="planar").headline == "planar"
     earth_scene = make_scene(write_raster(heights, "EPSG:32632", 500000, 5200000, 1.0, name="bent.tif"), effects=FORCED_SHADOWS)
     with pytest.raises(UnsupportedError, match="not flat"):

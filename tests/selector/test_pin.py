@@ -17,7 +17,7 @@ from skugga.selector.pin import PIN_COMMENT, pin, pinned_keys, pinned_text, pins
 from skugga.selector.planner.planner import make_plan
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError, LevelError
-from skugga.terrain.level.level import load_level, override
+from skugga.terrain.level.level import load_level, override_settings
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
@@ -312,7 +312,7 @@ def test_pins_of_a_choice_reproduce_its_plan(scene):
     plan = make_plan(facts, level, choices={"sun": choice})
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
-    replanned = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))
+    replanned = make_plan(facts, StandaloneRequest(override_settings(level.shadows, chosen), level.light_names, level.effects))
     assert (replanned.algorithm, replanned.settings) == (plan.algorithm, plan.settings)
     assert "set by the level" in replanned.reasons[0].reason
 

@@ -17,7 +17,7 @@ from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
-from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.ground.generated_ground import ENGINEERING_CRS_WKT
 from skugga.terrain.level.level import SUN, SunSpec, load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of, render_points
@@ -123,7 +123,7 @@ def test_kinds_with_one_algorithm_share_passes(gl, village):
 def test_planar_visibilities_of_kinds_multiply(gl, tmp_path):
     """On a flat floor, the stencil gives the shadows of a figure and of trees, together and separately."""
     tree_points = shapely.to_wkb(np.array([shapely.Point(*at) for at in ((-12, 4), (6, -9), (10, 8), (-5, -14))], object))
-    pyogrio.raw.write(tmp_path / "trees.gpkg", tree_points, [], [], geometry_type="Point", crs=ENGINEERING)
+    pyogrio.raw.write(tmp_path / "trees.gpkg", tree_points, [], [], geometry_type="Point", crs=ENGINEERING_CRS_WKT)
     level = {
         "version": 1, "terrain": {"flat": {"size": [80, 80], "cells": [40, 40]}}, "sun": {"azimuth": 230, "altitude": 28},
         "meshes": [{"generate": "tetrahedra"}], "forest": [{"source": "trees.gpkg", "height": [7, 9]}],

@@ -25,7 +25,7 @@ from skugga.terrain.casters.reach import NO_CASTERS, find_casters
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
-from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.ground.generated_ground import ENGINEERING_CRS_WKT
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of, render, render_points
@@ -51,7 +51,7 @@ def build(tmp_path_factory) -> Build:
     rng = np.random.default_rng(5)
     points = shapely.to_wkb(np.array([shapely.Point(*p) for p in rng.uniform(-25, 25, (30, 2))], object))
     height = rng.uniform(5, 9, len(points))
-    pyogrio.raw.write(folder / "trees.gpkg", points, [height], ["height"], geometry_type="Point", crs=ENGINEERING)
+    pyogrio.raw.write(folder / "trees.gpkg", points, [height], ["height"], geometry_type="Point", crs=ENGINEERING_CRS_WKT)
 
     @lru_cache(maxsize=32)
     def build_from_json(text: str) -> Scene:

@@ -131,20 +131,20 @@ def test_atomic_folder_writes_files_together(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-@pytest.mark.parametrize("is_there", [True, False])
-def test_interrupted_folder_write_keeps_the_old_files(tmp_path, error, is_there):
+@pytest.mark.parametrize("folder_exists", [True, False])
+def test_interrupted_folder_write_keeps_the_old_files(tmp_path, error, folder_exists):
     folder = tmp_path / "frames"
-    if is_there:
+    if folder_exists:
         write_three(folder, b"old")
     with pytest.raises(error), atomic_folder(folder) as part:
         (part / "a").write_bytes(b"new")
         raise error
-    assert file_names(tmp_path) == (["frames"] if is_there else [])
-    assert not is_there or file_contents(folder) == dict.fromkeys("abc", b"old")
+    assert file_names(tmp_path) == (["frames"] if folder_exists else [])
+    assert not folder_exists or file_contents(folder) == dict.fromkeys("abc", b"old")
 
 
-@pytest.mark.parametrize("call", range(7))
-def test_interrupted_move_is_rolled_back(tmp_path, call, monkeypatch):
+@pytest.mark.parametrize("move_number", range(7))
+def test_interrupted_move_is_rolled_back(tmp_path, move_number, monkeypatch):
     """The interrupt comes at each of the moves: of a, of b, which is new, and of c."""
     folder, calls, replace = tmp_path / "frames", [], os.replace
     write_three(folder, b"old")
@@ -152,12 +152,12 @@ def test_interrupted_move_is_rolled_back(tmp_path, call, monkeypatch):
 
     def interrupted(source, target):
         calls.append(source)
-        if len(calls) == call + 1:
+        if len(calls) == move_number + 1:
             raise KeyboardInterrupt
         replace(source, target)
 
     monkeypatch.setattr("skugga.terrain.atomic_files.os.replace", interrupted)
-    if call < 6:
+    if move_number < 6:
         with pytest.raises(KeyboardInterrupt):
             write_three(folder, b"new")
         assert file_contents(folder) == dict.fromkeys("ac", b"old")

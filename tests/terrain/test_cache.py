@@ -87,7 +87,7 @@ def test_value_may_be_none_and_arguments_may_be_named():
     assert calls == [(1, ""), (1, "a")]
 
 
-def test_custom_key():
+def test_equal_custom_keys_share_a_value():
     @cached("process", 1000, key=lambda number: (number % 2,))
     def parity(number: int) -> str:
         return f"like {number}"

@@ -35,7 +35,7 @@ def ramp_color(ramp, height: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("latitude", "height", "ramp", "apart"),
+    ("latitude", "height", "ramp", "max_difference"),
     [
         (-75.0, 3200.0, ICE_RAMP, 0.5),  # Antarctica
         (-72.0, 20.0, ICE_RAMP, 0.5),  # coast of Antarctica
@@ -51,8 +51,8 @@ def ramp_color(ramp, height: float) -> np.ndarray:
         (-42.0, 200.0, STYLE_RAMP, 0.0),  # Tasmania
     ],
 )
-def test_known_places_have_their_climate_colours(latitude, height, ramp, apart):
-    assert np.abs(srgb_at(latitude, height) - ramp_color(ramp, height)).max() <= apart
+def test_known_places_have_their_climate_colours(latitude, height, ramp, max_difference):
+    assert np.abs(srgb_at(latitude, height) - ramp_color(ramp, height)).max() <= max_difference
 
 
 def test_deserts_have_the_colour_of_sand():

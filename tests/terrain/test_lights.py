@@ -233,15 +233,15 @@ def test_unknown_light_in_an_override_is_rejected_in_one_line(floor, make_scene,
 
 
 @pytest.mark.parametrize(
-    ("light", "said"),
+    ("light", "expected_text"),
     [
         ({"kind": "omni", "position": [500, 0, 5]}, "lights.lamp.position"),
         ({"kind": "spot", "position": [0, 0, 5], "target": [0, 900, 0]}, "lights.lamp.target"),
     ],
 )
-def test_lamp_off_the_data_is_rejected_in_one_line(floor, make_scene, light, said):
+def test_lamp_off_the_data_is_rejected_in_one_line(floor, make_scene, light, expected_text):
     scene = make_scene(floor, lights={"lamp": light})
-    with pytest.raises(LevelError, match=said) as caught:
+    with pytest.raises(LevelError, match=expected_text) as caught:
         _ = scene.lamps
     assert "\n" not in str(caught.value) and "terrain's data" in str(caught.value)
 
@@ -283,7 +283,7 @@ def test_searchlight_turns_to_its_moving_target(floor, make_scene):
 
 
 @pytest.mark.parametrize(
-    ("light", "said"),
+    ("light", "expected_text"),
     [
         (
             moving_lamp("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 3, "position": [0, 400, 5]}),
@@ -303,15 +303,15 @@ def test_searchlight_turns_to_its_moving_target(floor, make_scene):
         ),
     ],
 )
-def test_invalid_lamp_path_is_rejected_in_one_line(floor, make_scene, light, said):
+def test_invalid_lamp_path_is_rejected_in_one_line(floor, make_scene, light, expected_text):
     scene = make_scene(floor, lights=light)
     with pytest.raises(LevelError) as caught:
         _ = scene.lamps
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert expected_text in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "light", "said"),
+    ("name", "light", "expected_text"),
     [
         ("lamp", {"kind": "spot", "position": [0, 0, 5]}, "target"),
         ("lamp", {"kind": "omni", "position": [0, 0, 5], "target": [0, 0, 0]}, "target"),
@@ -326,7 +326,7 @@ def test_invalid_lamp_path_is_rejected_in_one_line(floor, make_scene, light, sai
         ("a lamp", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
     ],
 )
-def test_invalid_lamp_is_rejected_in_one_line(floor, make_scene, name, light, said):
-    with pytest.raises(LevelError, match=said) as caught:
+def test_invalid_lamp_is_rejected_in_one_line(floor, make_scene, name, light, expected_text):
+    with pytest.raises(LevelError, match=expected_text) as caught:
         make_scene(floor, lights={name: light})
     assert "\n" not in str(caught.value)

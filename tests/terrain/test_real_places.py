@@ -116,13 +116,13 @@ def test_trees_agree_with_the_canopy(scene_of, shared_data, name):
 def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
     town, scene = PLACES["goteborg"], scene_of("goteborg")
     solids = scene.objects.solids
-    assert all(solids.closed)
+    assert all(solids.is_closed)
     ground_m, transform = heights_of(shared_data / town.ground)
     surface_m, _ = heights_of(shared_data / town.surface)
     footprints = shapely.from_wkb(pyogrio.raw.read(shared_data / town.footprints)[2])
     extent = shapely.box(*scene.elevation.bounds)
     inside_count, touching_count = shapely.contains_properly(extent, footprints).sum(), shapely.intersects(extent, footprints).sum()
-    assert 0.9 * inside_count <= len(solids.closed) < touching_count < len(footprints), (
+    assert 0.9 * inside_count <= len(solids.is_closed) < touching_count < len(footprints), (
         "without slabs and those mostly beyond the border"
     )
 
@@ -130,7 +130,7 @@ def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
     x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
     vertex_m = scene.objects.solids_in_crs(scene.elevation.crs)
     roof_errors = []
-    for body in range(len(solids.closed)):
+    for body in range(len(solids.is_closed)):
         corners = vertex_m[np.unique(solids.triangles[solids.body == body])]
         (footprint_index,) = np.flatnonzero(
             shapely.distance(footprints, shapely.points(corners[:, :2])[:, None]).max(axis=0) < 0.01
@@ -149,7 +149,7 @@ def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
     houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
     footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]
     assert scene.objects.kinds == ("relief", "meshes", "forest")
-    assert len(footprints) == len(scene.objects.solids.closed) > 100 and all(scene.objects.solids.closed)
+    assert len(footprints) == len(scene.objects.solids.is_closed) > 100 and all(scene.objects.solids.is_closed)
     assert heights_m.min() > 2 and heights_m.max() < 25
     x, y, _ = scene.objects.trees_in_crs(scene.elevation.crs).T
     assert 60_000 < len(x) < 250_000

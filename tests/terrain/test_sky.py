@@ -15,10 +15,10 @@ from skugga.terrain.sky import (
     gradient_noise,
     horizon_colors,
     horizontal_sun_direction,
-    sky,
     sky_color,
     sky_colors,
     sky_of,
+    sky_pixel_colors,
     transmittances,
 )
 from skugga.terrain.srgb import srgb_of_linear
@@ -50,7 +50,7 @@ def camera(rows: int = 120, cols: int = 160) -> PerspectiveView:
 def picture(scene, view: PerspectiveView) -> np.ndarray:
     """Return the sky in a view (rows, cols, 3)."""
     row, col = (axis.ravel() for axis in np.mgrid[0 : view.rows, 0 : view.cols])
-    return sky(scene, view, row, col).reshape(view.rows, view.cols, 3)
+    return sky_pixel_colors(scene, view, row, col).reshape(view.rows, view.cols, 3)
 
 
 def test_sky_far_from_a_high_sun_has_day_colours():

@@ -14,12 +14,12 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEVEL_GROUND_EXPOSURE, SKY_SHARE, shade
 from skugga.terrain.shading_loops import (
     MIN_SKY_FACTOR,
-    SHOULDER,
+    TONE_CURVE_START,
     _exaggerated_cosines,
     _slope_direct_light,
     _slope_sky_factor,
     luminance_of,
-    shoulder,
+    tone_curve,
 )
 from skugga.terrain.srgb import linear_of_srgb
 from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
@@ -129,15 +129,15 @@ def test_level_ground_keeps_its_brightness(write_raster, make_scene):
         np.testing.assert_allclose(centre_color(scene, 0.0), sky, rtol=2e-3)
         np.testing.assert_allclose(
             centre_color(scene, 1.0),
-            [shoulder(LEVEL_GROUND_EXPOSURE / (1.0 + SKY_SHARE) + sky_term) for sky_term in sky],
+            [tone_curve(LEVEL_GROUND_EXPOSURE / (1.0 + SKY_SHARE) + sky_term) for sky_term in sky],
             rtol=2e-3,
         )
 
 
 def test_shoulder_is_smooth_and_never_white():
     x = np.linspace(0.0, 20.0, 20001)
-    y = np.array([shoulder(value) for value in x])
-    assert np.array_equal(y[x <= SHOULDER], x[x <= SHOULDER]) and (np.diff(y) > 0).all() and y.max() < 1.0
+    y = np.array([tone_curve(value) for value in x])
+    assert np.array_equal(y[x <= TONE_CURVE_START], x[x <= TONE_CURVE_START]) and (np.diff(y) > 0).all() and y.max() < 1.0
     assert np.abs(np.diff(np.diff(y))).max() < 1e-5, "no edge where it begins"
 
 

@@ -13,7 +13,7 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.viewpoint import good_view
+from skugga.terrain.viewpoint import find_viewpoint
 from tests.rasters import ENGINEERING, write_geotiff
 
 CELL_M = 30.0
@@ -34,7 +34,7 @@ def picture_points_on_map(scene: Scene) -> np.ndarray:
 
     Rays meet the ground as a plane at its mean height. Upward rays have NaN.
     """
-    spec = good_view(scene.world, scene.elevation, scene.sun)
+    spec = find_viewpoint(scene.world, scene.elevation, scene.sun)
     assert spec is not None
     level = scene.loaded.level
     loaded = scene.loaded.model_copy(update={"level": level.model_copy(update={"views": {"view": spec}})})
@@ -73,7 +73,7 @@ def test_view_looks_at_relief_and_not_at_a_plain(tmp_path):
 
 def test_sun_is_on_one_side_of_the_view(tmp_path):
     scene = scene_of(tmp_path, hills())
-    spec = good_view(scene.world, scene.elevation, scene.sun)
+    spec = find_viewpoint(scene.world, scene.elevation, scene.sun)
     assert spec is not None and scene.sun is not None
     north, east = spec.target[1] - spec.eye[1], (spec.target[0] - spec.eye[0]) * np.cos(np.radians(spec.eye[1]))
     assert abs(np.sin(np.arctan2(east, north) - np.radians(scene.sun.azimuth_deg))) > 0.5
@@ -115,7 +115,7 @@ def test_too_little_ground_has_no_view(tmp_path, shape):
         str(write_geotiff(tmp_path / "few.tif", np.full(shape, 5.0, np.float32), "EPSG:32633", 500e3, 5200e3, CELL_M))
     )
     scene = build_scene(load_level(tmp_path / "few.tif"))
-    assert good_view(scene.world, elevation, scene.sun) is None
+    assert find_viewpoint(scene.world, elevation, scene.sun) is None
 
 
 def test_coarse_cells_are_viewed_from_far_away(tmp_path):
@@ -123,7 +123,7 @@ def test_coarse_cells_are_viewed_from_far_away(tmp_path):
     row, col = np.mgrid[:300, :300]
     ridges = 1500 + 1200 * np.sin(col / 3) * np.cos(row / 4) * np.exp(-(((row - 150) / 60) ** 2))
     scene = scene_of(tmp_path, ridges, crs="EPSG:2193", cell_m=1000.0)
-    spec = good_view(scene.world, scene.elevation, scene.sun)
+    spec = find_viewpoint(scene.world, scene.elevation, scene.sun)
     assert spec is not None
     (lon, lat, high_m), (to_lon, to_lat, _) = spec.eye, spec.target
     distance_m = float(np.hypot(WGS84.inv(lon, lat, to_lon, to_lat)[2], high_m))

@@ -10,7 +10,7 @@ from skugga.terrain.meshes.generators.shapes import cuboid
 BOXES_PER_SIDE = 10
 PITCH_M = 3.0
 BOX_SIDE_M = 0.9
-LOWEST_M = 12.0
+LOWEST_BOX_M = 12.0
 
 LOW_COLOR, HIGH_COLOR = (0.62, 0.33, 0.22), (0.90, 0.80, 0.66)
 
@@ -20,7 +20,7 @@ def boxgrid() -> list[Body]:
     first = -PITCH_M * (BOXES_PER_SIDE - 1) / 2
     bodies = []
     for layer, row, col in product(range(BOXES_PER_SIDE), repeat=3):
-        low = (first + col * PITCH_M - BOX_SIDE_M / 2, first + row * PITCH_M - BOX_SIDE_M / 2, LOWEST_M + layer * PITCH_M)
+        low = (first + col * PITCH_M - BOX_SIDE_M / 2, first + row * PITCH_M - BOX_SIDE_M / 2, LOWEST_BOX_M + layer * PITCH_M)
         share = layer / (BOXES_PER_SIDE - 1)
         red, green, blue = (a + (b - a) * share for a, b in zip(LOW_COLOR, HIGH_COLOR, strict=True))
         high = (low[0] + BOX_SIDE_M, low[1] + BOX_SIDE_M, low[2] + BOX_SIDE_M)

@@ -11,7 +11,7 @@ OAK, WALNUT, BRASS = (0.66, 0.50, 0.34), (0.42, 0.30, 0.22), (0.70, 0.58, 0.36)
 LINEN, PAINT = (0.72, 0.69, 0.62), (0.85, 0.84, 0.80)
 CLAY, LEAF_GREEN = (0.68, 0.42, 0.30), (0.27, 0.42, 0.22)
 ORANGE_PEEL, GLAZE = (0.85, 0.52, 0.18), (0.36, 0.50, 0.56)
-SPINES = (
+BOOK_SPINE_COLORS = (
     (0.55, 0.25, 0.22),
     (0.28, 0.36, 0.45),
     (0.78, 0.72, 0.58),
@@ -21,7 +21,7 @@ SPINES = (
     (0.80, 0.78, 0.74),
 )
 
-TABLE_M, SEAT_M = 0.75, 0.45
+TABLE_HEIGHT_M, SEAT_HEIGHT_M = 0.75, 0.45
 """Heights of the table top and of the seats."""
 
 
@@ -38,7 +38,7 @@ def dining_table() -> list[Body]:
         (0.045, 0.7),
         (0.0, 0.7),
     ]
-    top = transformed(block((2.1, 1.0, 0.05), (14, 8, 2), OAK, 16.0), (0, 0, TABLE_M - 0.025))
+    top = transformed(block((2.1, 1.0, 0.05), (14, 8, 2), OAK, 16.0), (0, 0, TABLE_HEIGHT_M - 0.025))
     legs = [lathe(leg, 12, OAK, (i * 0.9, j * 0.38, 0.0)) for i in (-1, 1) for j in (-1, 1)]
     aprons = [cuboid((-0.9, j * 0.38 - 0.015, 0.6), (0.9, j * 0.38 + 0.015, 0.72), OAK) for j in (-1, 1)]
     aprons += [cuboid((i * 0.9 - 0.015, -0.38, 0.6), (i * 0.9 + 0.015, 0.38, 0.72), OAK) for i in (-1, 1)]
@@ -47,14 +47,14 @@ def dining_table() -> list[Body]:
 
 def chair() -> list[Body]:
     """Return a chair with a spindle back, its back to the north."""
-    seat = transformed(block((0.46, 0.44, 0.045), (5, 5, 1), WALNUT, 5.0), (0, 0, SEAT_M - 0.022))
+    seat = transformed(block((0.46, 0.44, 0.045), (5, 5, 1), WALNUT, 5.0), (0, 0, SEAT_HEIGHT_M - 0.022))
     feet = [(i * 0.21, j * 0.20, 0.0) for i in (-1, 1) for j in (-1, 1)]
-    legs = [tube([foot, (foot[0] * 0.78, foot[1] * 0.78, SEAT_M - 0.02)], [0.013, 0.019], 6, WALNUT) for foot in feet]
+    legs = [tube([foot, (foot[0] * 0.78, foot[1] * 0.78, SEAT_HEIGHT_M - 0.02)], [0.013, 0.019], 6, WALNUT) for foot in feet]
     stays = [tube([(i * 0.185, -0.178, 0.2), (i * 0.185, 0.178, 0.2)], 0.011, 6, WALNUT) for i in (-1, 1)]
     stays.append(tube([(-0.185, 0.0, 0.2), (0.185, 0.0, 0.2)], 0.011, 6, WALNUT))
     x_positions = np.linspace(-0.18, 0.18, 7)
     back = [
-        tube([(x * 0.9, 0.18, SEAT_M - 0.02), (x * 1.15, 0.27, 0.9)], 0.016 if abs(x) > 0.17 else 0.008, 6, WALNUT)
+        tube([(x * 0.9, 0.18, SEAT_HEIGHT_M - 0.02), (x * 1.15, 0.27, 0.9)], 0.016 if abs(x) > 0.17 else 0.008, 6, WALNUT)
         for x in x_positions
     ]
     bow = [(x * 1.35, 0.275 - 1.2 * x * x, 0.9 + 0.012 * np.cos(8 * x)) for x in x_positions]
@@ -91,7 +91,7 @@ def bookshelf() -> list[Body]:
             while x < end:
                 wide, tall, book_depth = rng.uniform(0.022, 0.055), rng.uniform(0.2, 0.33), rng.uniform(0.17, 0.23)
                 front = rng.uniform(0.02, 0.05)
-                spine = SPINES[rng.integers(len(SPINES))]
+                spine = BOOK_SPINE_COLORS[rng.integers(len(BOOK_SPINE_COLORS))]
                 bodies.append(cuboid((x, front, up - 0.002), (x + wide, front + book_depth, up + tall), spine))
                 x += wide + rng.uniform(0.001, 0.006)
     return bodies

@@ -7,7 +7,7 @@ import shapely
 
 from skugga.terrain.meshes.body import Body, transformed
 from skugga.terrain.meshes.generators import furniture as furniture_pieces
-from skugga.terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
+from skugga.terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_HEIGHT_M, WALNUT
 from skugga.terrain.meshes.generators.shapes import cuboid, loft, tube, wall
 
 HALF_EAST_M, HALF_NORTH_M, ROOM_HEIGHT_M = 4.0, 3.0, 3.0
@@ -106,8 +106,8 @@ def _furniture() -> list[Body]:
     chairs = [(-0.5, 0.62, 4), (0.52, 0.66, -7), (-0.48, -0.64, 176), (0.5, -0.72, 190), (1.32, 0.02, -92), (-1.36, -0.04, 81)]
     groups = [
         _moved_bodies(furniture_pieces.dining_table(), x, y, pile),
-        _moved_bodies(furniture_pieces.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_M),
-        _moved_bodies([furniture_pieces.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_M),
+        _moved_bodies(furniture_pieces.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_HEIGHT_M),
+        _moved_bodies([furniture_pieces.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_HEIGHT_M),
         _moved_bodies(furniture_pieces.pendant(ROOM_HEIGHT_M - 1.72), x, y, 1.65),
         *(_moved_bodies(furniture_pieces.chair(), x + east, y + north, pile, yaw_deg) for east, north, yaw_deg in chairs),
         _moved_bodies(furniture_pieces.bookshelf(), 1.7, HALF_NORTH_M - 0.32),

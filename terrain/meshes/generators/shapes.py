@@ -93,32 +93,32 @@ def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> B
     return solid(slab.vertices + [0, 0, low], slab.faces, color)
 
 
-def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thick: float, color: Colour) -> Body:
+def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thickness: float, color: Colour) -> Body:
     """Return an upright slab to the left of the line from ``start`` to ``end``.
 
     ``elevation`` is its shape (metres from ``start``, metres up), which may have holes.
     """
-    slab = plate(elevation, 0.0, thick, color)
+    slab = plate(elevation, 0.0, thickness, color)
     direction = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
     # axes along the wall, up, and outwards from its face: right-handed, so triangles stay counter-clockwise
     axes = np.array([[direction[0], direction[1], 0], [0, 0, 1], [direction[1], -direction[0], 0]])
-    left = np.array([-direction[1], direction[0], 0]) * thick
+    left = np.array([-direction[1], direction[0], 0]) * thickness
     return solid(slab.vertices_m @ axes + [start[0], start[1], 0] + left, slab.triangles, color)
 
 
-def block(size_m: Vector, cells: tuple[int, int, int], color: Colour, power: float = 8.0) -> Body:
+def block(size_m: Vector, cells: tuple[int, int, int], color: Colour, exponent: float = 8.0) -> Body:
     """Return a rounded box centred on the origin: 4 (a b + b c + c a) triangles for a x b x c ``cells``.
 
-    It is a superellipsoid of exponent ``power``; higher exponents make sharper edges.
+    It is a superellipsoid; a higher ``exponent`` makes sharper edges.
     """
     points, triangles = cell_box(cells)
-    return solid(superellipsoid(points, power) * np.asarray(size_m) / 2, triangles, color)
+    return solid(superellipsoid(points, exponent) * np.asarray(size_m) / 2, triangles, color)
 
 
-def superellipsoid(points: np.ndarray, power: float) -> np.ndarray:
-    """Project points (n, 3) of cubes centred on the origin onto superellipsoids of exponent ``power``, towards the centre."""
+def superellipsoid(points: np.ndarray, exponent: float) -> np.ndarray:
+    """Project points (n, 3) of cubes centred on the origin onto superellipsoids of an exponent, towards the centre."""
     longest = np.abs(points).max(axis=1, keepdims=True)
-    length = (np.abs(points) ** power).sum(axis=1, keepdims=True) ** (1 / power)
+    length = (np.abs(points) ** exponent).sum(axis=1, keepdims=True) ** (1 / exponent)
     return points * longest / np.maximum(length, 1e-12)
 
 

@@ -9,10 +9,10 @@ PLASTER = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.
 TILES, SLATE, BRICK = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)
 STONE, WOOD, HEDGE, IRON = (0.70, 0.68, 0.63), (0.46, 0.35, 0.24), (0.28, 0.38, 0.20), (0.25, 0.26, 0.27)
 
-EAVES_M = 0.45
+OVERHANG_M = 0.45
 """Overhang of the roofs beyond the walls."""
 
-FRONT_M = 5.5
+FRONT_DISTANCE_M = 5.5
 """Distance from the middle of the street to the houses."""
 
 # Side of the street (1: east), position along it, setback, width along the street, depth, heights of eaves and ridge, chimney.
@@ -34,7 +34,7 @@ def street() -> list[Body]:
     """Return ten houses, seven chimneys, a church and street furniture: 400 triangles."""
     bodies = []
     for number, (side, street_position, setback, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
-        near = FRONT_M + setback
+        near = FRONT_DISTANCE_M + setback
         low, high = sorted((side * near, side * (near + depth)))
         roof = TILES if number % 3 else SLATE
         bodies += _house(
@@ -55,7 +55,7 @@ def _house(
     low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, walls: Colour, roof: Colour
 ) -> list[Body]:
     """Return walls under a gabled roof with overhanging eaves: 20 triangles."""
-    overhang = EAVES_M
+    overhang = OVERHANG_M
     return [
         cuboid((*low, 0.0), (*high, eaves + 0.1), walls),
         gable((low[0] - overhang, low[1] - overhang), (high[0] + overhang, high[1] + overhang), eaves, ridge, roof),

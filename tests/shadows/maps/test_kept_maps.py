@@ -189,7 +189,7 @@ def test_depth_targets_are_bounded_and_hold_their_last_content(requests):
         assert alive[target] == shape
         target_contents[target] = content
         if content is not None:
-            targets.keep(target, (shape, content))
+            targets.cache_content(target, (shape, content))
         assert targets.count == len(alive) <= MAX_TARGETS
         assert targets.nbytes == sum(depth_bytes(*alive_shape) for alive_shape in alive.values())
         assert targets.nbytes <= MAX_TARGET_BYTES or targets.count <= 2
@@ -211,7 +211,7 @@ def test_depth_targets_are_reused_by_a_moving_camera():
         if frame == 10:
             created_shapes.clear()
         for shape in shapes:
-            targets.keep(targets.acquire(*shape), (frame, shape))
+            targets.cache_content(targets.acquire(*shape), (frame, shape))
     assert not created_shapes
 
 
@@ -223,7 +223,7 @@ def test_depth_targets_keep_the_previous_map():
     previous_target = None
     for number, side in enumerate((16384, 16384, 8192, 16384, 64, 16384, 64)):
         target = targets.acquire(side, side, 32)
-        targets.keep(target, number)
+        targets.cache_content(target, number)
         assert previous_target is None or (previous_target not in released and targets.get(number - 1) == previous_target != target)
         targets.get(number)
         previous_target = target
@@ -233,6 +233,6 @@ def test_depth_targets_evict_the_least_recently_used():
     numbers = itertools.count()
     targets = DepthTargets(lambda *shape: next(numbers), lambda _: None)
     for number in range(3 * MAX_TARGETS):
-        targets.keep(targets.acquire(64, 64, 24), number)
+        targets.cache_content(targets.acquire(64, 64, 24), number)
         assert targets.get(0) == 0
     assert targets.get(1) is None and targets.get(3 * MAX_TARGETS - 1) is not None

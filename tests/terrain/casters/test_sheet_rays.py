@@ -1,4 +1,4 @@
-"""Rays that are walked through sheets hit what Embree's rays hit, and leak nowhere."""
+"""Rays that traverse sheets hit what Embree's rays hit, and leak nowhere."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def random_points_on_sheet(sheet: Sheet, count: int, seed: int) -> tuple[np.ndar
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
-def test_walked_rays_agree_with_embree_where_decidable(azimuth, altitude):
+def test_traversing_rays_agree_with_embree_where_decidable(azimuth, altitude):
     """A ray is decidable if one, two and four times the start offset give the same answer.
 
     Fine and coarser ground lie side by side, with holes and a body. Their odd node counts fill no tile.
@@ -59,7 +59,7 @@ def test_walked_rays_agree_with_embree_where_decidable(azimuth, altitude):
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUN_ANGLES_DEG)
-def test_walked_rays_leak_at_no_edge_or_node(azimuth, altitude):
+def test_traversing_rays_leak_at_no_edge_or_node(azimuth, altitude):
     """Rays start below the ground and aim at nodes, at the middles of quads' sides and at the middles of their diagonals.
 
     The ground is never as steep as the rays, because rounding decides beside a silhouette.
@@ -81,15 +81,15 @@ def test_walked_rays_leak_at_no_edge_or_node(azimuth, altitude):
             assert rays.blocked(place.reshape(-1, 3) - distance_m * sun, sun).all()
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_edges_and_nodes_belong_to_a_triangle(way):
+@pytest.mark.parametrize("z_direction", [1.0, -1.0])
+def test_edges_and_nodes_belong_to_a_triangle(z_direction):
     """All values are exact: vertical rays meet a level sheet at whole and half metres."""
     x, y = np.meshgrid(np.arange(9.0), -np.arange(9.0))
     places = np.stack(np.meshgrid(np.arange(0.0, 8.1, 0.5), -np.arange(0.0, 8.1, 0.5)), -1).reshape(-1, 2)
-    starts = np.column_stack([places, np.full(len(places), -way)])
+    starts = np.column_stack([places, np.full(len(places), -z_direction)])
     for is_cut_nw_se in (False, True):
         sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), is_cut_nw_se))
-        assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, way])).all()
+        assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, z_direction])).all()
 
 
 def test_a_sheet_is_walked_in_several_directions():
@@ -102,7 +102,7 @@ def test_a_sheet_is_walked_in_several_directions():
         assert (traversed.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
 
 
-def test_walked_rays_refuse_lengths_and_accept_empty_input():
+def test_traversing_rays_refuse_lengths_and_accept_empty_input():
     sun, points = direction_enu(180.0, 20.0), np.zeros((3, 3))
     scene = RayScene([rough_sheet(1, 8, 8, 1.0)], traverse_sheets=True)
     for arguments in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):

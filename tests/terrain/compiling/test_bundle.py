@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.compiling.bundle import NUMBA_TARGET, V3_CPU_FLAGS, VERSIONS_FILE, installed_versions, use_bundled_loops
+from skugga.terrain.compiling.bundle import NUMBA_TARGET, VERSIONS_FILE, X86_64_V3_CPU_FLAGS, installed_versions, use_bundled_loops
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("platform.machine", lambda: "x86_64")
     (tmp_path / VERSIONS_FILE).write_text(json.dumps(installed_versions()), encoding="utf-8")
     (tmp_path / "cpuinfo").write_text(
-        f"processor : 0\nflags\t\t: sse4_2 {' '.join(sorted(V3_CPU_FLAGS))} avx512f\n", encoding="ascii"
+        f"processor : 0\nflags\t\t: sse4_2 {' '.join(sorted(X86_64_V3_CPU_FLAGS))} avx512f\n", encoding="ascii"
     )
     return tmp_path
 

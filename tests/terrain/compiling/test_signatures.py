@@ -27,7 +27,7 @@ MODULES_WITHOUT_RECORDS = {
     "skugga.terrain.ground.columns": "levels of blocks",
     "skugga.terrain.ground.decimation": "cameras over more triangles than are allowed",
     "skugga.terrain.ground.imagery": "levels with imagery",
-    "skugga.terrain.ground.surface": "points on magnified ground",
+    "skugga.terrain.ground.surface_loops": "points on magnified ground",
     "skugga.terrain.sky": "levels with water",
     "skugga.terrain.trees.canopy": "levels with a canopy",
     "skugga.terrain.viewpoint": "cameras that Skugga places",

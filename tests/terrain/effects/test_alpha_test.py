@@ -1,4 +1,4 @@
-"""Alpha-tested casters: called for where any tree is drawn, and recorded where an algorithm handles foliage."""
+"""Alpha-tested casters: needed where any tree is drawn, and recorded where an algorithm handles foliage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cloud shadows: how much ground they shade, where they lie, and when they are called for."""
+"""Cloud shadows: how much ground they shade, where they lie, and when they are needed."""
 
 from __future__ import annotations
 
@@ -108,15 +108,15 @@ def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side
     bound = clouds._max_density(west, west + side, south, south + side, threshold)
     assert sampled_max <= bound
     sample_step_m = side / 59.0
-    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVE_M * 1.5 / CLOUD_EDGE_WIDTH
+    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= sampled_max + slope * (sample_step_m + 1.0)
 
 
 def test_skipped_noise_octaves_do_not_change_the_density() -> None:
     threshold = threshold_of(0.3)
     for x in range(0, 40_000, 997):
-        full_noise = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
-        assert density_at(float(x), 0.7 * x, threshold) == clouds._density(full_noise, threshold)
+        full_noise = clouds._cloud_noise(float(x), 0.7 * x, -np.inf, np.inf)
+        assert density_at(float(x), 0.7 * x, threshold) == clouds._density_of_noise(full_noise, threshold)
 
 
 def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> None:
@@ -179,7 +179,7 @@ def test_clouds_are_left_out_with_a_reason(make_scene, write_raster, keys: dict,
     assert np.array_equal(with_clouds, without_clouds)
 
 
-def test_clouds_are_called_for_only_where_they_show(make_cloudy_scene) -> None:
+def test_clouds_are_needed_only_where_they_show(make_cloudy_scene) -> None:
     # At this cover a cloud lies over this ground at some times, and none at others.
     scene = make_cloudy_scene(0.02, size=40)
     run_count, invisible_count = 0, 0

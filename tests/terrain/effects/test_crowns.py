@@ -15,7 +15,7 @@ from skugga.terrain.describe import describe
 from skugga.terrain.effects.crowns import EFFECT, LEAF_TRANSMITTANCE, apply_crowns
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.resolve import FOREST, RELIEF, _shade_leaf
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF, _write_leaf_shading
 from skugga.terrain.geo.camera import look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -93,7 +93,7 @@ def verdict(scene: Scene, name: str):
     return EFFECT.judge(describe(scene, scene.view(name), name))
 
 
-def test_crowns_are_called_for_where_sunlit_trees_are_seen(make_wall_scene):
+def test_crowns_are_needed_where_sunlit_trees_are_seen(make_wall_scene):
     scene = make_wall_scene()
     assert verdict(scene, "tree").is_needed and "1 tree" in verdict(scene, "tree").reason
     assert "no tree" in verdict(scene, "away").reason and not verdict(scene, "away").is_needed
@@ -106,9 +106,9 @@ def test_crowns_lighten_only_leaves_and_keep_visibility(gl, make_wall_scene):
     scene = make_wall_scene()
     view = scene.view("tree")
     frames = {}
-    for wish in ("on", "off"):
-        level = scene.loaded.level.model_copy(update={"effects": {"crowns": wish, "cast_shadows": "on"}})
-        frames[wish] = render_frame(scene, view, make_plan(describe(scene, view, "tree"), level, {}))
+    for setting in ("on", "off"):
+        level = scene.loaded.level.model_copy(update={"effects": {"crowns": setting, "cast_shadows": "on"}})
+        frames[setting] = render_frame(scene, view, make_plan(describe(scene, view, "tree"), level, {}))
     with_crowns, without_crowns = frames["on"], frames["off"]
     assert "crowns" in with_crowns.effects and "crowns" not in without_crowns.effects
     np.testing.assert_array_equal(with_crowns.visibility, without_crowns.visibility)
@@ -121,7 +121,7 @@ def test_crowns_lighten_only_leaves_and_keep_visibility(gl, make_wall_scene):
 def crown_normal(point: np.ndarray, eye: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Return a crown's unit normal (3,) where a ray from an eye meets a point; its foot is (0, 0, 0)."""
     shading, albedo = np.empty(3, np.float32), np.empty(3, np.float32)
-    _shade_leaf(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
+    _write_leaf_shading(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
     return shading / np.linalg.norm(shading)
 
 

@@ -49,14 +49,14 @@ def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = REL
     return albedo[0]
 
 
-def test_ground_detail_is_called_for_only_near_the_ground(scene):
+def test_ground_detail_is_needed_only_near_the_ground(scene):
     verdicts = {name: EFFECT.judge(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
     assert {name for name, verdict in verdicts.items() if verdict.is_needed} == {"eye"}
     assert "tints only" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
     assert "pixels are as wide" in verdicts["far"].reason
 
 
-def test_ground_detail_is_not_called_for_on_imagery(scene):
+def test_ground_detail_is_not_needed_on_imagery(scene):
     descriptor = describe(scene, scene.view("eye"), "eye")
     facts = {**descriptor.facts, "ground_detail": {**descriptor.facts["ground_detail"], "draped": True}}
     verdict = EFFECT.judge(descriptor.model_copy(update={"facts": facts}))

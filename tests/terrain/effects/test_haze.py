@@ -16,17 +16,17 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
-    CLEAR_AIR_M,
+    CLEAR_AIR_VISIBILITY_M,
     EFFECT,
     ENCODER_BIN_WIDTH,
     RAYLEIGH_PER_M,
-    _farthest,
+    _max_clipped_distance,
     _max_hiding_transmittance,
     _max_invisible_share,
     apply_haze,
     extinction,
     extinctions,
-    hiding_distance_m,
+    shadow_hiding_distance_m,
     visibility_of,
 )  # fmt: skip
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -59,7 +59,7 @@ def make_floor_scene(tmp_path):
 
 
 def hiding_distance_of_view_m(scene: Scene) -> float:
-    return hiding_distance_m(scene, scene.view("v"))
+    return shadow_hiding_distance_m(scene, scene.view("v"))
 
 
 def points_east_of_eye(
@@ -139,7 +139,7 @@ def test_haze_leaves_invalid_pixels_unchanged(make_floor_scene):
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
-def test_haze_is_not_called_for_in_maps_near_views_and_sky(make_floor_scene):
+def test_haze_is_not_needed_in_maps_near_views_and_sky(make_floor_scene):
     hazy_scene = make_floor_scene(weather={"visibility": 100})
     assert "no viewing distance" in verdict(hazy_scene, "map").reason and not verdict(hazy_scene, "map").is_needed
     near = make_floor_scene(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
@@ -159,7 +159,7 @@ def test_air_is_clear_if_a_level_sets_no_visibility(make_floor_scene):
     with_default = hazed_colors(make_floor_scene(), color, np.array([9000.0]))
     up = EYE_M[2] / 8000.0
     with_visibility = hazed_colors(
-        make_floor_scene(weather={"visibility": CLEAR_AIR_M * up / -np.expm1(-up)}), color, np.array([9000.0])
+        make_floor_scene(weather={"visibility": CLEAR_AIR_VISIBILITY_M * up / -np.expm1(-up)}), color, np.array([9000.0])
     )
     np.testing.assert_allclose(with_default, with_visibility, rtol=1e-6)
     assert (with_default > color).all() and with_default[0, 2] > with_default[0, 1] > with_default[0, 0]
@@ -220,14 +220,14 @@ def sun_shadow_steps(scene: Scene, distance_m: float) -> np.ndarray:
 @pytest.mark.parametrize("visibility", [80, 5000])
 def test_hiding_distance_is_where_sunlight_ceases_to_show(make_floor_scene, altitude, visibility):
     scene = make_floor_scene(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
-    beyond_m = hiding_distance_m(scene, scene.view("v"))
+    beyond_m = shadow_hiding_distance_m(scene, scene.view("v"))
     assert sun_shadow_steps(scene, beyond_m * 1.0001).max() <= 1
     assert sun_shadow_steps(scene, 2.0 * beyond_m).max() <= 1
     assert sun_shadow_steps(scene, 0.8 * beyond_m).max() > 1
 
 
 def test_hiding_distance_is_long_in_clear_air_and_0_at_night(make_floor_scene):
-    assert 1.0 * CLEAR_AIR_M < hiding_distance_of_view_m(make_floor_scene()) < 3.0 * CLEAR_AIR_M
+    assert 1.0 * CLEAR_AIR_VISIBILITY_M < hiding_distance_of_view_m(make_floor_scene()) < 3.0 * CLEAR_AIR_VISIBILITY_M
     assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
     assert hiding_distance_of_view_m(make_floor_scene(weather={"visibility": 100}, sun="none")) == 0.0
 
@@ -251,15 +251,15 @@ def test_clear_air_visibility_grows_with_the_eye_s_height(make_floor_scene):
     for up_m in (10.0, 3000.0, 40_000.0):
         scene, z = make_floor_scene(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
         mean_density = np.exp(-z / 8000.0).mean()
-        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_M / mean_density, rel=1e-4)
+        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_VISIBILITY_M / mean_density, rel=1e-4)
         hazy_scene = make_floor_scene(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
         assert visibility_of(hazy_scene, hazy_scene.view("v")) == 5000.0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("away", [0.98, 1.02])
+@pytest.mark.parametrize("distance_ratio", [0.98, 1.02])
 @pytest.mark.parametrize("altitude", [35, -20])
-def test_haze_is_called_for_exactly_where_it_shows(gl, make_floor_scene, altitude, away):
+def test_haze_is_needed_exactly_where_it_shows(gl, make_floor_scene, altitude, distance_ratio):
     """The visibility puts the farthest visible point just before, or just beyond, the distance from which haze can show."""
     keys = {
         "sun": {"azimuth": 200, "altitude": altitude},
@@ -268,12 +268,12 @@ def test_haze_is_called_for_exactly_where_it_shows(gl, make_floor_scene, altitud
     }
     probe = make_floor_scene(weather={"visibility": 1e7}, **keys)
     facts = describe(probe, probe.view("v"), "v").facts["haze"]
-    visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / away
+    visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / distance_ratio
     scene = make_floor_scene(weather={"visibility": visibility}, **keys)
     auto_color, passes = render_picture(scene, "auto")
     without_haze = render_picture(scene, "off")[0]
     if verdict(scene).is_needed:
-        assert away > 1.0 and "haze" in passes and (auto_color != without_haze).any()
+        assert distance_ratio > 1.0 and "haze" in passes and (auto_color != without_haze).any()
     else:
         assert "haze" not in passes and (auto_color == without_haze).all()
         assert np.abs(render_picture(scene, "on")[0] - without_haze).max() <= 1
@@ -291,7 +291,7 @@ def farthest_of_wall_m(wall_distance_m: float, col: float, row: float, half: flo
     The pyramid is centred on the tangents ``col`` to the east and ``row`` up.
     """
     inward = np.array([[0, 1, 0], [1, half - col, 0], [-1, half + col, 0], [0, half - row, 1], [0, half + row, -1.0]])
-    return _farthest(
+    return _max_clipped_distance(
         WALL_VERTICES_M + [0.0, wall_distance_m, 0.0] * (WALL_VERTICES_M[:, 1:2] == 0.0), WALL_TRIANGLES, np.zeros(3), inward
     )
 

@@ -33,10 +33,12 @@ def test_a_plane_hides_no_sky(east: float, south: float, down_m: float) -> None:
 
 
 @pytest.mark.parametrize("slope_deg", [10.0, 30.0, 45.0, 70.0])
-@pytest.mark.parametrize("way", ["rows", "columns", "diagonal"])
-def test_sky_view_at_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
+@pytest.mark.parametrize("axis", ["rows", "columns", "diagonal"])
+def test_sky_view_at_the_bottom_of_a_valley(slope_deg: float, axis: str) -> None:
     """The bottom line of an endless valley with straight sides sees the share cos(slope) of the sky."""
-    axis_distance = {"rows": NODE_OFFSETS[:, None] + 0 * NODE_OFFSETS, "columns": NODE_OFFSETS + 0 * NODE_OFFSETS[:, None]}.get(way)
+    axis_distance = {"rows": NODE_OFFSETS[:, None] + 0 * NODE_OFFSETS, "columns": NODE_OFFSETS + 0 * NODE_OFFSETS[:, None]}.get(
+        axis
+    )
     axis_distance = (NODE_OFFSETS + NODE_OFFSETS[:, None]) / np.sqrt(2.0) if axis_distance is None else axis_distance
     sky_share = 1.0 - occluded_share(np.abs(axis_distance) * np.tan(np.radians(slope_deg)))[64, 64]
     assert sky_share == pytest.approx(np.cos(np.radians(slope_deg)), abs=0.012)
@@ -155,7 +157,7 @@ def test_sky_view_predicate_agrees_with_pictures(write_raster, make_scene, altit
 
 
 def test_sky_view_in_perspective_depends_on_visible_ground(write_raster, make_scene) -> None:
-    """A camera that looks into the valley calls for the effect. A camera over the plain, looking away from the valley, does not."""
+    """A camera that looks into the valley needs the effect. A camera over the plain, looking away from the valley, does not."""
     path = write_raster(valley_heights(400.0), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0)
     scene = make_scene(path)
     lon, lat = (float(v) for v in scene.world.lon_lat(scene.elevation.crs, np.array(501_440.0), np.array(5_298_560.0)))
@@ -198,7 +200,7 @@ def test_sky_view_of_map_parts_agrees(write_raster, make_scene) -> None:
     np.testing.assert_allclose(skylight_of_view(part), skylight_of_view(full_view)[96:128, 44:84], atol=2e-7)
 
 
-def test_sky_view_is_not_called_for_on_level_ground(write_raster, make_scene) -> None:
+def test_sky_view_is_not_needed_on_level_ground(write_raster, make_scene) -> None:
     """A floor needs no horizon search, and the reason says so."""
     scene = make_scene(write_raster(np.full((8, 8), 3.0, np.float32), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
     verdict = EFFECT.judge(describe(scene, scene.view()))

@@ -1,4 +1,4 @@
-"""Snow: where it lies, what steep ground shows, and when it is called for."""
+"""Snow: where it lies, what steep ground shows, and when it is needed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import snow
 from skugga.terrain.effects.effect import PixelSize, ShadingBlock
-from skugga.terrain.effects.snow import FULL_SNOW_DEG, NO_SNOW_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
+from skugga.terrain.effects.snow import EDGE_NOISE_DEG, FULL_SNOW_DEG, NO_SNOW_DEG, ROCK_ALBEDO, SNOW_ALBEDO, apply_snow
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, ShadingInputs
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -47,21 +47,21 @@ def albedo_without_and_with_snow(scene: Scene) -> tuple[np.ndarray, np.ndarray, 
     return before, albedo, buffer
 
 
-@pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * ROUGH_DEG])
+@pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * EDGE_NOISE_DEG])
 def test_snow_covers_gentle_slopes(make_slope_scene, slope_deg: float) -> None:
     _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
-    assert np.allclose(albedo[buffer.valid], SNOW, atol=0.01)
+    assert np.allclose(albedo[buffer.valid], SNOW_ALBEDO, atol=0.01)
 
 
-@pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * ROUGH_DEG, 75.0])
+@pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * EDGE_NOISE_DEG, 75.0])
 def test_steep_slopes_show_rock_without_tint(make_slope_scene, slope_deg: float) -> None:
     _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
-    assert np.allclose(albedo[buffer.valid], ROCK, atol=0.01)
+    assert np.allclose(albedo[buffer.valid], ROCK_ALBEDO, atol=0.01)
 
 
 def test_the_edge_of_the_snow_is_irregular(make_slope_scene) -> None:
     _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
-    share = (albedo[buffer.valid][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
+    share = (albedo[buffer.valid][:, 0] - ROCK_ALBEDO[0]) / (SNOW_ALBEDO[0] - ROCK_ALBEDO[0])
     assert 0.3 < share.mean() < 0.7
     assert share.std() > 0.1
     assert share.min() >= -1e-6 and share.max() <= 1 + 1e-6
@@ -70,12 +70,12 @@ def test_the_edge_of_the_snow_is_irregular(make_slope_scene) -> None:
 def test_snow_share_is_1_on_gentle_and_0_on_steep_slopes() -> None:
     shares = [snow._slope_snow_share(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
     assert shares[0] == 1.0 and shares[-1] == 0.0
-    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < FULL_SNOW_DEG - 2 * ROUGH_DEG] == 0.0).all()
+    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < FULL_SNOW_DEG - 2 * EDGE_NOISE_DEG] == 0.0).all()
 
 
 def test_snow_noise_fades_out_in_wide_pixels() -> None:
     middle = (FULL_SNOW_DEG + NO_SNOW_DEG) / 2
-    assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.ROUGH_M)) for k in range(9)} == {0.5}
+    assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.EDGE_NOISE_WAVELENGTH_M)) for k in range(9)} == {0.5}
     assert len({float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
 
 
@@ -85,7 +85,7 @@ def test_snow_skips_water(make_slope_scene) -> None:
     is_water = buffer.valid & (buffer.height_m <= 40.0)
     assert 0.2 < is_water.mean() < 0.8
     assert np.array_equal(albedo[is_water], before[is_water])
-    assert np.allclose(albedo[buffer.valid & (buffer.height_m > 40.1)], SNOW, atol=0.01)
+    assert np.allclose(albedo[buffer.valid & (buffer.height_m > 40.1)], SNOW_ALBEDO, atol=0.01)
 
 
 def test_snow_covers_roofs_and_crown_tops_but_no_walls() -> None:
@@ -94,13 +94,13 @@ def test_snow_covers_roofs_and_crown_tops_but_no_walls() -> None:
     base_albedo = np.full((1, 5, 3), 0.1, np.float32)
     albedo = base_albedo.copy()
     shading_inputs = ShadingInputs(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
-    snow._whiten(
+    snow._apply_snow_albedo(
         albedo, shading_inputs, base_albedo, EARTH_CENTRE, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0)
     )
     roof, wall, top, side, ground = albedo[0]
-    assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
+    assert np.allclose(roof, SNOW_ALBEDO) and np.allclose(ground, SNOW_ALBEDO)
     assert np.allclose(wall, 0.1) and np.allclose(side, 0.1)
-    assert (top > 0.2).all() and (top < SNOW).all()
+    assert (top > 0.2).all() and (top < SNOW_ALBEDO).all()
 
 
 def test_steep_imagery_keeps_its_albedo() -> None:
@@ -110,7 +110,7 @@ def test_steep_imagery_keeps_its_albedo() -> None:
         np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
         np.array([[[1, 0, 0]]], np.float32),
     )  # fmt: skip
-    snow._whiten(
+    snow._apply_snow_albedo(
         albedo, shading_inputs, base_albedo, EARTH_CENTRE, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0)
     )
     assert np.allclose(albedo, 0.3)
@@ -130,7 +130,7 @@ def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "called", "reason"),
+    ("keys", "is_needed", "reason"),
     [
         ({}, True, "38 to 52 degrees"),
         ({"weather": {"snow": False}}, False, "the level sets no snow"),
@@ -138,16 +138,16 @@ def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
         ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
 )
-def test_snow_is_called_for_only_where_it_shows(make_slope_scene, keys: dict, called: bool, reason: str) -> None:
+def test_snow_is_needed_only_where_it_shows(make_slope_scene, keys: dict, is_needed: bool, reason: str) -> None:
     scene = make_slope_scene(10.0, **keys)
     view = scene.view(size=(60, 60))
     verdict = snow.judge(describe(scene, view))
-    assert verdict.is_needed is called and reason in verdict.reason
+    assert verdict.is_needed is is_needed and reason in verdict.reason
     frames = []
-    for wish in ("on", "off"):
-        level = scene.loaded.level.model_copy(update={"effects": {"snow": wish}})
+    for setting in ("on", "off"):
+        level = scene.loaded.level.model_copy(update={"effects": {"snow": setting}})
         frames.append(render_frame(scene, view, make_plan(describe(scene, view), level, {})).color.astype(int))
-    assert (np.abs(frames[0] - frames[1]).max() > 1) == called
+    assert (np.abs(frames[0] - frames[1]).max() > 1) == is_needed
 
 
 def test_sunlit_snow_is_not_overexposed(make_slope_scene) -> None:

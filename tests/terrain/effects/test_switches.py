@@ -1,4 +1,4 @@
-"""Effects without a part of the picture to paint: each switch names the file that implements it."""
+"""Effects that draw no part of the picture themselves: each switch names the file that implements it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Standing water: its surface wherever ground lies below it, its paint, and its reflections."""
+"""Standing water: its surface wherever ground lies below it, its colour, and its reflections."""
 
 from __future__ import annotations
 
@@ -154,21 +154,21 @@ def test_seen_facets_match_integrals_over_all_facets(cosine):
 
 @pytest.mark.parametrize("altitude_deg", [90.0, 50.0, 20.0])
 def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
-    """White paint sends pi times its radiance up, so the integral is divided by pi.
+    """A white matt surface reflects pi times its radiance upwards, so the integral is divided by pi.
 
     Waves hide some of the light from each other.
     """
-    sun_up = np.sin(np.radians(altitude_deg))
-    sun = np.array([np.sqrt(1.0 - sun_up * sun_up), 0.0, sun_up])
+    sun_up_cosine = np.sin(np.radians(altitude_deg))
+    sun = np.array([np.sqrt(1.0 - sun_up_cosine * sun_up_cosine), 0.0, sun_up_cosine])
 
-    def radiance(azimuth, eye_up):
-        eye_horizontal = np.sqrt(1.0 - eye_up * eye_up)
-        eye_sun = eye_horizontal * np.cos(azimuth) * sun[0] + eye_up * sun[2]
-        area, _ = water._visible_facets(eye_up, water.MEAN_SQUARE_SLOPE)
-        return water._glint(eye_up, sun_up, eye_sun, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up
+    def radiance(azimuth, eye_up_cosine):
+        eye_horizontal = np.sqrt(1.0 - eye_up_cosine * eye_up_cosine)
+        eye_sun_cosine = eye_horizontal * np.cos(azimuth) * sun[0] + eye_up_cosine * sun[2]
+        area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
+        return water._glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up_cosine
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
-    flat = sun_up * (water.NORMAL_FRESNEL + (1.0 - water.NORMAL_FRESNEL) * (1.0 - sun_up) ** 5)
+    flat = sun_up_cosine * (water.NORMAL_REFLECTANCE + (1.0 - water.NORMAL_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5)
     assert 0.8 * flat < power < 1.25 * flat
 
 
@@ -183,13 +183,17 @@ def test_water_seen_vertically_reflects_a_fiftieth():
 
 
 def test_glint_peaks_under_the_sun_and_is_symmetric():
-    sun_up, eye_up = np.sin(np.radians([30.0, 25.0]))
-    area, _ = water._visible_facets(eye_up, water.MEAN_SQUARE_SLOPE)
-    horizontal_product = np.sqrt((1.0 - sun_up**2) * (1.0 - eye_up**2))
+    sun_up_cosine, eye_up_cosine = np.sin(np.radians([30.0, 25.0]))
+    area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
+    horizontal_product = np.sqrt((1.0 - sun_up_cosine**2) * (1.0 - eye_up_cosine**2))
     off_deg = np.arange(-90.0, 91.0, 5.0)  # angle between the eye's azimuth and the sun's
     glint = [
         water._glint(
-            eye_up, sun_up, sun_up * eye_up - horizontal_product * np.cos(np.radians(offset_deg)), area, water.MEAN_SQUARE_SLOPE
+            eye_up_cosine,
+            sun_up_cosine,
+            sun_up_cosine * eye_up_cosine - horizontal_product * np.cos(np.radians(offset_deg)),
+            area,
+            water.MEAN_SQUARE_SLOPE,
         )
         for offset_deg in off_deg
     ]
@@ -198,7 +202,7 @@ def test_glint_peaks_under_the_sun_and_is_symmetric():
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
-def test_water_is_called_for_by_day_and_changes_only_water(make_lake, name):
+def test_water_is_needed_by_day_and_changes_only_water(make_lake, name):
     scene = make_lake()
     assert verdict(scene, name).is_needed
     with_water, without_water = (render_lake(scene, name, water_on) for water_on in (True, False))

@@ -41,10 +41,10 @@ def scenes(tmp_path_factory):
 
 
 def test_only_lamps_that_reach_are_probed_planned_and_drawn(gl, scenes, monkeypatch):
-    probed_lamps, original_facts = [], light_facts._facts
+    probed_lamps, original_facts = [], light_facts._facts_of_light
     monkeypatch.setattr(
         light_facts,
-        "_facts",
+        "_facts_of_light",
         lambda view_probes, lamp, share: probed_lamps.append(lamp and lamp.name) or original_facts(view_probes, lamp, share),
     )
     frames, descriptors = [], []
@@ -134,13 +134,13 @@ def test_negligible_lamps_are_the_dimmest_within_the_limit():
     assert negligible_lamps({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
 
 
-@given(most=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), least=st.integers(0, 30))
-def test_negligible_lamps_sum_to_the_limit_at_most(most, least):
-    negligible = negligible_lamps(most, least)
-    kept_lamps = most.keys() - negligible
-    total_light = sum(most[name] for name in negligible)
-    assert negligible <= most.keys() and total_light <= least
-    assert all(most[dim] <= most[bright] for dim in negligible for bright in kept_lamps)
-    assert not kept_lamps or total_light + min(most[name] for name in kept_lamps) > least, (
+@given(irradiances=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), limit=st.integers(0, 30))
+def test_negligible_lamps_sum_to_the_limit_at_most(irradiances, limit):
+    negligible = negligible_lamps(irradiances, limit)
+    kept_lamps = irradiances.keys() - negligible
+    total_light = sum(irradiances[name] for name in negligible)
+    assert negligible <= irradiances.keys() and total_light <= limit
+    assert all(irradiances[dim] <= irradiances[bright] for dim in negligible for bright in kept_lamps)
+    assert not kept_lamps or total_light + min(irradiances[name] for name in kept_lamps) > limit, (
         "adding the dimmest kept lamp would exceed the limit"
     )

@@ -14,7 +14,7 @@ from skugga.shadows import render as render_module
 from skugga.shadows.render import Frame
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.coarse_view import COARSE_STEP_PX, coarse_view_of
-from skugga.terrain.gbuffer.antialias import MultisampledBuffer, edge_mask_of_crosses, multisampled
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer, edge_mask_of_neighbours, multisampled
 from skugga.terrain.gbuffer.resolve import MESHES, NO_SURFACE, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -115,7 +115,7 @@ def test_samples_lie_inside_their_pixels(gl, tower):
         view.row0,
         view.col0,
     ]
-    pixel_px = np.column_stack(picture.pixels_of(row, col))
+    pixel_px = np.column_stack(picture.pixels_of_points(row, col))
     offset_px = sample_px - pixel_px
     assert len(offset_px) > 300 and np.quantile(np.abs(np.abs(offset_px) - 0.25), 0.95) < 1e-6
     assert {(a, b) for a, b in np.sign(offset_px).astype(int).tolist()} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
@@ -195,8 +195,8 @@ def test_coarse_views_of_all_pixels_find_the_sampled_edges(gl, tower):
         for col in range(COARSE_STEP_PX):
             coarse_view = coarse_view_of(tower, view.shifted(row, col))
             edge_samples = coarse_view.edge_samples
-            edge_mask[edge_samples.row + row, edge_samples.col + col] = edge_mask_of_crosses(
-                edge_samples.number, edge_samples.distance_m, edge_samples.ground, edge_samples.normals
+            edge_mask[edge_samples.row + row, edge_samples.col + col] = edge_mask_of_neighbours(
+                edge_samples.triangle_number, edge_samples.distance_m, edge_samples.ground_triangle_count, edge_samples.face_normals
             )
             shares.append(coarse_view.edge_share)
     is_sampled = is_sampled[1:-1, 1:-1]

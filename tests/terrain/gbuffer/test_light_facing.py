@@ -91,7 +91,7 @@ def test_a_ridge_faces_the_sun_on_either_side(make_ground, along, azimuth):
     """
     scene, view = make_ground(ridge_heights(along), azimuth, 30.0)
     buffer = geometry(scene, view)
-    attached_shadow, blocked = attached(buffer, scene), facing_normals(buffer, scene.light_position("sun", buffer.frame)).blocked
+    attached_shadow, blocked = attached(buffer, scene), facing_normals(buffer, scene.light_position("sun", buffer.frame)).is_blocked
     if along == "row":
         attached_shadow, blocked = attached_shadow.T, blocked.T
     ridge = SIDE_NODES // 2
@@ -166,8 +166,8 @@ def test_the_facet_that_faces_the_light_most_is_chosen(make_ground, heights, azi
     normal_distance = np.linalg.norm(normals - chosen_normals[:, :, None], axis=-1)
     assert np.where(is_touched, normal_distance, np.inf).min(axis=-1)[by_facets].max(initial=0.0) < 1e-6  # of one of the facets
     np.testing.assert_array_equal(chosen_normals[by_smooth], smooth_normals[by_smooth])
-    assert not facing.lifted[by_facets].any()
-    assert (facing.lifted == (towards > 0.0))[by_smooth & (np.abs(towards) > 1e-5)].all()
+    assert not facing.is_lifted[by_facets].any()
+    assert (facing.is_lifted == (towards > 0.0))[by_smooth & (np.abs(towards) > 1e-5)].all()
 
 
 @with_few_examples
@@ -306,7 +306,7 @@ def test_a_camera_s_points_have_one_triangle_each(gl, make_ground):
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
     assert buffer.valid.any()
     assert facing.lift_frame is None  # the lift is along the buffer's own normals
-    assert not facing.blocked.any()
+    assert not facing.is_blocked.any()
     to_sun = direction_enu(200.0, 20.0)
     by_day = (buffer.normal_frame @ to_sun > 0.1) & (buffer.shading_normal_frame @ to_sun > 0.1)
     assert by_day.any()
@@ -327,4 +327,4 @@ def test_points_are_lifted_upwards_everywhere_on_the_globe(write_raster, make_sc
     to_sun = np.array(source[:3])
     day = buffer.valid & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
     rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-    assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.blocked[day].any()
+    assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.is_blocked[day].any()

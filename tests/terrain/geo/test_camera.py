@@ -140,20 +140,20 @@ def test_a_vertical_camera_on_the_globe_has_north_at_its_top(lon, lat):
     assert angle_deg(view.earth_from_camera[:, 2], -up) < 1e-9
 
 
-@pytest.mark.parametrize("lean", [1e-3, 1e-6, 1e-8])
-def test_a_nearly_vertical_camera_stays_upright(lean):
-    """The top is where the camera leans. It does not jump to north while the lean has a direction at all."""
-    view = look_at(np.zeros(3), np.array([lean, 0.0, -1.0]), UP, 60.0, 4, 4)
+@pytest.mark.parametrize("tilt_tangent", [1e-3, 1e-6, 1e-8])
+def test_a_nearly_vertical_camera_stays_upright(tilt_tangent):
+    """The top is where the camera leans. It does not jump to north while the tilt has a direction at all."""
+    view = look_at(np.zeros(3), np.array([tilt_tangent, 0.0, -1.0]), UP, 60.0, 4, 4)
     axes = view.earth_from_camera
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(-axes[:, 1], [1, 0, 0], atol=1.1 * lean)
+    np.testing.assert_allclose(-axes[:, 1], [1, 0, 0], atol=1.1 * tilt_tangent)
 
 
-@pytest.mark.parametrize("apart", [0.0, 1e-9, np.nan])
-def test_look_at_refuses_the_eye_as_target(apart):
+@pytest.mark.parametrize("offset_m", [0.0, 1e-9, np.nan])
+def test_look_at_refuses_the_eye_as_target(offset_m):
     eye = np.array([3e6, 1e6, 5e6])
     with pytest.raises(InputError, match="target") as caught:
-        look_at(eye, eye + np.array([apart, 0.0, 0.0]), UP, 50.0, 4, 4)
+        look_at(eye, eye + np.array([offset_m, 0.0, 0.0]), UP, 50.0, 4, 4)
     assert "\n" not in str(caught.value) and "other than the eye" in str(caught.value)
 
 

@@ -39,7 +39,7 @@ def test_parse_clock_keeps_posix_zones_of_opposite_sign():
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "expected_text"),
     [
         ("Oslo", r"Europe/Oslo \(did you mean Europe/Oslo\?\)"), ("Europe/Olso", r"\(did you mean Europe/Oslo"),
         ("kolkata", "Asia/Kolkata"),
@@ -47,8 +47,8 @@ def test_parse_clock_keeps_posix_zones_of_opposite_sign():
         ("+24:00", "solar, utc"), ("+05:75", "solar, utc"), ("CEST", r"Europe/Oslo\.$"), ("../etc", r"Europe/Oslo\.$"),
     ],
 )  # fmt: skip
-def test_parse_clock_refuses_unknown_names_in_one_line(name, said):
-    with pytest.raises(InputError, match=said) as caught:
+def test_parse_clock_refuses_unknown_names_in_one_line(name, expected_text):
+    with pytest.raises(InputError, match=expected_text) as caught:
         parse_clock("clock", name)
     assert "\n" not in str(caught.value)
 

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.clock import SOLAR, parse_date
-from skugga.terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_between
+from skugga.terrain.geo.daily_windows import daily_window, dates_of, solar_time_min, windows_between
 from skugga.terrain.geo.sun_path import sun_path
 from skugga.terrain.geo.world import World
 
@@ -92,7 +92,7 @@ def test_the_sun_stands_in_the_south_at_solar_noon(world, day):
     path = sun_path([noon, window.start], LON, LAT)
     assert path.azimuth_deg[0] == pytest.approx(180.0, abs=0.05)
     assert window.minutes == pytest.approx(480.0, abs=0.5)  # the equation of time changes by half a minute a day at most
-    assert solar_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
+    assert solar_time_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
 
 
 def test_solar_time_follows_the_equation_of_time(world):

@@ -18,7 +18,9 @@ def test_sun_path_agrees_with_single_positions():
     times = [START + timedelta(hours=n) for n in range(16)]
     path = sun_path(times, 10.0, 60.0)
     single_positions = np.array([apparent_position(time, 10.0, 60.0) for time in times])
-    np.testing.assert_allclose(np.stack([path.azimuth_deg, path.altitude_deg, path.lift_deg], axis=1), single_positions, atol=1e-9)
+    np.testing.assert_allclose(
+        np.stack([path.azimuth_deg, path.altitude_deg, path.refraction_deg], axis=1), single_positions, atol=1e-9
+    )
     assert len(path) == 16
 
 

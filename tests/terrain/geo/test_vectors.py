@@ -269,7 +269,7 @@ SQUARE = [[9.0, 47.0], [9.01, 47.0], [9.01, 47.01], [9.0, 47.0]]
 
 
 @pytest.mark.parametrize(
-    ("bad", "said"),
+    ("bad", "expected_text"),
     [
         (
             [SQUARE[:2]],
@@ -280,13 +280,13 @@ SQUARE = [[9.0, 47.0], [9.01, 47.0], [9.01, 47.01], [9.0, 47.0]]
         ([SQUARE, [[x + 1.0, y] for x, y in SQUARE]], "feature 3 of 4 .fid 17.: a hole outside of its polygon, at 10, 47[.] Keep"),
     ],
 )
-def test_one_bad_feature_among_many_is_named(geojson, bad, said):
+def test_one_bad_feature_among_many_is_named(geojson, bad, expected_text):
     source = geojson([{"type": "Polygon", "coordinates": rings} for rings in ([SQUARE], [SQUARE], bad, [SQUARE])])
     text = json.loads(Path(source).read_text())
     for number, feature in enumerate(text["features"]):
         feature["id"] = 15 + number
     Path(source).write_text(json.dumps(text), encoding="utf-8")
-    with pytest.raises(SourceError, match=said) as caught:
+    with pytest.raises(SourceError, match=expected_text) as caught:
         read_features(source, UTM)
     assert "\n" not in str(caught.value)
 

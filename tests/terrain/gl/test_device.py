@@ -24,8 +24,8 @@ def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
     return np.stack([x, y, np.full_like(x, 2 * depth - 1)], axis=-1)
 
 
-def draw_sheet(gl, program: moderngl.Program, position: np.ndarray) -> int:
-    return gl.draw_sheet(program, position, sheet_of(position).triangles)
+def draw_grid_mesh(gl, program: moderngl.Program, position: np.ndarray) -> int:
+    return gl.draw_grid_mesh(program, position, sheet_of(position).triangles)
 
 
 def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
@@ -33,7 +33,7 @@ def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
     program = gl.program(VERTEX_SHADER, FRAGMENT_SHADER)
     with gl.depth_pass(target):
         for position in sheets:
-            draw_sheet(gl, program, position)
+            draw_grid_mesh(gl, program, position)
     return gl.read(target, attachment=-1)
 
 
@@ -66,7 +66,7 @@ def test_depth_clamp_does_not_leak_into_the_next_pass(gl):
     target.use()
     target.clear(depth=1.0)
     gl.ctx.enable_only(moderngl.DEPTH_TEST)
-    draw_sheet(gl, gl.program(VERTEX_SHADER, FRAGMENT_SHADER), sheet(-3.0))
+    draw_grid_mesh(gl, gl.program(VERTEX_SHADER, FRAGMENT_SHADER), sheet(-3.0))
     assert (gl.read(target, attachment=-1) == 1.0).all(), "clipped, as OpenGL does by default"
 
 
@@ -74,10 +74,10 @@ def test_triangles_with_a_missing_corner_are_left_out(gl):
     position = sheet(0.5, 3, 3)
     position[0, 0] = np.nan  # a corner of the NW quad only, which keeps one of its triangles
     program = gl.program(VERTEX_SHADER, FRAGMENT_SHADER)
-    assert draw_sheet(gl, program, position) == 7
-    assert draw_sheet(gl, program, sheet(0.5, 3, 3)) == 8
-    assert draw_sheet(gl, program, np.full((3, 3, 3), np.nan)) == 0
-    assert draw_sheet(gl, program, sheet(0.5, 1, 3)) == 0
+    assert draw_grid_mesh(gl, program, position) == 7
+    assert draw_grid_mesh(gl, program, sheet(0.5, 3, 3)) == 8
+    assert draw_grid_mesh(gl, program, np.full((3, 3, 3), np.nan)) == 0
+    assert draw_grid_mesh(gl, program, sheet(0.5, 1, 3)) == 0
 
 
 def test_a_sheet_is_drawn_along_its_diagonals(gl):
@@ -89,7 +89,7 @@ def test_a_sheet_is_drawn_along_its_diagonals(gl):
         target = gl.depth_target(9, 9, 24)
         with gl.depth_pass(target):
             cut_sheet = Sheet(position, np.array([[is_cut_nw_se]]))
-            assert gl.draw_sheet(program, cut_sheet.position_frame_m, cut_sheet.triangles) == 2
+            assert gl.draw_grid_mesh(program, cut_sheet.position_frame_m, cut_sheet.triangles) == 2
         middle_depths[is_cut_nw_se] = float(gl.read(target, attachment=-1)[4, 4])
     assert middle_depths[False] == pytest.approx(0.5, abs=1e-6) and middle_depths[True] == pytest.approx(0.1, abs=1e-6)
 
@@ -176,10 +176,10 @@ def test_draw_calls_are_recorded_with_their_programs(gl):
     triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
     corners = sheet(0.5).reshape(-1, 3)
     with record_draw_calls() as calls, gl.depth_pass(target):
-        draw_sheet(gl, program, sheet(0.5))
+        draw_grid_mesh(gl, program, sheet(0.5))
         gl.draw_triangles(other, corners, triangle)
         gl.draw_triangles(other, corners, none)  # nothing to draw: no call
-        draw_sheet(gl, program, np.full((3, 3, 3), np.nan))
+        draw_grid_mesh(gl, program, np.full((3, 3, 3), np.nan))
         with gl.uploaded_mesh(program, corners, triangle) as array:
             gl.render(array)
             gl.render(array, moderngl.LINES, vertices=2)

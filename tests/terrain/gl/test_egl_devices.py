@@ -18,9 +18,9 @@ from skugga.terrain.gl.egl_devices import (
     EGL_DEVICE,
     EglDevice,
     ProbedDevice,
-    devices_to_try,
+    candidate_devices,
     open_context,
-    probed_device,
+    probe_device,
     read_setting,
     set_process_number,
 )
@@ -40,7 +40,7 @@ SOFTWARE_DEVICE = ProbedDevice("llvmpipe", "4.5")
 def tried_device_numbers(setting: str, kinds: list[ProbedDevice], process_number: int = 0) -> list[int]:
     """Return the numbers of the devices that are tried on a machine with devices of some kinds."""
     devices = [EglDevice(index, kind is SOFTWARE_DEVICE) for index, kind in enumerate(kinds)]
-    return [device.index for device in devices_to_try(setting, devices, process_number, lambda index: kinds[index])]
+    return [device.index for device in candidate_devices(setting, devices, process_number, lambda index: kinds[index])]
 
 
 def fail_on_probe(index: int) -> ProbedDevice:
@@ -75,7 +75,7 @@ def test_read_setting_refuses_other_text(text):
 )
 def test_a_single_process_prefers_cards_and_probes_no_device(setting, kinds, expected):
     devices = [EglDevice(index, kind is SOFTWARE_DEVICE) for index, kind in enumerate(kinds)]
-    assert [device.index for device in devices_to_try(setting, devices, 0, fail_on_probe)] == expected
+    assert [device.index for device in candidate_devices(setting, devices, 0, fail_on_probe)] == expected
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def fake_machine(monkeypatch: pytest.MonkeyPatch):
         devices = tuple(EglDevice(index, kind is SOFTWARE_DEVICE) for index, kind in enumerate(kinds))
         monkeypatch.setattr(egl_devices, "egl_devices", lambda: devices)
         monkeypatch.setattr(egl_devices, "create_egl_context", create_egl_context)
-        monkeypatch.setattr(egl_devices, "probed_device", lambda index: kinds[index])
+        monkeypatch.setattr(egl_devices, "probe_device", lambda index: kinds[index])
         monkeypatch.setattr(egl_devices, "_process_number", 0)
         monkeypatch.setenv(EGL_DEVICE, setting)
 
@@ -181,8 +181,8 @@ def test_an_egl_that_cannot_list_devices_is_refused(monkeypatch: pytest.MonkeyPa
 def test_probes_of_this_machine_match_its_device(gl):
     devices = egl_devices.egl_devices()
     assert gl.egl_device in devices
-    assert probed_device(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
-    assert f"{len(devices)}" in probed_device(len(devices)).fault
+    assert probe_device(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
+    assert f"{len(devices)}" in probe_device(len(devices)).fault
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_a_driver_that_crashes_or_hangs_is_a_fault(script, fault, tmp_path, monk
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setattr(egl_devices.sys, "executable", str(program))
     monkeypatch.setattr(egl_devices, "PROBE_TIMEOUT_S", 0.5 if "sleep" in script else 60.0)
-    assert fault in probed_device(0).fault
+    assert fault in probe_device(0).fault
 
 
 def test_the_setting_selects_the_second_of_two_devices(gl, tmp_path):

@@ -48,7 +48,7 @@ def uniform_count(gl, target, counting: str, squares: list[np.ndarray], **pass_o
 
 
 @pytest.mark.parametrize(
-    ("counting", "depth", "way", "left"),
+    ("counting", "depth", "facing", "expected_count"),
     [
         ("z_pass", 0.6, TOWARDS, 1), ("z_pass", 0.6, AWAY, 255), ("z_pass", 0.4, TOWARDS, 0), ("z_pass", 0.4, AWAY, 0),
         ("z_fail", 0.6, TOWARDS, 0), ("z_fail", 0.6, AWAY, 0), ("z_fail", 0.4, TOWARDS, 255), ("z_fail", 0.4, AWAY, 1),
@@ -56,20 +56,22 @@ def uniform_count(gl, target, counting: str, squares: list[np.ndarray], **pass_o
         ("seen", 0.6, TOWARDS, 255), ("seen", 0.4, TOWARDS, 0),
     ],
 )  # fmt: skip
-def test_faces_increment_and_decrement(gl, target, counting, depth, way, left):
-    assert uniform_count(gl, target, counting, [square(depth, way)]) == left
+def test_faces_increment_and_decrement(gl, target, counting, depth, facing, expected_count):
+    assert uniform_count(gl, target, counting, [square(depth, facing)]) == expected_count
 
 
-@pytest.mark.parametrize(("counting", "way", "left"), [("z_pass", TOWARDS, 0), ("z_fail", AWAY, 1), ("z_fail", TOWARDS, 255)])
-def test_a_face_in_the_surface_lies_behind_it(gl, target, counting, way, left):
+@pytest.mark.parametrize(
+    ("counting", "facing", "expected_count"), [("z_pass", TOWARDS, 0), ("z_fail", AWAY, 1), ("z_fail", TOWARDS, 255)]
+)
+def test_a_face_in_the_surface_lies_behind_it(gl, target, counting, facing, expected_count):
     """The triangles are identical: a near cap and the surface that it lies on."""
-    assert uniform_count(gl, target, counting, [square(0.5, way)]) == left
+    assert uniform_count(gl, target, counting, [square(0.5, facing)]) == expected_count
 
 
-@pytest.mark.parametrize(("side", "left"), [("both", 1), ("front", 3), ("back", 254)])
-def test_front_and_back_sides_are_counted_separately(gl, target, side, left):
+@pytest.mark.parametrize(("side", "expected_count"), [("both", 1), ("front", 3), ("back", 254)])
+def test_front_and_back_sides_are_counted_separately(gl, target, side, expected_count):
     faces = [square(0.6, TOWARDS)] * 3 + [square(0.7, AWAY)] * 2
-    assert uniform_count(gl, target, "z_pass", faces, side=side) == left
+    assert uniform_count(gl, target, "z_pass", faces, side=side) == expected_count
 
 
 @pytest.mark.parametrize("number", [127, 128, 255, 256, 257, 600])
@@ -154,8 +156,8 @@ def shadow_map_depths(gl) -> list[np.ndarray]:
 PASSES = [
     ("depth_pass", {}), ("depth_pass", {"overwrite": True}), ("mark_pass", {}),
     ("increment_once_pass", {"stencil_value": 0, "clip_distances": 2}),
-    *(("count_pass", {"counting": way, "side": side, "marked_only": marked})
-      for way in ("z_pass", "z_fail", "faces", "seen") for side in ("both", "front", "back") for marked in (False, True)),
+    *(("count_pass", {"counting": counting, "side": side, "marked_only": marked})
+      for counting in ("z_pass", "z_fail", "faces", "seen") for side in ("both", "front", "back") for marked in (False, True)),
 ]  # fmt: skip
 
 

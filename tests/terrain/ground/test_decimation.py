@@ -118,10 +118,10 @@ def hypotenuse(row: int, col: int) -> tuple[tuple[int, int], tuple[int, int]]:
     return (row - down, col - right), (row + down, col + right)
 
 
-def distance_m(height: np.ndarray, eye: tuple[float, float, float], near_m: float = 1.0) -> np.ndarray:
+def distance_m(height: np.ndarray, eye: tuple[float, float, float], min_distance_m: float = 1.0) -> np.ndarray:
     row, col = np.mgrid[: height.shape[0], : height.shape[1]]
     plan_distance_m = np.hypot(row - eye[0], col - eye[1]) * SPACING_M
-    return np.maximum(np.hypot(plan_distance_m, np.nan_to_num(height - eye[2])), near_m)
+    return np.maximum(np.hypot(plan_distance_m, np.nan_to_num(height - eye[2])), min_distance_m)
 
 
 @st.composite
@@ -145,8 +145,8 @@ tolerances = st.one_of(st.just(0.0), st.floats(1e-4, 0.3))
 
 @settings(max_examples=200, deadline=None)
 @given(surfaces(), eyes, tolerances, st.sampled_from([UNLIMITED_TRIANGLES, 40, 8]), st.booleans())
-def test_decimate_is_conforming_with_an_exact_outline(height, eye, tolerance, max_triangles, sagitta):
-    mesh = decimate(node_errors(height, SPACING_M, sagitta), eye, tolerance, max_triangles)
+def test_decimate_is_conforming_with_an_exact_outline(height, eye, tolerance, max_triangles, is_curved):
+    mesh = decimate(node_errors(height, SPACING_M, is_curved), eye, tolerance, max_triangles)
     assert_conforming(height, mesh)
     if height.size > 1:
         np.testing.assert_array_equal(times_covered(height, mesh), half_cells(height)[1])
@@ -192,7 +192,7 @@ def test_deviation_on_terrain_is_below_twice_the_tolerance(eye, tolerance):
     errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, UNLIMITED_TRIANGLES)
     ratio = deviation_m(height, mesh) / distance_m(height, eye)
-    assert len(mesh.triangles) < 0.75 * errors.triangles
+    assert len(mesh.triangles) < 0.75 * errors.triangle_count
     assert ratio.max() <= 2.0 * tolerance
 
 
@@ -206,12 +206,12 @@ def test_far_node_that_bends_the_ground_at_the_eye_is_kept():
     assert len(decimate(errors, (16.0, 32.0, 100.0), tolerance, UNLIMITED_TRIANGLES).triangles) == 4
 
 
-def test_near_m_is_the_minimum_distance():
+def test_distances_count_as_at_least_min_distance_m():
     height = np.zeros((3, 3), np.float32)
     height[1, 1] = 1.0
     errors = node_errors(height, SPACING_M, False)
-    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.09, UNLIMITED_TRIANGLES, near_m=10.0).triangles) == 4
-    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, UNLIMITED_TRIANGLES, near_m=10.0).triangles) == 2
+    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.09, UNLIMITED_TRIANGLES, min_distance_m=10.0).triangles) == 4
+    assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, UNLIMITED_TRIANGLES, min_distance_m=10.0).triangles) == 2
 
 
 def test_node_errors_of_single_peaks():
@@ -307,7 +307,7 @@ def test_raster_with_holes_is_conforming(shared_data):
     errors = node_errors(height, 250.0, True)
     mesh = decimate(errors, (100.0, 100.0, 4000.0), 0.005, UNLIMITED_TRIANGLES)
     assert_conforming(height, mesh)
-    assert len(mesh.triangles) < 0.5 * errors.triangles
+    assert len(mesh.triangles) < 0.5 * errors.triangle_count
 
 
 @pytest.mark.parametrize(
@@ -317,16 +317,23 @@ def test_raster_with_holes_is_conforming(shared_data):
         ({"tolerance": -0.1}, "tolerance"),
         ({"tolerance": np.nan}, "tolerance"),
         ({"max_triangles": 0}, "max_triangles"),
-        ({"near_m": 0.0}, "near_m"),
+        ({"min_distance_m": 0.0}, "min_distance_m"),
         ({"spacing_m": 0.0}, "spacing_m"),
         ({"height": np.zeros(5)}, "heights_m"),
     ],
 )
 def test_invalid_arguments_are_named(change, named):
-    right = {"height": np.zeros((5, 5)), "spacing_m": 1.0, "eye": (0, 0, 1), "tolerance": 0.1, "max_triangles": 10, "near_m": 1.0}
+    right = {
+        "height": np.zeros((5, 5)),
+        "spacing_m": 1.0,
+        "eye": (0, 0, 1),
+        "tolerance": 0.1,
+        "max_triangles": 10,
+        "min_distance_m": 1.0,
+    }
     v = right | change
     with pytest.raises(InputError, match=named):
-        decimate(node_errors(v["height"], v["spacing_m"], False), v["eye"], v["tolerance"], v["max_triangles"], v["near_m"])
+        decimate(node_errors(v["height"], v["spacing_m"], False), v["eye"], v["tolerance"], v["max_triangles"], v["min_distance_m"])
 
 
 @pytest.mark.parametrize("eye", [(128.0, 128.0, 2.0), (100.3, 171.8, 2.0), (0.0, 0.0, 5.0), (31.999, 64.0, 30.0)])

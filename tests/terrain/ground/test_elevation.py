@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground import elevation as module
-from skugga.terrain.ground.elevation import FILL_CELLS, Elevation
+from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
@@ -70,7 +70,7 @@ def test_centre_of_a_large_hole_is_not_filled(write_raster):
     values[:, 50:350] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 0, 300, 10)))
     height, valid = heights_at(elevation, 15, np.arange(400))
-    assert np.isnan(height[0, 50 + FILL_CELLS + 2 : 350 - FILL_CELLS - 2]).all()
+    assert np.isnan(height[0, 50 + MAX_FILL_CELLS + 2 : 350 - MAX_FILL_CELLS - 2]).all()
     assert np.isfinite(height[0, :52]).all() and not valid[0, 50:350].any()
 
 
@@ -116,11 +116,11 @@ def test_global_raster_has_no_border_at_its_seam(write_raster):
     assert valid.all()
 
 
-@pytest.mark.parametrize("hole", [8, 40, 200])
-def test_hole_across_the_seam_of_a_global_raster_is_filled(write_raster, hole):
+@pytest.mark.parametrize("hole_cols", [8, 40, 200])
+def test_hole_across_the_seam_of_a_global_raster_is_filled(write_raster, hole_cols):
     """The same cells start at another meridian: the hole lies across the seam in one file and in the middle of the other."""
     values = np.random.default_rng(4).normal(500, 200, (128, 256)).astype(np.float32)
-    values[40:90, np.arange(-hole // 2, hole // 2)] = np.nan
+    values[40:90, np.arange(-hole_cols // 2, hole_cols // 2)] = np.nan
     seam_elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
     inner_elevation = Elevation(str(write_raster(np.roll(values, 128, axis=1), "EPSG:4326", 0, 90, 360 / 256, name="within.tif")))
     for level in (0, 1, 2):
@@ -254,12 +254,12 @@ def test_unusable_rasters_are_rejected_with_their_name(tmp_path, write_raster):
         assert words in str(caught.value) and path.name in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kept", [0.3, 0.9])
-def test_damaged_raster_fails_with_one_line(write_raster, kept):
+@pytest.mark.parametrize("kept_share", [0.3, 0.9])
+def test_damaged_raster_fails_with_one_line(write_raster, kept_share):
     values = np.random.default_rng(0).normal(size=(400, 400)).astype(np.float32)
     path = write_raster(values, UTM, 0, 4000, 10, compress="deflate", tiled=True, blockxsize=128, blockysize=128)
     data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * kept)])
+    path.write_bytes(data[: int(len(data) * kept_share)])
     with pytest.raises(SourceError) as caught:
         heights_at(Elevation(str(path)), np.arange(400)[:, None], np.arange(400)[None, :])
     assert path.name in str(caught.value) and "\n" not in str(caught.value)

@@ -179,7 +179,7 @@ def test_sixteen_bits_are_stretched_to_their_98th_percentile(write_raster):
 
 def test_large_imagery_is_averaged_to_max_side(write_raster, monkeypatch):
     """Cells keep their positions: 64 cells a side are read as 16."""
-    monkeypatch.setattr("skugga.terrain.ground.imagery.MAX_SIDE", 16)
+    monkeypatch.setattr("skugga.terrain.ground.imagery.MAX_SIDE_CELLS", 16)
     data = np.repeat(np.repeat(random_colors(5), 4, axis=1), 4, axis=2)
     path = write_raster(data, UTM, X0, Y0, CELL / 4, name="large.tif")
     image = Imagery(str(path))

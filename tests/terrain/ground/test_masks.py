@@ -99,13 +99,13 @@ def heights_of_level(elevation: Elevation, level: int) -> np.ndarray:
 @pytest.mark.parametrize("is_large", [False, True], ids=["small", "large"])
 @pytest.mark.parametrize("stated", [None, STATED])
 @pytest.mark.parametrize("dtype", ["float32", "int16", "uint16", "uint8"])
-@pytest.mark.parametrize("way", MASK_DECLARATIONS)
-def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, way, dtype, stated, is_large):
+@pytest.mark.parametrize("declaration", MASK_DECLARATIONS)
+def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, declaration, dtype, stated, is_large):
     """A large raster is read from the overviews of its file if these were built with all declarations of empty cells."""
     if is_large:
         monkeypatch.setattr(module, "MAX_EXACT_MAXIMA_CELLS", 100)
     heights = np.random.default_rng(1).integers(100, 200, (SIDE_CELLS, SIDE_CELLS)).astype(dtype)
-    path, empty = write(tmp_path / "dem.tif", heights, **MASK_DECLARATIONS[way], overviews=() if stated else (2, 4))
+    path, empty = write(tmp_path / "dem.tif", heights, **MASK_DECLARATIONS[declaration], overviews=() if stated else (2, 4))
     if stated:
         empty = empty | (heights == STATED)
     elevation = Elevation(str(path), nodata=stated)
@@ -121,9 +121,9 @@ def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, w
     elevation.close()
 
 
-@pytest.mark.parametrize("way", MASK_DECLARATIONS)
-def test_declared_empty_cells_have_no_trees(tmp_path, way):
-    path, empty = write(tmp_path / "chm.tif", np.full((SIDE_CELLS, SIDE_CELLS), 20, np.float32), **MASK_DECLARATIONS[way])
+@pytest.mark.parametrize("declaration", MASK_DECLARATIONS)
+def test_declared_empty_cells_have_no_trees(tmp_path, declaration):
+    path, empty = write(tmp_path / "chm.tif", np.full((SIDE_CELLS, SIDE_CELLS), 20, np.float32), **MASK_DECLARATIONS[declaration])
     with rasterio.open(path, "r+") as dataset:
         values = dataset.read(1)
         values[empty] = 30.0

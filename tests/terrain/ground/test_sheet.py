@@ -137,13 +137,13 @@ def test_three_corners_are_a_triangle_and_two_are_none(height, missing):
         assert triangles == []
 
 
-@pytest.mark.parametrize("along", ["falling diagonal", "rising diagonal", "row", "column"])
-def test_ridge_of_one_node_has_no_gaps(along):
+@pytest.mark.parametrize("ridge_line", ["falling diagonal", "rising diagonal", "row", "column"])
+def test_ridge_of_one_node_has_no_gaps(ridge_line):
     """In any direction, horizontal rays from both sides hit the ridge up to its crest, at its nodes and between them."""
     side, crest_m = 12, 10.0
     row, col = np.indices((side, side))
     on_ridge = {"falling diagonal": row == col, "rising diagonal": row + col == side - 1, "row": row == 6, "column": col == 6}[
-        along
+        ridge_line
     ]
     sheet = sheet_of(nodes_of(np.where(on_ridge, crest_m, 0.0)))
     rays = RayScene([sheet])

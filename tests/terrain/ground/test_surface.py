@@ -82,7 +82,7 @@ def test_along_equals_the_coordinates_of_the_points(scene, row0, col0, turn):
         surface.write_axis_coordinates(axis, origin, [grid_window], [array])
         arrays.append(array)
     assert np.array_equal(*arrays, equal_nan=True)
-    exact = (frame.points_to_earth(surface.points(row0, col0, window.height_m, frame)) - origin) @ axis
+    exact = (frame.points_to_earth(surface.window_positions(row0, col0, window.height_m, frame)) - origin) @ axis
     assert np.isnan(arrays[0]).any() and np.array_equal(np.isnan(arrays[0]), np.isnan(exact))
     assert np.nanmax(np.abs(arrays[0] - exact)) < 2e-3  # float32 at distances of kilometres
 

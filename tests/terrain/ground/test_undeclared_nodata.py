@@ -100,7 +100,7 @@ def test_mountains_in_undeclared_feet_are_reported(tmp_path):
     feet = hills(SIDE_CELLS, SIDE_CELLS, 6000.0, 14400.0)
     share = 100 * float((feet > 9500.0).mean())
     (warning,) = warnings_of(tmp_path, feet)
-    assert warning.startswith(f"{share:.3g} % of the raster's cells are no heights on earth and left out as holes: 9,50")
+    assert warning.startswith(f"{share:.3g} % of the raster's cells have impossible heights and are left out as holes: 9,50")
     assert "to 14,400 m, read as heights in m (no unit is stated)" in warning
     assert "terrain: {units: UNIT}" in warning and "--units UNIT" in warning and "us-ft" in warning
     assert warnings_of(tmp_path, feet, units="ft") == ()
@@ -110,7 +110,7 @@ def test_arbitrary_sentinel_suggests_nodata_or_another_unit(tmp_path):
     heights = hills(SIDE_CELLS, SIDE_CELLS)
     heights[50:60, 50:60] = 12345.0
     (warning,) = warnings_of(tmp_path, heights)
-    assert warning.startswith("0.25 % of the raster's cells are no heights on earth") and "12,345 m, read as" in warning
+    assert warning.startswith("0.25 % of the raster's cells have impossible heights") and "12,345 m, read as" in warning
     assert "mean no data, write terrain: {nodata: 12345}" in warning and "--units UNIT" in warning
     assert warnings_of(tmp_path, heights, nodata=12345.0) == ()
 

@@ -34,7 +34,9 @@ def scene(tmp_path_factory):
 def test_visible_cells_contain_all_cells_of_the_pixels(scene, lon: float, lat: float, side: float, crs: str):
     from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
-    x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
+    x, y = transformer(LONGITUDE_LATITUDE, scene._parse_crs(crs)).transform(
+        [lon - side, lon + side], [lat - side / 2, lat + side / 2]
+    )
     view = scene.view(bounds=(x[0], y[0], x[1], y[1]), crs=crs, size=(24, 24))
     cells = visible_cells(scene.elevation, view)
     buffer = geometry_buffer(scene, view)

@@ -89,7 +89,7 @@ def test_virtual_rasters_of_files_are_read(folder):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_text"),
     [
         (vrt_text("/etc/passwd", 'subClass="VRTRawRasterBand"'), "raw bytes"),
         (
@@ -101,13 +101,13 @@ def test_virtual_rasters_of_files_are_read(folder):
     ],
     ids=["raw", "python", "device", "inside"],
 )
-def test_unsafe_virtual_rasters_are_rejected(folder, text, said):
+def test_unsafe_virtual_rasters_are_rejected(folder, text, expected_text):
     (folder / "bad.vrt").write_text(text)
     (folder / "of_bad.vrt").write_text(vrt_text("bad.vrt"))
     for name in ("bad.vrt", "of_bad.vrt"):
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=expected_text):
             Elevation(str(folder / name))
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(SourceError, match=expected_text):
             check_geodata(str(folder / name))
 
 

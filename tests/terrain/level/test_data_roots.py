@@ -155,14 +155,12 @@ ESCAPES = (
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-@pytest.mark.parametrize("lead_out", ESCAPES, ids=lambda escape: escape.__name__)
-def test_no_level_of_a_folder_leads_out_of_it(
-    level_folder: Path, lead_out: Callable[[Path], None], caplog: pytest.LogCaptureFixture
-):
+@pytest.mark.parametrize("escape", ESCAPES, ids=lambda escape: escape.__name__)
+def test_no_level_of_a_folder_leads_out_of_it(level_folder: Path, escape: Callable[[Path], None], caplog: pytest.LogCaptureFixture):
     """Links out of the folder fail even with remote sources allowed. The other levels are served."""
-    lead_out(level_folder)
+    escape(level_folder)
     write_level(
-        level_folder / "right.yaml", "dem.tif" if lead_out not in (escape_by_linked_overview, escape_by_metadata) else "other.tif"
+        level_folder / "right.yaml", "dem.tif" if escape not in (escape_by_linked_overview, escape_by_metadata) else "other.tif"
     )
     write_raster(level_folder / "other.tif")
     assert ServedLevels([], remote_sources=True, folder=level_folder).names() == ["right"]
@@ -173,22 +171,22 @@ def test_no_level_of_a_folder_leads_out_of_it(
 
 
 @pytest.mark.parametrize(
-    "lead_out",
+    "escape",
     [escape_by_path, escape_by_link, escape_by_linked_level, escape_by_linked_overview],
     ids=lambda escape: escape.__name__,
 )
-def test_worker_checks_data_roots_too(level_folder: Path, lead_out: Callable[[Path], None]):
+def test_worker_checks_data_roots_too(level_folder: Path, escape: Callable[[Path], None]):
     """A worker reads the level itself, and the level may have changed."""
-    lead_out(level_folder)
+    escape(level_folder)
     with pytest.raises(LevelError, match="lies outside the folders of levels"):
         load_level(LevelSource(path=level_folder / "level.yaml", roots=(level_folder,)))
 
 
 @pytest.mark.parametrize(
-    "lead_out", [escape_by_path, escape_by_link, escape_by_linked_folder, escape_by_virtual_raster, escape_by_metadata]
+    "escape", [escape_by_path, escape_by_link, escape_by_linked_folder, escape_by_virtual_raster, escape_by_metadata]
 )
-def test_data_roots_allow_other_folders(level_folder: Path, lead_out: Callable[[Path], None]):
-    lead_out(level_folder)
+def test_data_roots_allow_other_folders(level_folder: Path, escape: Callable[[Path], None]):
+    escape(level_folder)
     level = ServedLevels([level_folder / "level.yaml"], data_roots=[level_folder.parent / "outside"]).reload_if_changed("level")
     assert level.key.roots is not None and level_folder.parent / "outside" in level.key.roots
 

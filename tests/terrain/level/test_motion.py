@@ -56,7 +56,7 @@ def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "parts, key, said",
+    "parts, key, expected_text",
     [
         (moving_mesh(END_KEY, START_KEY), "meshes.0.motion.path.1.seconds", ("'0.0' is not allowed. Allowed: "
             "seconds that increase by")),
@@ -108,11 +108,11 @@ def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):
         ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "missing. This key is required"),
     ],
 )  # fmt: skip
-def test_motion_error_names_the_key_in_one_line(tmp_path, parts, key, said):
+def test_motion_error_names_the_key_in_one_line(tmp_path, parts, key, expected_text):
     with pytest.raises(LevelError) as caught:
         load_floor_level(tmp_path, **parts)
     text = str(caught.value)
-    assert text.startswith(f"{tmp_path}/level.yaml: {key}: ") and said in text and "\n" not in text, text
+    assert text.startswith(f"{tmp_path}/level.yaml: {key}: ") and expected_text in text and "\n" not in text, text
 
 
 def test_every_wrong_key_of_a_path_is_reported(tmp_path):

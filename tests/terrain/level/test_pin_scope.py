@@ -85,15 +85,15 @@ scopes = st.builds(
 
 
 @given(st.lists(scopes, max_size=6), st.booleans())
-def test_covered_pins_are_those_that_never_apply(pins, sunless):
+def test_covered_pins_are_those_that_never_apply(pins, has_no_sun):
     """Compare with brute force over all views, with sun altitudes between all range limits."""
-    suns = [*np.arange(-89.0, 90.0, 2.0), *([None] if sunless else [])]
+    suns = [*np.arange(-89.0, 90.0, 2.0), *([None] if has_no_sun else [])]
     first = {
-        (view, sun): next((number for number, pin in enumerate(pins) if pin.holds(view, sun)), None)
+        (view, sun): next((number for number, pin in enumerate(pins) if pin.applies_to(view, sun)), None)
         for view in ("map", "village")
         for sun in suns
     }
-    vain = {number for number, _ in covered_pins(pins, ("map", "village"), sunless)}
+    vain = {number for number, _ in covered_pins(pins, ("map", "village"), has_no_sun)}
     assert vain == set(range(len(pins))) - set(first.values())
     for (view, sun), number in first.items():
         for index in range(len(pins)) if sun is not None else ():

@@ -66,7 +66,7 @@ def test_model_is_placed_turned_and_scaled(scene_of):
     np.testing.assert_allclose(result.vertices_earth_m.min(axis=0), [18, 10, 0], atol=1e-6)
     np.testing.assert_allclose(result.vertices_earth_m.max(axis=0), [22, 22, 8], atol=1e-6)
     np.testing.assert_allclose(result.albedo, np.tile(srgb_albedo((0.5, 0.5, 0.5)), (12, 1)))
-    assert result.closed == (True,)
+    assert result.is_closed == (True,)
     assert result.triangles.dtype == np.int32 and result.albedo.dtype == np.float32
     assert result.caster_vertices_earth_m is result.vertices_earth_m and result.caster_triangles is result.triangles
 
@@ -189,7 +189,7 @@ def test_meshes_without_motion_ignore_the_clock(scene_of):
 
 def test_several_positions_are_several_bodies(scene_of):
     result = assemble_solids(scene_of(FLOOR_TERRAIN, {"source": "arrow.ply", "at": [[0, 0], [50, 20]]}, {"source": "ball.ply"}))
-    assert result.closed == (True, True, True)
+    assert result.is_closed == (True, True, True)
     assert np.bincount(result.body).tolist() == [12, 12, 320]
     assert result.triangles.max() == len(result.vertices_earth_m) - 1
     shift = result.vertices_earth_m[8:16] - result.vertices_earth_m[:8]
@@ -244,7 +244,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
 
 
 @pytest.mark.parametrize(
-    "mesh, kind, said",
+    "mesh, kind, expected_text",
     [
         ({"source": "arrow.ply", "at": [101, 0]}, None, []),  # on the outermost half cell
         ({"source": "arrow.ply", "at": [120, 0]}, LevelError, ["meshes.0.at", "(120.0, 0.0)", "-105.00, -55.00, 105.00, 55.00"]),
@@ -269,14 +269,14 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
         ({"source": "none.geojson", "height": 3}, SourceError, ["none.geojson", "no such file"]),
     ],
 )  # fmt: skip
-def test_mesh_error_names_the_key_in_one_line(scene_of, mesh, kind, said):
+def test_mesh_error_names_the_key_in_one_line(scene_of, mesh, kind, expected_text):
     scene = scene_of(FLOOR_TERRAIN, mesh)
     if kind is None:
         assert assemble_solids(scene) is not None
         return
     with pytest.raises(kind) as caught:
         assemble_solids(scene)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -76,7 +76,7 @@ def test_srgb_albedo_is_linear():
 
 def test_box_is_closed_with_sharp_edges():
     body = box((2, 4, 6), (1, 2, 3))
-    assert body.closed and body.volume_m3 == pytest.approx(48)
+    assert body.is_closed and body.volume_m3 == pytest.approx(48)
     assert body.vertices_m.min(axis=0) == pytest.approx([0, 0, 0])
     corners = body.vertices_m[body.triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -87,7 +87,7 @@ def test_box_is_closed_with_sharp_edges():
 def test_cylinder_has_a_smooth_side_and_a_sharp_rim():
     cylinder = trimesh.creation.cylinder(2.0, 5.0, sections=24)
     body = Body(np.asarray(cylinder.vertices), np.asarray(cylinder.faces), np.ones(3))
-    assert body.closed
+    assert body.is_closed
     normal, corner = body.corner_normals(), body.vertices_m[body.triangles]
     side = np.abs(normal[..., 2]) < 0.5
     radial = corner[side] * (1, 1, 0) / 2.0
@@ -99,18 +99,18 @@ def test_cylinder_has_a_smooth_side_and_a_sharp_rim():
 
 def test_open_or_doubled_surface_is_not_closed():
     body = box((1, 1, 1))
-    assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).closed
+    assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).is_closed
     flipped_triangles = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
-    assert not Body(body.vertices_m, flipped_triangles, body.albedo).closed
+    assert not Body(body.vertices_m, flipped_triangles, body.albedo).is_closed
     doubled_surface = np.vstack([body.vertices_m] * 2), np.vstack([body.triangles, body.triangles + len(body.vertices_m)])
-    assert not Body(*doubled_surface, np.ones(3)).closed
-    assert not Body(np.empty((0, 3)), np.empty((0, 3)), np.ones(3)).closed
+    assert not Body(*doubled_surface, np.ones(3)).is_closed
+    assert not Body(np.empty((0, 3)), np.empty((0, 3)), np.ones(3)).is_closed
 
 
 def test_coincident_vertices_are_merged():
     body = box((1, 1, 1))
     soup = Body(body.vertices_m[body.triangles].reshape(-1, 3), np.arange(36).reshape(-1, 3), body.albedo)
-    assert soup.closed
+    assert soup.is_closed
 
 
 def test_triangles_without_area_are_dropped():
@@ -153,7 +153,7 @@ def test_block_is_closed_and_has_the_roof_of_its_footprint(polygons):
         triangles, is_roof = block_triangles(roof, ends)
         vertices = np.concatenate([np.insert(xy, 2, height, axis=1) for height in (7.0, 0.0)])
         body = Body(vertices, triangles, (0.5, 0.5, 0.5))
-        assert body.closed, polygon.wkt
+        assert body.is_closed, polygon.wkt
         assert body.volume_m3 == pytest.approx(7.0 * polygon.area)
         assert is_roof.sum() == len(roof)
 
@@ -163,7 +163,7 @@ def test_building_stands_on_level_ground(tmp_path, level_ground):
     bodies, world, elevation = place_footprints(tmp_path, level_ground, source=source)
     assert len(bodies) == 2
     for body, footprint, height_m in zip(bodies, (SQUARE, COURTYARD_BLOCK), (8.0, 12.0), strict=True):
-        assert body.body.closed
+        assert body.body.is_closed
         # The UTM scale here is 0.9996: areas on the ground are larger by its inverse square.
         assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (height_m + FOOTING_M), rel=1e-4)
         up = heights(body, world, elevation)
@@ -175,7 +175,7 @@ def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
     (body,), world, elevation = place_footprints(tmp_path, slope, source=source, height=8.0)
     west, east = (elevation.ground_m(np.float64(x), np.float64(5000105)) for x in (500100, 500120))
     up = heights(body, world, elevation)
-    assert body.body.closed and body.body.volume_m3 > 0
+    assert body.body.is_closed and body.body.volume_m3 > 0
     assert east - west == pytest.approx(4.0)
     assert up.max() == pytest.approx((west + east) / 2 + 8.0, abs=1e-3)
     assert up.min() == pytest.approx(west - FOOTING_M, abs=1e-3)
@@ -187,7 +187,7 @@ def test_redundant_corners_and_orientation_do_not_matter(tmp_path, level_ground)
     source = write_footprints(tmp_path / "b.gpkg", [SQUARE, redundant_outline])
     (body, redundant_body), *_ = place_footprints(tmp_path, level_ground, source=source, height=8.0)
     assert len(body.body.triangles) == len(redundant_body.body.triangles) == 12
-    assert redundant_body.body.closed and redundant_body.body.volume_m3 == pytest.approx(body.body.volume_m3)
+    assert redundant_body.body.is_closed and redundant_body.body.volume_m3 == pytest.approx(body.body.volume_m3)
 
 
 def test_multipolygons_and_self_intersections_are_handled(tmp_path, level_ground):
@@ -195,7 +195,7 @@ def test_multipolygons_and_self_intersections_are_handled(tmp_path, level_ground
     multipolygon = shapely.MultiPolygon([SQUARE, COURTYARD_BLOCK])
     source = write_footprints(tmp_path / "b.gpkg", [multipolygon], height=[5])
     bodies, *_ = place_footprints(tmp_path, level_ground, source=source)
-    assert [body.body.closed for body in bodies] == [True, True]
+    assert [body.body.is_closed for body in bodies] == [True, True]
     source = write_footprints(tmp_path / "c.gpkg", [bow_tie], height=[5])
     bodies, *_ = place_footprints(tmp_path, level_ground, source=source)
     assert sum(b.body.volume_m3 for b in bodies) == pytest.approx(200 / 0.9996**2 * 5.5, rel=1e-3)
@@ -302,7 +302,7 @@ def test_real_footprints_get_heights_from_real_rasters(tmp_path, shared_data):
         tmp_path, folder / "DEM.tif", source=folder / "buildings.shp", surface=folder / "DSM.tif", ground=folder / "DEM.tif"
     )
     assert 20 < len(bodies) < 137
-    assert all(body.body.closed and body.body.volume_m3 > 0 for body in bodies)
+    assert all(body.body.is_closed and body.body.volume_m3 > 0 for body in bodies)
     spans = [np.ptp(heights(body, world, elevation)) for body in bodies]
     assert 10 < np.median(spans) < 25 and max(spans) < 60
 
@@ -316,7 +316,7 @@ def test_building_in_a_flat_world(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "mesh, kind, said",
+    "mesh, kind, expected_text",
     [
         ({"height": "storeys"}, SourceError, ["b.gpkg", "no attribute 'storeys'", "tall, name"]),
         ({}, LevelError, ["meshes.0.height: missing", "b.gpkg (tall, name)", "surface and ground"]),
@@ -334,26 +334,26 @@ def test_building_in_a_flat_world(tmp_path):
         ({"surface": "none.tif", "ground": "dem.tif"}, SourceError, ["none.tif"]),
     ],
 )
-def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, said):
+def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, expected_text):
     source = write_footprints(tmp_path / "b.gpkg", [SQUARE, COURTYARD_BLOCK], tall=[3.0, 1500.0], name=["tower", "yard"])
     with pytest.raises(kind) as caught:
         place_footprints(tmp_path, level_ground, source=source, **mesh)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    "geometry, said",
+    "geometry, expected_text",
     [
         (shapely.Point(500100, 5000100), ["Point geometries", "Use polygons, or a model"]),
         (affinity.translate(SQUARE, 50000, 0), ["footprints within 15.6", "on the terrain: within 15.0"]),
     ],
 )
-def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, said):
+def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, expected_text):
     source = write_footprints(tmp_path / "b.gpkg", [geometry])
     with pytest.raises(SourceError) as caught:
         place_footprints(tmp_path, level_ground, source=source, height=5)
-    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert all(part in str(caught.value) for part in expected_text), str(caught.value)
 
 
 def test_no_usable_height_is_a_single_error(tmp_path, level_ground):

@@ -120,7 +120,7 @@ def test_raised_footprint_is_a_closed_block(tmp_path, name, value, base_m):
     )
     np.testing.assert_allclose(up, [[base_m, 9.0], [-FOOTING_M, 9.0]], atol=1e-6)
     raised = placement.visible[0].body
-    assert raised.closed and raised.volume_m3 == pytest.approx(200.0 * (9.0 - base_m))
+    assert raised.is_closed and raised.volume_m3 == pytest.approx(200.0 * (9.0 - base_m))
     assert any(f"base heights: 1 of 2 footprints from the attribute '{name}'" in note for note in placement.notes)
 
 
@@ -148,7 +148,7 @@ def test_pitched_roof_of_a_raised_house_leaves_walls(tmp_path):
     placement, up = place_on_floor(tmp_path, [house], mesh={"roof": "pitched"}, height=[9.0], min_height=[6.0])
     np.testing.assert_allclose(up, [[6.0, 9.0]], atol=1e-6)
     eaves = np.unique(np.round(placement.visible[0].origin_earth_m[2] + placement.visible[0].body.vertices_m[:, 2], 6))
-    assert placement.visible[0].body.closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
+    assert placement.visible[0].body.is_closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
 
 
 def test_floor_above_its_roof_is_omitted_and_reported(tmp_path):

@@ -44,7 +44,7 @@ def test_exact_triangle_counts(scenes, name):
 @pytest.mark.parametrize("name", GENERATORS)
 def test_bodies_are_closed_and_face_outwards(scenes, name):
     for number, body in enumerate(scenes[name]):
-        assert body.closed, f"body {number}"
+        assert body.is_closed, f"body {number}"
         assert body.volume_m3 > 0, f"body {number}"
         assert ((body.albedo > 0) & (body.albedo < 1)).all()
 
@@ -178,22 +178,22 @@ def test_spatialace_figure_flies_clear_of_trees():
 def test_tube_and_lathe_are_regular_prisms():
     area = 0.5 * 12 * np.sin(2 * np.pi / 12)  # a regular 12-gon in the unit circle
     bar = shapes.tube([(1, 2, 3), (1, 6, 6)], 1.0, 12, GRAY)
-    assert bar.closed and len(bar.triangles) == 4 * 12
+    assert bar.is_closed and len(bar.triangles) == 4 * 12
     assert bar.volume_m3 == pytest.approx(5 * area)
     can = shapes.lathe([(0, 0), (1, 0), (1, 5), (0, 5)], 12, GRAY)
-    assert can.closed and len(can.triangles) == 4 * 12
+    assert can.is_closed and len(can.triangles) == 4 * 12
     assert can.volume_m3 == pytest.approx(5 * area)
 
 
 def test_ring_has_the_volume_of_its_prisms():
     washer = shapes.ring([(1, 0), (2, 0), (2, 0.5), (1, 0.5)], 6, GRAY)
-    assert washer.closed and len(washer.triangles) == 2 * 4 * 6
+    assert washer.is_closed and len(washer.triangles) == 2 * 4 * 6
     assert washer.volume_m3 == pytest.approx(0.5 * (4 - 1) * 0.5 * 6 * np.sin(np.pi / 3))
 
 
 def test_bent_tube_and_loft_are_closed():
     hoop = shapes.tube(shapes.arc((0, 0, 1), 2.0, -90, 90, 9), 0.1, 6, GRAY)
-    assert hoop.closed and hoop.volume_m3 == pytest.approx(np.pi * 2 * 0.5 * 6 * 0.01 * np.sin(np.pi / 3), rel=0.03)
+    assert hoop.is_closed and hoop.volume_m3 == pytest.approx(np.pi * 2 * 0.5 * 6 * 0.01 * np.sin(np.pi / 3), rel=0.03)
     square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
     assert shapes.loft(np.stack([square, square + [0, 0, 2]]), GRAY).volume_m3 == pytest.approx(2)
 
@@ -202,7 +202,7 @@ def test_bent_tube_and_loft_are_closed():
 def test_wall_stands_left_of_its_line(end):
     pane = shapely.Polygon([(0, 0), (4, 0), (4, 3), (0, 3)], [[(1, 1), (1, 2), (3, 2), (3, 1)]])
     body = shapes.wall(pane, (0.0, 0.0), end, 0.5, GRAY)
-    assert body.closed
+    assert body.is_closed
     assert body.volume_m3 == pytest.approx((12 - 2) * 0.5)
     assert body.vertices_m[:, 2].min() == 0 and body.vertices_m[:, 2].max() == 3
     left = np.array([-end[1], end[0]]) / 4
@@ -213,13 +213,13 @@ def test_wall_stands_left_of_its_line(end):
 def test_cell_box_is_the_cube():
     points, triangles = shapes.cell_box((3, 4, 5))
     body = shapes.solid(points, triangles, GRAY)
-    assert body.closed and len(triangles) == 4 * (12 + 20 + 15)
+    assert body.is_closed and len(triangles) == 4 * (12 + 20 + 15)
     assert body.volume_m3 == pytest.approx(8)
     assert np.abs(points).max(axis=1) == pytest.approx(np.ones(len(points)))
 
 
 def test_gable_and_cuboid_volumes():
     roof = shapes.gable((0, 0), (4, 10), 3.0, 5.0, GRAY)
-    assert roof.closed and len(roof.triangles) == 8
+    assert roof.is_closed and len(roof.triangles) == 8
     assert roof.volume_m3 == pytest.approx(4 * 2 / 2 * 10)
     assert shapes.cuboid((0, 0, 1), (1, 2, 4), GRAY).volume_m3 == pytest.approx(6)

@@ -41,7 +41,7 @@ def test_read_model_is_upright_on_its_base(tmp_path, suffix):
     body = read_model(str(path))
     np.testing.assert_allclose(body.vertices_m.min(axis=0), [0, -2, 0], atol=1e-6)
     np.testing.assert_allclose(body.vertices_m.max(axis=0), [2, 2, 6], atol=1e-6)
-    assert body.closed and body.volume_m3 == pytest.approx(48)
+    assert body.is_closed and body.volume_m3 == pytest.approx(48)
 
 
 def test_front_of_a_gltf_model_faces_south(tmp_path):
@@ -62,7 +62,7 @@ def test_scenes_are_flattened_with_their_transforms(tmp_path):
     scene.add_geometry(trimesh.creation.box(), transform=mirrored)
     scene.export(tmp_path / "row.glb")
     body = read_model(str(tmp_path / "row.glb"))
-    assert len(body.triangles) == 48 and body.closed
+    assert len(body.triangles) == 48 and body.is_closed
     assert body.volume_m3 == pytest.approx(4)  # the mirrored box faces outwards, too
     assert np.ptp(body.vertices_m[:, 0]) == pytest.approx(31)
 
@@ -131,7 +131,7 @@ def write_truncated_glb(path):
 
 
 @pytest.mark.parametrize(
-    "name, write, said",
+    "name, write, expected_text",
     [
         ("none.glb", lambda path: None, "no such file"),
         ("broken.glb", write_truncated_glb, "cannot be read"),
@@ -142,12 +142,12 @@ def write_truncated_glb(path):
         ("line.obj", write_degenerate_triangle, "no triangle with an area"),
     ],
 )
-def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, said):
+def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, expected_text):
     write(tmp_path / name)
     with pytest.raises(SourceError) as caught:
         read_model(str(tmp_path / name))
     message = str(caught.value)
-    assert name in message and said in message and "\n" not in message, message
+    assert name in message and expected_text in message and "\n" not in message, message
     assert capfd.readouterr() == ("", "")
 
 

@@ -60,7 +60,7 @@ def roof_rise_m(width=WIDTH_M, height=HEIGHT_M) -> float:
 @pytest.mark.parametrize("form", ["pitched", "hipped", "auto"])
 def test_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
     body, height = house(form, rectangle(turn=turn))
-    assert body.closed
+    assert body.is_closed
     levels = np.unique(height.round(4))
     assert levels == pytest.approx([-FOOTING_M, HEIGHT_M - roof_rise_m(), HEIGHT_M], abs=2e-3)
 
@@ -73,7 +73,7 @@ def test_roof_volumes_are_those_of_prisms_and_pyramids(house, turn):
     hipped, _ = house("hipped", rectangle(turn=turn))
     assert hipped.volume_m3 == pytest.approx(area * block + WIDTH_M * roof_rise_m() * (3.0 * LENGTH_M - WIDTH_M) / 6.0, rel=1e-3)
     tent, _ = house("hipped", rectangle(8.0, 8.0, turn))
-    assert tent.closed and tent.volume_m3 == pytest.approx(64.0 * (block + roof_rise_m() / 3.0), rel=1e-3)
+    assert tent.is_closed and tent.volume_m3 == pytest.approx(64.0 * (block + roof_rise_m() / 3.0), rel=1e-3)
     flat, _ = house(None, rectangle(turn=turn))
     assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + FOOTING_M), rel=1e-3)
 
@@ -122,7 +122,7 @@ def test_roof_over_needs_a_rectangle_and_a_suitable_size(outline, height_m, form
 def test_unsuitable_roof_is_flat_and_other_meshes_reject_it(house):
     outline = affinity.translate(shapely.Polygon([(0, 0), (12, 0), (12, 8), (6, 8), (6, 4), (0, 4)]), 500200, 5000200)
     body, height = house("pitched", outline)
-    assert body.closed and len(np.unique(height.round(3))) == 2
+    assert body.is_closed and len(np.unique(height.round(3))) == 2
     with pytest.raises(LevelError, match="roof"):
         house("gambrel")
     with pytest.raises(LevelError, match=r"meshes\.0\.roof"):

@@ -60,14 +60,14 @@ def test_blocks_agree_with_the_whole_raster(write_raster, monkeypatch):
     raster = np.random.default_rng(0).integers(0, 12, (120, 150)).astype(np.int16)  # ties everywhere
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M)))
     all_trees = set(zip(*trees_of(canopy), strict=True))
-    monkeypatch.setattr(module, "_BLOCK", 17)
+    monkeypatch.setattr(module, "_BLOCK_CELLS", 17)
     assert set(zip(*trees_of(canopy), strict=True)) == all_trees
 
 
 def test_tops_are_the_maxima_of_their_windows(write_raster):
     raster = np.random.default_rng(1).gamma(2.0, 5.0, (80, 90)).astype(np.float32)
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL_M)))
-    ((row, col, height_m),) = canopy.tops(np.diag([CELL_M, -CELL_M]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
+    ((row, col, height_m),) = canopy.treetops(np.diag([CELL_M, -CELL_M]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
     every_row, every_col = np.mgrid[0:80, 0:90]
     for r, c, h in zip(row, col, height_m, strict=True):
         distance = np.hypot(every_row - r, every_col - c) * CELL_M

@@ -63,10 +63,10 @@ def test_unknown_unit_is_rejected(plant_canopy):
         plant_canopy(tops(8.0), unit="furlong")
 
 
-@pytest.mark.parametrize(("value", "is_told"), [(120.0, True), (60.0, False)])
-def test_implausibly_tall_wood_is_reported(plant_canopy, value, is_told):
+@pytest.mark.parametrize(("value", "has_warning"), [(120.0, True), (60.0, False)])
+def test_implausibly_tall_wood_is_reported(plant_canopy, value, has_warning):
     result = plant_canopy(tops(value))  # 12 m in decimetres without a unit, or giant trees
-    assert result.trees is not None and ("higher than 80 m. Check the unit" in " ".join(result.warnings)) is is_told
+    assert result.trees is not None and ("higher than 80 m. Check the unit" in " ".join(result.warnings)) is has_warning
 
 
 def test_canopy_without_trees_explains_why(plant_canopy):

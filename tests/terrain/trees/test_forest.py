@@ -17,8 +17,8 @@ from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.trees import forest as module
 from skugga.terrain.trees.crown_sizes import CROWN_SPREAD
 from skugga.terrain.trees.foliage import TREE_VARIANTS
-from skugga.terrain.trees.forest import Site, plant_trees
-from skugga.terrain.trees.scatter import MIN_SPACING, join_positions, pair_keys, point_keys, scatter_trees, uniform_numbers
+from skugga.terrain.trees.forest import PlantingMap, plant_trees
+from skugga.terrain.trees.scatter import MIN_SPACING_CELLS, join_positions, pair_keys, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
@@ -79,7 +79,7 @@ def test_scattered_trees_keep_a_distance_and_form_no_rows():
     places = scatter_trees(shapely.box(-500, -500, 500, 500), 900.0, 1)
     pitch = np.sqrt(1e4 / 900.0)
     points = np.column_stack([places.x, places.y])
-    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= MIN_SPACING * pitch
+    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= MIN_SPACING_CELLS * pitch
     for wave in ((1, 0), (0, 1), (1, 1), (0.5, 0), (0, 0.5), (0.5, 0.5)):  # an orchard has 1 here
         assert abs(np.exp(2j * np.pi * (points / pitch) @ np.array(wave)).mean()) < 0.06
 
@@ -497,10 +497,10 @@ def test_missing_and_unreadable_files_are_rejected(hill, make_scene, tmp_path):
         planted_trees(make_scene(hill, forest=[{"source": "text.geojson", "density": 3}]))
 
 
-def test_site_of_a_global_level_has_no_outline(write_raster, make_scene, hill):
+def test_planting_map_of_a_global_level_has_no_outline(write_raster, make_scene, hill):
     globe = make_scene(write_raster(np.zeros((18, 36), np.float32), "EPSG:4326", -180, 90, 10, name="globe.tif"))
-    assert Site(globe.world, globe.elevation).outline is None
+    assert PlantingMap(globe.world, globe.elevation).outline is None
     near = make_scene(hill)
-    site = Site(near.world, near.elevation)
-    assert site.outline.area == pytest.approx(SIDE_M**2 / 0.9996**2, rel=0.01)
-    assert CRS.from_user_input(site.crs).is_projected
+    planting_map = PlantingMap(near.world, near.elevation)
+    assert planting_map.outline.area == pytest.approx(SIDE_M**2 / 0.9996**2, rel=0.01)
+    assert CRS.from_user_input(planting_map.crs).is_projected
