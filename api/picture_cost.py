@@ -21,6 +21,11 @@ def time_limit_ms() -> float:
     return 1000.0 * load_settings().render_timeout_s
 
 
+def limit_or_default_ms(max_ms: float | None) -> float:
+    """Return the limit of a command's pictures: ``max_ms`` of its user, or that of a service, milliseconds."""
+    return time_limit_ms() if max_ms is None else max_ms
+
+
 def soft_lamps(plan: Plan) -> dict[str, int]:
     """Return the lamps that a plan renders as spheres: name, and number of sample points on the sphere."""
     return {
