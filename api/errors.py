@@ -5,6 +5,7 @@ Modules below ``api`` know no status codes. No other module of ``api`` maps an e
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,9 @@ from skugga.terrain.errors import (
 
 DONE, FAILED, WRONG_INPUT = 0, 1, 2
 """Exit statuses."""
+
+_PARAMETER_REMEDY = re.compile(r"(\(without a level file: )(\w+)=")
+"""The part of ``skugga.terrain.level.level_source.remedy`` that spells an option as a parameter."""
 
 
 class NotServedError(NotFoundError):
@@ -100,6 +104,11 @@ class LevelChangedError(BusyError):
 
 class StorageError(SkuggaError):
     """A film cannot be stored because no space is left."""
+
+
+def with_option_names(message: str) -> str:
+    """Return a message whose remedies name options of the command line: ``--units ft`` instead of ``units=ft``."""
+    return _PARAMETER_REMEDY.sub(r"\1--\2 ", message)
 
 
 class TooCostlyError(InputError):

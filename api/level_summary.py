@@ -2,30 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skugga.terrain.errors import InputError, UnsupportedError, combined_error
+from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.level.pin_scope import uncovered_altitudes
 from skugga.terrain.scene import Scene, build_scene
 
+if TYPE_CHECKING:
+    from skugga.selector.cost.device_profile import DeviceProfile
+    from skugga.shadows.plan import Plan
 
-def _soft_lamp_remarks(scene: Scene) -> list[str]:
-    """Return a remark on the expected time of a map block under spherical lamps, and on the level key that reduces it."""
+
+def _cost_remarks(scene: Scene) -> list[str]:
+    """Return remarks on the expected times of a level's maps and views, and on level keys that reduce them.
+
+    A remark concerns a picture that takes longer than ``SLOW_PICTURE_MS``, or a lamp's ball. Maps and views differ: a lamp's
+    penumbrae may be narrower than a pixel of the one, and wide in the other.
+    """
     from skugga.api.device_calibration import calibration_for
-    from skugga.api.picture_cost import remedy
+    from skugga.api.picture_cost import SLOW_PICTURE_MS, soft_lamps
+
+    shadows, has_balls = scene.loaded.level.shadows, any(lamp.radius_m > 0.0 for lamp in scene.lamps.values())
+    plans = _predicted_plans(scene, dict.fromkeys(("map", *scene.loaded.level.views)), calibration_for(shadows, {}))
+    reported = [
+        name
+        for name, plan in plans.items()
+        if plan.predicted is not None and (plan.predicted.ms > SLOW_PICTURE_MS or soft_lamps(plan) or (has_balls and name == "map"))
+    ]
+    if not reported:
+        return []
+    plans = _predicted_plans(scene, reported, calibration_for(shadows, {}, shows_times=True))
+    return [_cost_remark(scene, name, plan, has_balls) for name, plan in plans.items()]
+
+
+def _predicted_plans(scene: Scene, names: Iterable[str], device: DeviceProfile | None) -> dict[str, Plan]:
     from skugga.selector.select import plan_of_view
 
-    plan = plan_of_view(scene, scene.view("map"), "map", policy="predict", device=calibration_for(scene.loaded.level.shadows, {}))
-    cheaper = remedy(plan)
-    if plan.predicted is None or cheaper is None:
-        return []
-    return [f"a map is expected to take {plan.predicted.ms / 1000.0:.1f} s a block; {cheaper}"]
+    return {name: plan_of_view(scene, scene.view(name), name, policy="predict", device=device) for name in names}
+
+
+def _cost_remark(scene: Scene, name: str, plan: Plan, has_balls: bool) -> str:
+    """Return a remark on the expected time of a view, for a plan that has one."""
+    from skugga.api.picture_cost import is_over_limit, remedy, time_limit_ms
+    from skugga.selector.formatting import format_duration
+
+    assert plan.predicted is not None
+    unit = " a block" if isinstance(scene.view(name), MapView) else ""
+    subject = "a map" if name == "map" else f"view {name}"
+    parts = [f"{subject} is expected to take {format_duration(plan.predicted.ms)}{unit}"]
+    if is_over_limit(plan, time_limit_ms()):
+        parts.append(f"a service refuses it, for it gives up pictures after {format_duration(time_limit_ms())}")
+    if (cheaper := remedy(plan)) is not None:
+        parts.append(cheaper)
+    elif has_balls:
+        parts.append("penumbrae of lamps are narrower than a pixel here, so that 1 sample point of a lamp suffices")
+    return "; ".join(parts)
 
 
 def summary(source: Path | LevelSource) -> dict[str, Any]:
@@ -69,8 +107,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"{len(solids.is_closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.is_closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
-    if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):
-        notes += _soft_lamp_remarks(scene)
+    notes += _cost_remarks(scene)
     if moving_keys := scene.loaded.level.moving_keys:
         notes.append(f"moving objects: {', '.join(moving_keys)}")
     notes += objects.notes

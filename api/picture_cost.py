@@ -21,6 +21,11 @@ def time_limit_ms() -> float:
     return 1000.0 * load_settings().render_timeout_s
 
 
+def limit_or_default_ms(max_ms: float | None) -> float:
+    """Return the limit of a command's pictures: ``max_ms`` of its user, or that of a service, milliseconds."""
+    return time_limit_ms() if max_ms is None else max_ms
+
+
 def soft_lamps(plan: Plan) -> dict[str, int]:
     """Return the lamps that a plan renders as spheres: name, and number of sample points on the sphere."""
     return {
@@ -39,17 +44,22 @@ def remedy(plan: Plan) -> str | None:
     return f"{keys} makes shadows hard, which need 1 sample point of a lamp instead of {max(lamps.values())}"
 
 
+def is_over_limit(plan: Plan, limit_ms: float) -> bool:
+    """Return whether a picture is expected to take longer than a limit, also where its time is estimated only."""
+    if plan.predicted is None:
+        return False
+    return plan.predicted.ms > limit_ms * (ESTIMATE_MARGIN if plan.predicted.is_estimate else 1.0)
+
+
 def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str) -> None:
     """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
 
     On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
     ``subject``, and the setting of the limit ``bound``.
     """
-    expected_ms = None if plan.predicted is None else plan.predicted.ms
-    margin = ESTIMATE_MARGIN if plan.predicted is not None and plan.predicted.is_estimate else 1.0
-    if limit_ms is None or expected_ms is None or expected_ms <= margin * limit_ms:
+    if limit_ms is None or plan.predicted is None or not is_over_limit(plan, limit_ms):
         return
-    reason = f"{subject} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s"
+    reason = f"{subject} by {plan.headline} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
     cheaper = remedy(plan)
     raise TooCostlyError.over_limit(
         "size", reason, f"{limit_ms / 1000.0:g} s ({bound})", cheaper or "Use a faster algorithm or a smaller picture"

@@ -71,4 +71,4 @@ async def _frame(pool: Pool, job: FrameJob) -> FilmPicture:
 
 def write_animation(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
     """Write a film. Raises ``OSError``."""
-    write_film(path, frames, order.span.frames, order.fps, lossless=True)
+    write_film(path, frames, order.span.frames, order.fps, order.lossless)

@@ -10,8 +10,12 @@ FilmFormat = Literal["webp", "mp4"]
 
 
 class FilmOrder(Film):
-    """A film to draw, its file format and its frames per second. ``level_name`` is the level's name in the service's URLs."""
+    """A film to draw, its file format, whether a WebP film is lossless, and its frames per second.
+
+    ``level_name`` is the level's name in the service's URLs.
+    """
 
     level_name: str
     format: FilmFormat = "webp"
+    lossless: bool = False
     fps: float = 10.0

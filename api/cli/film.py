@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
@@ -20,17 +20,23 @@ from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
-from skugga.selector.film import FilmFrame, film_frames, frame_moments
+from skugga.api.picture_cost import check_cost, limit_or_default_ms
+from skugga.selector.film import FilmFrame, FrameMoment, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.compiled import CORES
+from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError, Problem, printable
+from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.camera_file import load_camera_path
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.scene import build_scene
+from skugga.terrain.scene import Scene, build_scene
+
+if TYPE_CHECKING:
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 MAX_FRAMES_AHEAD = 4
 """Frames rendered in parallel ahead of the one being written. Each takes some 100 MB."""
@@ -85,10 +91,12 @@ def render_film(
     seconds: float | None = None,
     style_overrides: StyleOverrides = (None, None),
     stats: Path | None = None,
+    max_ms: float | None = None,
 ) -> None:
     """Render a film of a level to a file. All frames are checked before the first is rendered.
 
-    Raises ``SkuggaError`` and ``OSError``.
+    Raises ``SkuggaError`` and ``OSError``. The error is ``TooCostlyError`` if a frame, or a block of it, is expected to take longer
+    than ``max_ms``. Without ``max_ms`` the time limit of a service applies.
     """
     if layer != "color":
         raise InputError("--layer", layer, "color, the only layer of films")
@@ -116,7 +124,9 @@ def render_film(
         check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))
         existing_files = [file for file in film_files(output, len(moments)) if file.exists()]
         check_targets(level, [("--output", file) for file in existing_files], options.path)
-        replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, overrides))
+        device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=max_ms is not None)
+        _check_costs(scene, request, moments, device, max_ms)
+        replanner = Replanner(device=device)
         with ProgressLines("Filming") as lines:
             progress = _FilmProgress(lines, len(moments))
             frames = film_frames(scene, request, moments, replanner, min(CORES, MAX_FRAMES_AHEAD))
@@ -125,6 +135,21 @@ def render_film(
             write_atomically(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **progress.statistics}, indent=2) + "\n")
     finally:
         scene.close()
+
+
+def _check_costs(
+    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], device: DeviceProfile | None, max_ms: float | None
+) -> None:
+    """Raise ``TooCostlyError`` if the first, middle or last frame is expected to take too long.
+
+    A day's first and last frames often have no sun, so that the middle one is the most costly.
+    """
+    for number in sorted({0, len(moments) // 2, len(moments) - 1}):
+        moment = moments[number]
+        descriptor = describe(moment.scene(scene), moment.view, request.view_name)
+        plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
+        subject = f"a block of {moment.words}" if isinstance(moment.view, MapView) else moment.words
+        check_cost(plan, subject, limit_or_default_ms(max_ms), "--max-ms")
 
 
 class _FilmProgress:

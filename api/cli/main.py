@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from skugga.api.cli.lazy_commands import CommandGroup
-from skugga.api.errors import exit_status
+from skugga.api.errors import exit_status, with_option_names
 from skugga.terrain.compiling.bundle import use_bundled_loops
 from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.errors import InputError, SkuggaError, printable
@@ -115,5 +115,5 @@ def _signals_as_exceptions() -> Iterator[None]:
 def _print_error(message: str, status: int, one_per_line: bool = False) -> int:
     """Print an error as one line, or as one line for each of ``one_per_line`` errors; return the exit status."""
     for line in message.split("\n") if one_per_line else [message]:
-        typer.echo(printable(f"skugga: {' '.join(line.split())}"), err=True)
+        typer.echo(printable(f"skugga: {' '.join(with_option_names(line).split())}"), err=True)
     return status

@@ -72,6 +72,7 @@ class SeedOptions:
     max_tasks: int | None
     retry_failed: bool
     task_timeout: float
+    max_ms: float | None
     as_json: bool
 
 
@@ -109,7 +110,7 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
                 return
             result = draw_and_publish(
                 table, run, store, shards, outputs, lambda: workers.begin(run, shards), progress.report_task_end, options.max_tasks,
-                options.retry_failed, options.task_timeout,
+                options.retry_failed, options.task_timeout, options.max_ms,
             )  # fmt: skip
         finally:
             workers.close()

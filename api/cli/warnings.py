@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from skugga.api.errors import with_option_names
 from skugga.terrain.errors import printable
 from skugga.terrain.scene import Scene
 
@@ -20,7 +21,7 @@ def print_warnings(scene: Scene, with_objects: bool = True) -> None:
     """Print each warning about the ground and, if ``with_objects``, about objects, whose files are then read. One line each."""
     on_objects = scene.objects.warnings if with_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
-        typer.echo(printable(f"skugga: warning: {text}"), err=True)
+        typer.echo(printable(f"skugga: warning: {with_option_names(text)}"), err=True)
 
 
 def print_extent_warning(scene: Scene, raster: RasterView) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,6 +62,15 @@ from skugga.terrain.scene import Scene, build_scene
 
 ARRAY_NAME = "the array"
 """Name of a raster in memory, for messages."""
+
+ARRAY_REMEDIES = {
+    "nodata": "set those cells to NaN", "units": "convert the heights to metres", "positive": "negate the depths",
+}  # fmt: skip
+"""Remedies for a raster in memory, by the option that a file would need."""
+
+_FILE_REMEDY = re.compile(
+    r"write terrain: \{(\w+): [^}]*\} \(without a level file: [^)]*\)(?:\. UNIT is one of [\w-]+(?:, [\w-]+)*)?"
+)
 
 SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
 """Raster products that depend on the sun of a moment."""
@@ -700,7 +710,10 @@ def level_of_source(source: LevelSource, ground_name: str | None = None, memory_
     """Open a level and issue the warnings about its ground under a name; ``None`` for that of its raster. Raises ``InputError``."""
     level = OpenLevel(build_scene(load_level(source)), source, memory_file)
     for text in level.warnings:
-        warn_caller(f"{ground_name or level._scene.elevation.name}: {text}")
+        if ground_name is None:
+            warn_caller(f"{level._scene.elevation.name}: {text}")
+        else:
+            warn_caller(f"{ground_name}: {_FILE_REMEDY.sub(lambda match: ARRAY_REMEDIES[match[1]], text)}")
     return level
 
 

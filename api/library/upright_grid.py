@@ -28,6 +28,9 @@ MAX_UNEVEN_CELLS = 0.1
 NODATA_ATTRIBUTES = "_FillValue", "missing_value", "fill_value", "nodata", "nodatavals"
 """Attributes in which rioxarray finds the nodata value, the first of them that is there."""
 
+GRID_NAMES = "grid_latitude", "grid_longitude"
+"""Standard names of the coordinates of a rotated pole (CF conventions, appendix F). rioxarray does not know them."""
+
 CHUNKS_REMEDY = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
 
 
@@ -76,14 +79,7 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     if array.dtype.kind not in "biuf" or min(array.shape) < 1:
         problem = Problem(f"its shape is {array.shape} and its type {array.dtype}")
         raise ArrayError(ARRAY_NAME, problem, "Use real numbers, at least 1 x 1 cells")
-    try:
-        y_dim, x_dim = array.rio.y_dim, array.rio.x_dim
-    except RioXarrayError:
-        raise ArrayError(
-            ARRAY_NAME,
-            Problem(f"its dimensions are {array.dims}"),
-            "Name them y and x by da.rename(...) or da.rio.set_spatial_dims(...)",
-        ) from None
+    y_dim, x_dim = _spatial_dims(array)
     nodata = _nodata(array)  # transposed arrays lose that of ``rio.set_nodata``
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
@@ -100,6 +96,21 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     y0, dy = _edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
     x0, dx = _edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
     return UprightGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
+
+
+def _spatial_dims(array: xarray.DataArray) -> tuple[Any, Any]:
+    """Return the dimensions of rows and of columns. Raises ``ArrayError`` if neither rioxarray nor ``GRID_NAMES`` has them."""
+    try:
+        return array.rio.y_dim, array.rio.x_dim
+    except RioXarrayError:
+        dims = {array[dim].attrs.get("standard_name"): dim for dim in array.dims if dim in array.coords}
+        if all(name in dims for name in GRID_NAMES):
+            return dims[GRID_NAMES[0]], dims[GRID_NAMES[1]]
+    raise ArrayError(
+        ARRAY_NAME,
+        Problem(f"its dimensions are {array.dims}"),
+        "Name them y and x by da.rename(...) or da.rio.set_spatial_dims(...)",
+    )
 
 
 def _nodata(array: xarray.DataArray) -> float | None:

@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from skugga.api.picture_cost import SLOW_PICTURE_MS, remedy, time_limit_ms
+from skugga.api.picture_cost import SLOW_PICTURE_MS, is_over_limit, remedy, time_limit_ms
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.planner.planner import SETTING_NAMES
 from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
@@ -99,7 +99,7 @@ def format_expectation(plan: Plan) -> str:
     )
     if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
-    if plan.predicted.ms > (limit_ms := time_limit_ms()):
+    if is_over_limit(plan, limit_ms := time_limit_ms()):
         limit = f"A service gives up pictures after {format_duration(limit_ms)} (SKUGGA_RENDER_TIMEOUT_S): it refuses this one."
         return f"{text} {limit} Asked for: {target}."
     if plan.target.met is None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skugga.api.errors import BrokenShardError
+from skugga.api.picture_cost import check_cost, limit_or_default_ms
 from skugga.api.seed.local_pool import Runner
 from skugga.api.seed.messages import MIN_LIMIT_S
 from skugga.api.seed.planning import PlannedRun
@@ -61,10 +62,12 @@ def draw_and_publish(
     max_tasks: int | None = None,
     retry_failed: bool = False,
     min_limit_s: float = MIN_LIMIT_S,
+    max_ms: float | None = None,
 ) -> SeedResult:
     """Draw all waiting tasks, and write the outputs if none failed. ``min_limit_s`` is that of ``run_tasks``.
 
-    Raises ``InputError`` if more than ``max_tasks`` would run, ``RenderError`` if tasks failed, and the errors of
+    Raises ``InputError`` if more than ``max_tasks`` would run, ``TooCostlyError`` if a block is expected to take longer than
+    ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of
     ``run_tasks``.
     """
     requeue_lost_shards(table, store)
@@ -75,6 +78,7 @@ def draw_and_publish(
         raise InputError.over_limit(
             "--max-tasks", f"{waiting_count} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the tasks"
         )
+    _check_costs(table, run, max_ms)
     if waiting_count:
         check_writable(store, shards)
     drawn_count, drawing_s = 0, 0.0
@@ -91,6 +95,14 @@ def draw_and_publish(
         delete_unused_shards(table, store)
         return SeedResult(drawn_count, written_outputs, drawing_s, clock.perf_counter() - drawn_at)
     raise RenderError(f"{shards}: shards are missing or corrupt right after they are written. Check the store.")
+
+
+def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> None:
+    """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take too long."""
+    zooms_with_tasks = {(sun, zoom) for sun, zoom, *_ in table.forecast()}
+    for planned in run.spec.plans:
+        if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
+            check_cost(planned.parsed_plan, f"a block of zoom {planned.zoom}", limit_or_default_ms(max_ms), "--max-ms")
 
 
 def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:

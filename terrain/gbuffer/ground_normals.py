@@ -6,6 +6,7 @@ import numpy as np
 
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.gbuffer.map_columns import column_geometry
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene import Scene
@@ -17,14 +18,16 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
     Returns
     -------
     normal_frame
-        float32 (rows, cols, 3), NaN without ground. Objects and water on the ground do not count.
+        float32 (rows, cols, 3), NaN without ground. Objects and water on the ground do not count. The flat tops of columns
+        (``surface: blocks``) point up.
     frame
         The local frame near the view's centre.
     """
-    ground = bare_ground(scene, view, None) if view.on_nodes else None
+    has_columns = scene.elevation.surface == "blocks"
+    ground = bare_ground(scene, view, None) if view.on_nodes and not has_columns else None
     if ground is None:
         frame = scene.world.frame_near(view.grid.crs, *view.centre)
-        points = map_geometry(scene.surface(view.grid), view, frame)
+        points = (column_geometry if has_columns else map_geometry)(scene.surface(view.grid), view, frame)
         return np.where(points.valid[..., None], points.shading_normal_frame, np.float32(np.nan)), frame
     normal_frame = np.full((view.rows, view.cols, 3), np.nan, np.float32)
     normal_frame[ground.window] = np.where(ground.valid[ground.window][..., None], ground.normal_frame, np.float32(np.nan))

@@ -178,8 +178,8 @@ def read_features(
 ) -> Features:
     """Read a layer of a vector file into ``crs``, with x before y.
 
-    Attributes that are times become text in ISO 8601, booleans the text "true" or "false". Points of a text table come from the
-    columns ``TABLE_COORDINATES``, unless the table has a column WKT.
+    Attributes that are times become text in ISO 8601, booleans the text "true" or "false". A list of one value counts as the
+    value. Points of a text table come from the columns ``TABLE_COORDINATES``, unless the table has a column WKT.
 
     If ``crs`` is an engineering CRS, files without a CRS or in another engineering CRS with the same unit count as files in
     ``crs``.
@@ -229,7 +229,7 @@ def read_features(
             remedy = f"Use one of {', '.join(available)}" if available else "Use a file with attributes"
             raise SourceError(source, f"no attribute '{name}'", remedy)
     values = {
-        name: _boolean_texts(column) if kind == "bool" else column
+        name: _boolean_texts(column) if kind == "bool" else _unpacked_values(column)
         for name, kind, column in zip(meta["fields"], meta["dtypes"], columns, strict=True)
     }
     features = Features(source, geometry, values, np.arange(1, len(geometry) + 1), len(geometry), fid)
@@ -271,6 +271,19 @@ def _table_coordinates(names: Sequence[str]) -> tuple[dict[str, str], str | None
 def _boolean_texts(values: np.ndarray) -> np.ndarray:
     """Return booleans as texts, object (n,). Missing values are ``None``."""
     return np.array([None if value != value else "true" if value else "false" for value in values.tolist()], object)
+
+
+def _unpacked_values(values: np.ndarray) -> np.ndarray:
+    """Return values (n,), with lists of one value replaced by the value.
+
+    GDAL makes lists of all values of a GeoJSON attribute if some features have lists.
+    """
+    if values.dtype != object or not any(isinstance(value, np.ndarray) for value in values):
+        return values
+    unpacked = np.empty(len(values), object)
+    for row, value in enumerate(values):
+        unpacked[row] = value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    return unpacked
 
 
 def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ from skugga.terrain.ground.overview import overviews_command
 from skugga.terrain.level.level_source import remedy
 
 FEET_WARNING = (
-    "x and y are in feet, but heights have no unit and are read as metres. If they are feet, too, write terrain: {units: ft} or "
-    "us-ft (of a raster without a level file: --units ft), otherwise units: m"
+    "x and y are in feet, but heights have no unit and are read as metres. If they are feet, too, "
+    f"{remedy('units', 'ft')}, or us-ft; otherwise m"
 )
 
 

@@ -22,8 +22,11 @@ LEVEL_KEYS_BY_OPTION = {
 
 
 def remedy(option: str, value: str) -> str:
-    """Return a phrase for messages that says how to set an option, in a level file or on the command line."""
-    return f"write terrain: {{{option}: {value}}} (without a level file: --{option} {value})"
+    """Return a phrase for messages that says how to set an option, in a level file or as a parameter.
+
+    The command line spells the parameter as its option (``skugga.api.errors.with_option_names``).
+    """
+    return f"write terrain: {{{option}: {value}}} (without a level file: {option}={value})"
 
 
 def parse_units(parameter: str, name: str | None) -> Units | None:

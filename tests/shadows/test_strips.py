@@ -79,6 +79,20 @@ def test_strips_from_memory_have_light_and_colour(gl, is_column):
     assert color[SHADOW, :3].astype(int).max() < color[: SPIKE - 1, :3].min()
 
 
+@pytest.mark.parametrize("shape", [(1, 60), (60, 1), (3, 60)], ids=["row", "column", "ordinary"])
+def test_flat_tops_have_the_cosine_of_level_ground(write_raster, tmp_path, shape):
+    """``surface: blocks`` has no slopes, also beside a spike. Cells without a height have no surface."""
+    heights = np.zeros(shape, np.float32)
+    heights.flat[SPIKE], heights.flat[40:50] = SPIKE_M, np.nan
+    raster = write_raster(heights, ENGINEERING, 0.0, CELL_M * shape[0], CELL_M, nodata=np.nan)
+    level_file = tmp_path / "blocks.yaml"
+    level_file.write_text(f"version: 1\nterrain: {{source: {raster}, surface: blocks}}\n")
+    with skugga.open_level(level_file) as level:
+        cosine = level.compute("cosi", azimuth=250.0, altitude=ALTITUDE)
+    np.testing.assert_array_equal(np.isnan(cosine), np.isnan(heights))
+    assert cosine[~np.isnan(heights)] == pytest.approx(COSINE_ON_PLAIN, abs=1e-6)
+
+
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map", "shadow_volume"])
 def test_a_strip_has_the_shadows_of_its_extended_rows(gl, write_raster, algorithm):
     """A raster of three equal rows has the strip's heights, and continues them beyond its border. Both have one map size."""

@@ -86,7 +86,7 @@ def render(
     lossless: Annotated[bool, typer.Option("--lossless", help="Film as .webp: lossless compression, six times the size.")] = False,
     max_ms: Annotated[
         float | None,
-        typer.Option(help="Longest expected time of a block or view, ms; default: the limit of a service (60 s).", min=0.0),
+        typer.Option(help="Longest expected time of a block, view or frame, ms; default: the limit of a service (60 s).", min=0.0),
     ] = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
@@ -107,7 +107,17 @@ def render(
         sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(
-            level, output, film, view, layer, sun, overrides_of("render", declared_options), *view_options, style_overrides, stats
+            level,
+            output,
+            film,
+            view,
+            layer,
+            sun,
+            overrides_of("render", declared_options),
+            *view_options,
+            style_overrides,
+            stats,
+            max_ms,
         )
         return
     check_output(product, output)

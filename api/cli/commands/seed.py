@@ -76,6 +76,10 @@ def seed(
             "limit is at least a hundred times the expected time of the task.",
         ),
     ] = MIN_LIMIT_S,
+    max_ms: Annotated[
+        float | None,
+        typer.Option(help="Longest expected time of a block, ms; default: the limit of a service (60 s).", min=0.0),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON: the forecast of --dry-run, or a summary.")] = False,
     **declared_options: Any,
 ) -> None:
@@ -86,6 +90,6 @@ def seed(
 
     options = SeedOptions(
         output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, workers, scheduler, work, shards, dry_run,
-        max_tasks, retry_failed, task_timeout, as_json,
+        max_tasks, retry_failed, task_timeout, max_ms, as_json,
     )  # fmt: skip
     seed_level(level, options, declared_options)

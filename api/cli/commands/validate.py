@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from skugga.api.cli.level_argument import takes_level
+from skugga.api.errors import with_option_names
 from skugga.terrain.errors import printable
 
 if TYPE_CHECKING:
@@ -22,4 +23,4 @@ def validate(level: LevelSource) -> None:
     loaded, notes = load_level(level), remarks(level)
     typer.echo(printable(f"{level.path}: valid. {loaded.level.title or loaded.name}; views: {', '.join(loaded.level.views)}"))
     for remark in notes:
-        typer.echo(printable(f"  note: {remark}"))
+        typer.echo(printable(f"  note: {with_option_names(remark)}"))

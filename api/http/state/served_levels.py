@@ -13,7 +13,7 @@ from typing import Any
 
 from pyproj import CRS
 
-from skugga.api.errors import NotServedError
+from skugga.api.errors import NotServedError, with_option_names
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
@@ -404,11 +404,12 @@ def _served_level_of(
     loaded = with_default_sun(loaded, world, scene.elevation)
     version = level_version(loaded, stamps)
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
-    for text in scene.warnings:
+    ground_warnings = tuple(map(with_option_names, scene.warnings))  # to whoever wrote the command line of the service
+    for text in ground_warnings:
         log.warning("level %s: %s", loaded.name, text)
     return ServedLevel(
         loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.map_crs, scene.height_range_m[0],
-        scene.style.name, sun_is_default, scene.warnings, files, stamps,
+        scene.style.name, sun_is_default, ground_warnings, files, stamps,
     )  # fmt: skip
 
 

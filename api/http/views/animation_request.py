@@ -58,7 +58,10 @@ class _AnimationFields(_FromModel):
         default=None, ge=-1e9, le=1e9, strict=True, examples=[0],
         description="What the clock of moving casters shows in the first frame, where `from` is a date; default: the level's.",
     )  # fmt: skip
-    format: FilmFormat = Field(default="webp", description="`webp` loses nothing; `mp4` is far smaller, if the service makes it.")
+    format: FilmFormat = Field(default="webp", description="`webp`; `mp4` is smaller, if the service makes it.")
+    lossless: bool = Field(
+        default=False, strict=True, examples=[True], description="Compress `webp` without loss: about six times the size."
+    )
     fps: float = Field(default=DEFAULT_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
     time: Text | None = Field(default=None, description="Of a sun that rests, ISO 8601 with an offset; default: the level's.")
     azimuth: float | None = Field(
@@ -92,6 +95,8 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
 
     All checks that need no height of the level's ground are done here. Raises ``InputError``.
     """
+    if body.lossless and body.format != "webp":
+        raise InputError("lossless", Problem(f"films as {body.format} are lossy"), "Use the format webp")
     if body.format == "mp4" and find_spec("av") is None:
         raise InputError("format", Problem("this service has no encoder of mp4"), "Use webp")
     if body.path is not None:
@@ -111,7 +116,7 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
     )
     return FilmOrder(
         level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,
-        format=body.format, fps=body.fps,
+        format=body.format, lossless=body.lossless, fps=body.fps,
     )  # fmt: skip
 
 

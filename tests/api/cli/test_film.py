@@ -76,6 +76,26 @@ def test_a_moving_camera_is_written_and_reported(gl, run, folder):
     assert (np.asarray(Image.open("still.png").convert("RGB")) == frames[-1]).all()
 
 
+def test_a_film_of_a_costly_frame_is_refused(gl, run, folder):
+    """The message is that of a still. The middle of a day counts, for its first and last frames are dark."""
+    clock_film = "render", "floor.yaml", "--view", "eye", *CLOCK_SPAN, "-o", "film.webp"
+    status, out, err = run(*clock_film, "--max-ms", "0.0001")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "frame 1 (0 s) by " in err and "is expected to take" in err and "(--max-ms)" in err
+    night_to_night = "--from", "2024-10-21T00:00:00-04:00", "--to", "2024-10-22T00:00:00-04:00", "--step", "12h"
+    status, _, err = run("render", "jacksboro", *night_to_night, "--size", "64x48", "--max-ms", "0.0001", "-o", "day.webp")
+    assert status == 2 and "a block of frame 2 (2024-10-21T12:00:00-04:00) by " in err
+    assert not list(folder.glob("*.webp"))
+    assert run(*clock_film, "--max-ms", "60000")[0] == 0 and Path("film.webp").exists()
+
+
+def test_the_limit_of_a_service_is_that_of_films(gl, run, folder, monkeypatch):
+    clock_film = "render", "floor.yaml", "--view", "eye", *CLOCK_SPAN, "-o", "film.webp"
+    monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "1e-7")
+    status, _, err = run(*clock_film)
+    assert status == 2 and "is expected to take" in err and not Path("film.webp").exists()
+
+
 def test_size_and_time_are_estimated_after_a_few_frames(gl, run, folder):
     status, _, err = run(
         "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "2s", "--step", "0.05s", "-o", "film.webp"

@@ -351,7 +351,7 @@ def test_only_a_limit_of_time_takes_a_benchmark(gl, run, monkeypatch, tmp_path):
     monkeypatch.setattr(device_estimate, "_time_ratio", lambda: benchmarks.append("run") or 1.0)
     device_estimate.estimated_profile.cache.clear()
     for options, count in (((), 0), (("--max-ms", "600000"), 1)):
-        assert run("render", "jacksboro", "--size", "32x32", *options, "-o", "p.png")[0] == 0
+        assert run("render", "jacksboro", "--size", "32x32", *options, "-o", str(tmp_path / "p.png"))[0] == 0
         assert len(benchmarks) == count
 
 

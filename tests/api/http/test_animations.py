@@ -361,6 +361,8 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
         ({"step": 5}, "step", "a text"),
         ({"fps": 0}, "fps", "0.1 to 120"),
         ({"fps": "fast"}, "fps", "a valid number"),
+        ({"format": "mp4", "lossless": True}, "lossless", "Use the format webp"),
+        ({"lossless": "yes"}, "lossless", "boolean"),
         ({"format": "gif"}, "format", "'webp' or 'mp4'"),
         ({"view": "nowhere"}, "view", "map"),
         ({"view": "map", "path": {"keys": CAMERA_KEYS}}, "view", "cannot be combined with path"),
@@ -471,9 +473,9 @@ def viewed_service(folder: Path) -> Iterator[tuple[Client, Path]]:
 def test_animation_equals_command_line_and_snapshots(
     viewed_service, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
-    """Their pixels are equal bit for bit, because every encoding is lossless."""
+    """Their pixels are equal bit for bit if no encoding has losses."""
     client, level = viewed_service
-    body = {key: value for key, value in (REQUEST_BODY | asked).items() if value is not None}
+    body = {key: value for key, value in (REQUEST_BODY | asked | {"lossless": True}).items() if value is not None}
     state = wait_for_end(client, client.post("/levels/viewed_film/animations", json=body))
     assert state["status"] == "successful", state["message"]
     pictures = pictures_of(client.get(f"/animations/{state['jobID']}/result").content)
@@ -508,6 +510,28 @@ def test_animation_equals_command_line_and_snapshots(
             snapshot = client.get("/levels/viewed_film/snapshot.png", params=query)
             assert snapshot.status_code == 200, snapshot.text
             assert np.array_equal(picture, np.asarray(Image.open(io.BytesIO(snapshot.content)).convert("RGB"))), number
+
+
+def test_webp_is_lossy_as_of_the_command_line(viewed_service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Both write the same file. A lossless film is another one, and larger."""
+    client, level = viewed_service
+    films, body = {}, REQUEST_BODY | {"view": "eye", "size": [192, 128]}
+    for lossless in (False, True):
+        state = wait_for_end(
+            client, client.post("/levels/viewed_film/animations", json=body | ({"lossless": True} if lossless else {}))
+        )
+        films[lossless] = client.get(f"/animations/{state['jobID']}/result").content
+    assert b"VP8 " in films[False] and b"VP8L" not in films[False]
+    assert b"VP8L" in films[True] and b"VP8 " not in films[True]
+    assert 2 * len(films[False]) < len(films[True])
+    output = tmp_path / "film.webp"
+    span = [argument for key in ("from", "to", "step") for argument in (f"--{key}", REQUEST_BODY[key])]
+    arguments = ["render", str(level), *span, "--view", "eye", "--size", "192x128", "-o", str(output)]
+    monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
+    with pytest.raises(SystemExit) as command:
+        cli.main()
+    assert command.value.code == 0
+    assert output.read_bytes() == films[False]
 
 
 @pytest.mark.parametrize(

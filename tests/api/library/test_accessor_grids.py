@@ -11,6 +11,9 @@ import pytest
 import rioxarray
 import xarray
 from affine import Affine
+from pyproj import CRS, Geod, Transformer
+from pyproj.crs import DerivedGeographicCRS, GeographicCRS
+from pyproj.crs.coordinate_operation import RotatedLatitudeLongitudeConversion
 
 import skugga
 from tests.api.library.test_library import IGNORE_NOT_GEOREFERENCED
@@ -57,6 +60,87 @@ def test_chunks_equal_the_whole_in_any_crs(crs, product):
     lazy = PRODUCTS[product](georeferenced_hills(crs).chunk({"y": 40, "x": 70}))
     assert lazy.chunks == ((40, 40, 10), (70, 50))
     xarray.testing.assert_equal(lazy.compute(), full_result)
+
+
+ROTATED_POLE = "+proj=ob_tran +o_proj=longlat +o_lat_p=39.25 +o_lon_p=0 +lon_0=18 +datum=WGS84"
+ROTATED_POLE_CF = {
+    "grid_mapping_name": "rotated_latitude_longitude", "grid_north_pole_latitude": 39.25, "grid_north_pole_longitude": -162.0,
+}  # fmt: skip
+"""The same CRS as PROJ's text and as the grid mapping of climate models (EURO-CORDEX)."""
+
+ROTATED_WEST, ROTATED_NORTH = -5.0, 1.0
+
+
+def hills_of_rotated_pole(y_dim: str = "y", x_dim: str = "x") -> xarray.DataArray:
+    y, x = ROTATED_NORTH - (np.arange(90) + 0.5) / 3600, ROTATED_WEST + (np.arange(120) + 0.5) / 3600
+    return xarray.DataArray(hills(), dims=(y_dim, x_dim), coords={y_dim: y, x_dim: x})
+
+
+def hills_of_climate_model() -> xarray.DataArray:
+    """Return hills as xarray opens a file by the CF conventions: dimensions ``rlat``, ``rlon``, and a grid mapping."""
+    array = hills_of_rotated_pole("rlat", "rlon").assign_coords(rotated_pole=xarray.DataArray(0, attrs=ROTATED_POLE_CF))
+    array.encoding["grid_mapping"] = "rotated_pole"
+    array.rlat.attrs = {"standard_name": "grid_latitude", "units": "degrees"}
+    array.rlon.attrs = {"standard_name": "grid_longitude", "units": "degrees"}
+    return array
+
+
+ROTATED_POLES: dict[str, Callable[[], xarray.DataArray]] = {
+    "PROJ": lambda: hills_of_rotated_pole().rio.write_crs(ROTATED_POLE),
+    "WKT": lambda: hills_of_rotated_pole().rio.write_crs(DerivedGeographicCRS(
+        GeographicCRS(), RotatedLatitudeLongitudeConversion(o_lat_p=39.25, o_lon_p=0, lon_0=18),
+    ).to_wkt()),
+    "CF": hills_of_climate_model,
+}  # fmt: skip
+
+
+@IGNORE_NOT_GEOREFERENCED
+@pytest.mark.parametrize("form", ROTATED_POLES)
+@pytest.mark.parametrize("product", PRODUCTS)
+def test_chunks_of_a_rotated_pole_equal_the_whole(form, product):
+    """All forms of the CRS give the same result."""
+    array = ROTATED_POLES[form]()
+    full_result = PRODUCTS[product](array)
+    assert full_result.dims == array.dims and full_result.notnull().any()
+    assert full_result.rio.crs == array.rio.crs
+    lazy = PRODUCTS[product](array.chunk(dict(zip(array.dims, (40, 70), strict=True))))
+    assert lazy.chunks == ((40, 40, 10), (70, 50))
+    xarray.testing.assert_equal(lazy.compute(), full_result)
+    np.testing.assert_array_equal(full_result, PRODUCTS[product](ROTATED_POLES["PROJ"]()))
+
+
+@IGNORE_NOT_GEOREFERENCED
+@pytest.mark.parametrize("form", ROTATED_POLES)
+def test_shadows_of_a_rotated_pole_follow_true_north(form):
+    """A tower's shadow runs away from the sun by the compass, which no row or column of the grid does here."""
+    array = ROTATED_POLES[form]()
+    array = array.copy(data=np.zeros(array.shape, np.float32))
+    row, col = 45, 60
+    array[row, col] = 300.0
+    shadow = array.skugga.shadow(azimuth=180.0, altitude=20.0)
+    y, x = (array[dim].to_numpy() for dim in array.dims)
+    to_degrees = Transformer.from_crs(CRS(ROTATED_POLE), "EPSG:4326", always_xy=True).transform
+    rows, cols = np.nonzero(shadow.to_numpy())
+    lon, lat = to_degrees(x[cols], y[rows])
+    tower_lon, tower_lat = to_degrees(x[col], y[row])
+    geod = Geod(ellps="WGS84")
+    bearing, _, distance_m = geod.inv(*np.broadcast_arrays(tower_lon, tower_lat, lon, lat))
+    assert abs(bearing[distance_m > 200.0].mean()) < 2.0
+    grid_north, _, _ = geod.inv(tower_lon, tower_lat, *to_degrees(x[col], y[row] + 1e-3))
+    assert abs(grid_north) > 5.0
+
+
+@pytest.mark.parametrize("form", ROTATED_POLES)
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_the_horizon_of_a_rotated_pole_is_a_point_s(form, chunks):
+    array = ROTATED_POLES[form]()
+    x, y = ROTATED_WEST + 60.5 / 3600, ROTATED_NORTH - 40.5 / 3600
+    horizon = (array if chunks is None else array.chunk(chunks)).skugga.horizon(x, y)
+    transform = Affine(1 / 3600, 0.0, ROTATED_WEST, 0.0, -1 / 3600, ROTATED_NORTH)
+    with skugga.open_heights(hills(), transform, ROTATED_POLE) as level:
+        expected = level.horizon(x, y, crs=level.crs).elevation_deg
+    np.testing.assert_allclose(horizon, expected, atol=1e-4)
+    assert np.ptp(expected) > 1.0
 
 
 @IGNORE_NOT_GEOREFERENCED

@@ -53,6 +53,7 @@ def test_open_level_warns_of_undeclared_nodata(tmp_path):
         level.shade("mask", **SUN)
     (warning,) = caught
     assert str(warning.message).startswith(f"{path}: {NODATA_TEXT}") and warning.filename == __file__
+    assert str(warning.message).endswith("write terrain: {nodata: -9999} (without a level file: nodata=-9999)")
     with skugga.open_level(path, nodata=-9999) as level:  # without a warning, which would be an error
         assert (level.shade("mask", **SUN) == 0).sum() == 7 * 10
 
@@ -63,6 +64,17 @@ def test_open_heights_warns_of_undeclared_nodata():
         level.shade("mask", **SUN)
     (warning,) = caught
     assert str(warning.message).startswith(f"the array: {NODATA_TEXT}") and warning.filename == __file__
+    assert str(warning.message).endswith("If that means no data, set those cells to NaN")
+
+
+def test_warnings_on_arrays_name_no_file():
+    """Heights of 12 km and more are in another unit."""
+    heights = np.linspace(12_000.0, 90_000.0, SIDE_CELLS**2, dtype=np.float32).reshape(SIDE_CELLS, SIDE_CELLS)
+    heights[:30] = 100.0
+    with caught_warnings() as caught:
+        skugga.open_heights(heights, Affine(CELL_M, 0.0, WEST, 0.0, -CELL_M, NORTH), CRS).close()
+    (warning,) = caught
+    assert str(warning.message).endswith("are in another unit, convert the heights to metres")
 
 
 def test_sun_hours_of_an_array_warn_of_undeclared_nodata():

@@ -9,6 +9,7 @@ import pytest
 from pmtiles.reader import MmapSource, Reader
 from pmtiles.tile import tileid_to_zxy
 
+from skugga.api.errors import TooCostlyError
 from skugga.api.request import ProductRequest
 from skugga.api.seed import planning
 from skugga.api.seed.archive import ShardIndex
@@ -170,6 +171,18 @@ def test_more_tasks_than_allowed_are_refused(run: Run):
         run(max_tasks=2)
     assert not (run.work / "shards").exists()
     assert run(max_tasks=1000)[0].written
+
+
+def test_blocks_over_the_limit_are_refused(gl, run: Run, monkeypatch: pytest.MonkeyPatch):
+    """The limit is that of a service, or the caller's. Drawn tasks do not count."""
+    with pytest.raises(TooCostlyError, match=r"a block of zoom \d+ by .* expected to take .* \(--max-ms\)"):
+        run(max_ms=1e-4)
+    monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "1e-7")
+    with pytest.raises(TooCostlyError, match="a block of zoom"):
+        run()
+    assert not (run.work / "shards").exists()
+    assert run(max_ms=1e6)[0].written
+    assert run()[0].drawn == 0
 
 
 def test_lost_and_broken_shards_are_redrawn(run: Run):

@@ -13,6 +13,7 @@ from pyproj import CRS, Transformer
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.vectors import MAX_EDGE_LENGTH, attribute_names, numeric_attribute, read_features, vector_layer
+from skugga.terrain.ground.length_attributes import attribute_lengths
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)
@@ -142,6 +143,32 @@ def test_numeric_attribute_parses_numbers_but_no_other_text(geojson):
     with pytest.raises(SourceError, match="kind = oak at feature 1 of 3 is no number. Use numbers in the attribute 'kind'"):
         numeric_attribute(features, "kind")
     assert attribute_names(features.name) == ("h", "kind")
+
+
+@pytest.mark.parametrize(
+    ("values", "numbers"),
+    [
+        ([10, "12.5", 3.0], [10.0, 12.5, 3.0]),
+        (["12", 10, None, ""], [12.0, 10.0, np.nan, np.nan]),
+        ([10, ["12"], [3]], [10.0, 12.0, 3.0]),
+        ([[7.5], 2], [7.5, 2.0]),
+    ],
+)
+def test_numbers_texts_and_lists_of_one_may_be_mixed(geojson, values, numbers):
+    source = geojson([point(9.0 + 0.1 * row, 47.0) for row in range(len(values))], [{"h": value} for value in values])
+    features = read_features(source, UTM, ["h"])
+    np.testing.assert_array_equal(numeric_attribute(features, "h"), numbers)
+    np.testing.assert_array_equal(attribute_lengths(features, ["h"], {}, "heights").values_m, numbers)
+
+
+@pytest.mark.parametrize("value", ["tall", [1, 2], {"a": 1}])
+def test_the_feature_with_another_kind_of_value_is_named(geojson, value):
+    source = geojson([point(9.0, 47.0), point(9.1, 47.0)], [{"h": 10}, {"h": value}])
+    features = read_features(source, UTM, ["h"])
+    with pytest.raises(SourceError, match="at feature 2 of 2 is no number"):
+        numeric_attribute(features, "h")
+    lengths = attribute_lengths(features, ["h"], {}, "heights")
+    assert lengths.values_m[0] == 10.0 and "at feature 2 of 2: ignored, not a length" in lengths.warnings[0]
 
 
 def test_booleans_become_texts_and_are_no_numbers(geojson):

@@ -203,5 +203,5 @@ def test_nodata_value_that_no_cell_can_have_is_reported(tmp_path, make_scene, dt
         "</VRTRasterBand></VRTDataset>"
     )
     (warning,) = make_scene(path).warnings
-    assert f"nodata {word}," in warning and dtype in warning and "--nodata VALUE" in warning
+    assert f"nodata {word}," in warning and dtype in warning and "nodata=VALUE" in warning
     assert make_scene(path, terrain={"nodata": 99}).warnings == ()

@@ -45,7 +45,7 @@ def test_sentinel_inside_is_reported(tmp_path, value, dtype, effect, size):
     (warning,) = warnings_of(tmp_path, heights)
     value_text = str(np.float32(value)) if abs(value) > 1e9 else f"{value:g}"
     assert warning.startswith(f"2 % of the raster's cells are {value_text}, ") and effect in warning
-    assert f"terrain: {{nodata: {value_text}}}" in warning and f"--nodata {value_text}" in warning
+    assert f"terrain: {{nodata: {value_text}}}" in warning and f"nodata={value_text})" in warning
     assert warnings_of(tmp_path, heights, nodata=float(value_text)) == ()
 
 
@@ -102,7 +102,7 @@ def test_mountains_in_undeclared_feet_are_reported(tmp_path):
     (warning,) = warnings_of(tmp_path, feet)
     assert warning.startswith(f"{share:.3g} % of the raster's cells have impossible heights and are left out as holes: 9,50")
     assert "to 14,400 m, read as heights in m (no unit is stated)" in warning
-    assert "terrain: {units: UNIT}" in warning and "--units UNIT" in warning and "us-ft" in warning
+    assert "terrain: {units: UNIT}" in warning and "units=UNIT" in warning and "us-ft" in warning
     assert warnings_of(tmp_path, feet, units="ft") == ()
 
 
@@ -111,7 +111,7 @@ def test_arbitrary_sentinel_suggests_nodata_or_another_unit(tmp_path):
     heights[50:60, 50:60] = 12345.0
     (warning,) = warnings_of(tmp_path, heights)
     assert warning.startswith("0.25 % of the raster's cells have impossible heights") and "12,345 m, read as" in warning
-    assert "mean no data, write terrain: {nodata: 12345}" in warning and "--units UNIT" in warning
+    assert "mean no data, write terrain: {nodata: 12345}" in warning and "units=UNIT" in warning
     assert warnings_of(tmp_path, heights, nodata=12345.0) == ()
 
 
@@ -128,5 +128,5 @@ def test_raster_without_any_plausible_height_names_the_unit(tmp_path):
     with pytest.raises(SourceError) as caught:
         warnings_of(tmp_path, hills(SIDE_CELLS, SIDE_CELLS, 30000.0, 90000.0))
     message = str(caught.value)
-    assert all(words in message for words in ("30,000 m to 90,000 m", "--units UNIT", "dem.tif")) and "\n" not in message
+    assert all(words in message for words in ("30,000 m to 90,000 m", "units=UNIT", "dem.tif")) and "\n" not in message
     assert warnings_of(tmp_path, hills(SIDE_CELLS, SIDE_CELLS, 30000.0, 90000.0), units="cm") == ()

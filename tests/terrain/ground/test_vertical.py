@@ -77,7 +77,7 @@ def test_unknown_unit_is_rejected_with_the_known_ones(tmp_path, word):
             reader(str(path))
         message = str(caught.value)
         assert (
-            all(name in message for name in ("dem.tif", f"unit {word} of its band", "us-ft", "fathom", "--units UNIT"))
+            all(name in message for name in ("dem.tif", f"unit {word} of its band", "us-ft", "fathom", "units=UNIT"))
             and "\n" not in message
         )
     assert Elevation(str(path), units="ft").overview.lowest_m == pytest.approx(0.6096), "the level takes precedence"
@@ -167,7 +167,7 @@ def test_unknown_direction_is_rejected_with_the_remedy(tmp_path, word):
     path = write_with_depth(tmp_path / "depths.tif", seamount_depths(), UTM)
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, positive=word)
-    with pytest.raises(SourceError, match=f"direction {word} of its band .*--positive up.*depths, down"):
+    with pytest.raises(SourceError, match=f"direction {word} of its band .*positive=up.*depths, down"):
         Elevation(str(path))
     assert Elevation(str(path), positive="down").overview.lowest_m == -100.0, "the level takes precedence"
     assert Canopy(str(path)).heights_m(0, 0, 1, 1) == 100.0, "canopies have one direction"
