@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 
 from skugga.api.cli.lazy_commands import COMMANDS
+from skugga.selector.cost.device_estimate import typical_profile
+from skugga.selector.cost.device_profile import save_profile
+from skugga.terrain.gl.device import renderer_and_version
 from tests.rasters import write_geotiff
 
 ROOT = Path(__file__).parents[1]
@@ -202,7 +205,14 @@ def test_completion_imports_nothing_heavy(shell, name, tmp_path):
     )  # Rich removes markup from the help that zsh shows
 
 
+@pytest.fixture(scope="module")
+def _known_device() -> None:
+    """Store an estimate of the device. Without it the first command that shows times runs a benchmark, with many libraries."""
+    save_profile(typical_profile(*renderer_and_version()))
+
+
 @pytest.mark.parametrize("name", COMMAND_ARGUMENTS)
+@pytest.mark.usefixtures("_known_device")
 def test_commands_import_only_the_libraries_they_need(name, folder):
     arguments, allowed = COMMAND_ARGUMENTS[name]
     status, imported_modules, output = run_skugga(arguments, folder)

@@ -148,7 +148,7 @@ def _check_costs(
         moment = moments[number]
         descriptor = describe(moment.scene(scene), moment.view, request.view_name)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
-        subject = f"a block of {moment.words}" if isinstance(moment.view, MapView) else moment.words
+        subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
         check_cost(plan, subject, limit_or_default_ms(max_ms), "--max-ms")
 
 
