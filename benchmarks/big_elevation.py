@@ -39,7 +39,7 @@ from skugga.api.matrices import zoom_range
 from skugga.api.overviews import make_overviews, reason_without_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
-from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
+from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.warm_up import warm_up
 from skugga.api.workers.worker_state import WorkerState, representative_block
@@ -91,7 +91,7 @@ def zooms_of(scene: Scene) -> dict[str, int]:
 
 def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int = 0) -> BlockJob:
     """Return the job that draws the block at the middle of a level, or a block at an offset (in blocks) from it."""
-    view = representative_block(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
+    view = representative_block(scene, ZoomTiles(matrix_set=MERCATOR_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + down, int(view.col0) // BLOCK_PX + right
     request = ProductRequest(sun=SUN)
     return BlockJob(level=key_of(raster), matrix_set=MERCATOR_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request)

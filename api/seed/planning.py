@@ -30,9 +30,9 @@ from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
 from skugga.api.seed.task_table import KeyParts, PlannedTask, TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
 from skugga.api.workers.block_views import block_of_grid
-from skugga.api.workers.jobs import LevelKey, Tiles
-from skugga.api.workers.map_plans import plan_in_service
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.jobs import LevelKey, ZoomTiles
+from skugga.api.workers.map_plans import select_view_plan
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan
@@ -205,17 +205,17 @@ class _Planner:
         self._table, self._level, self._overrides = table, level, overrides
         settings = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
         self._request_digest = digest_of_json([settings, repr(sorted(overrides.items()))])
-        self._plan_basis: PlanBasis | None = None
+        self._plan_measurements: PlanMeasurements | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
         """Return the plan of a zoom under a scene's sun. ``sun`` is the sun's name in the table. Raises ``SkuggaError``."""
         stored_plan = self._table.plan(sun, zoom, self._request_digest)
         if stored_plan is not None:
             return Plan.model_validate_json(stored_plan)
-        if self._plan_basis is None:
-            self._plan_basis = _plan_basis(self._level)
-        view = representative_block(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
-        plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._plan_basis)
+        if self._plan_measurements is None:
+            self._plan_measurements = _plan_measurements(self._level)
+        view = representative_block(scene, ZoomTiles(matrix_set=MATRIX_SET, zoom=zoom))
+        plan = select_view_plan(scene, view, "map", self._overrides, self._level, self._plan_measurements)
         self._table.put_plan(sun, zoom, self._request_digest, plan.model_dump_json())
         return plan
 
@@ -226,12 +226,12 @@ def _level_sun_values(scene: Scene) -> Any:
     return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
-def _plan_basis(level: LevelKey) -> PlanBasis:
+def _plan_measurements(level: LevelKey) -> PlanMeasurements:
     """Return the inputs from which a service on this machine would plan: the calibration and the saved probes of the level."""
     if local_renderer() == NO_OPENGL:
-        return PlanBasis()
+        return PlanMeasurements()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
-    return PlanBasis(calibration(), {level.version: probes.model_dump_json()})
+    return PlanMeasurements(calibration(), {level.version: probes.model_dump_json()})
 
 
 def _renderer_of(table: TaskTable) -> str:

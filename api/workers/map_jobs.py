@@ -20,7 +20,7 @@ from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.scene import Scene
 
-STEP_DIGITS = 9
+PIXEL_STEP_DIGITS = 9
 """Significant digits of a map's pixel steps in the key of its plan.
 
 Maps of one scale have equal steps except for rounding errors, and share a plan."""
@@ -67,7 +67,7 @@ def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]
 
     All maps of the level with this key share the plan of this block, as the tiles of a zoom share one plan.
     """
-    row_step, col_step = (float(f"{step:.{STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
+    row_step, col_step = (float(f"{step:.{PIXEL_STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
     rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
     row0, col0 = (
         float(sum(ends) / 2 // (BLOCK_PX * step)) * BLOCK_PX * step for ends, step in ((rows, row_step), (cols, col_step))

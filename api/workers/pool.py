@@ -20,27 +20,27 @@ from skugga.api.settings import Settings
 from skugga.api.workers.admission import check_admission, retry_after_s
 from skugga.api.workers.background_compile import BackgroundCompile
 from skugga.api.workers.circuit_breaker import CircuitBreaker
-from skugga.api.workers.idle_calibration import IdleCalibration, measured_profile
-from skugga.api.workers.idle_probes import IdleProbes, Probe, probed_level
+from skugga.api.workers.idle_calibration import IdleCalibration, measure_profile
+from skugga.api.workers.idle_probes import IdleProbes, Probe, probe_level
 from skugga.api.workers.idle_work import IdleWork
 from skugga.api.workers.job_queue import JobQueue, PendingJob
 from skugga.api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
-    DescribedPlanJob,
+    DescriptorPlanJob,
     Failure,
     FrameJob,
+    HeartbeatAnswer,
+    HeartbeatRequest,
     Job,
     LevelKey,
-    Ping,
-    Pong,
-    Preparing,
+    PreparationProgress,
     Result,
     Snapshot,
 )
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.worker_config import first_config
 from skugga.api.workers.worker_main import worker_main
@@ -58,7 +58,7 @@ INITIAL_BACKOFF_S, MAX_BACKOFF_S = 0.5, 30.0
 
 The time doubles with each further failure. After the first failure there is no wait."""
 
-PREPARE_AFTER_S = 1.0
+PRELOAD_DELAY_S = 1.0
 """Idle seconds after which a process receives the blocks whose levels it should open."""
 
 HEARTBEAT_INTERVAL_S, HEARTBEAT_TIMEOUT_S = 5.0, 30.0
@@ -116,7 +116,7 @@ class Pool:
         The service's settings.
     target
         Main function of a render process.
-    first_blocks
+    preload_blocks
         Returns a block of each level. Idle processes open these levels for later requests.
     measure
         Calibrates the device (measures the costs of algorithms) in idle time, if it has no calibration.
@@ -129,10 +129,10 @@ class Pool:
     ----------
     renderer : str or None
         OpenGL's name of the renderer; ``None`` until a process is ready.
-    basis : PlanBasis or None
+    measurements : PlanMeasurements or None
         The calibration and the probes that plans use. If it is replaced, jobs that start later use the new one in all processes,
         and cached pictures of other plan versions are no longer used.
-    preparing : Preparing or None
+    preparing : PreparationProgress or None
         Progress of the first process until it is ready, then of the background compilation; ``None`` without either.
     preparing_since : float
         Start of the preparation, in seconds of ``time.monotonic``.
@@ -150,13 +150,13 @@ class Pool:
         self,
         settings: Settings,
         target: WorkerTarget = worker_main,
-        first_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
-        measure: Callable[[], DeviceProfile] = measured_profile,
-        probe: Probe = probed_level,
+        preload_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
+        measure: Callable[[], DeviceProfile] = measure_profile,
+        probe: Probe = probe_level,
         spawned_worker: SpawnedWorker | None = None,
     ) -> None:
         self._settings = settings
-        self._target, self._first_blocks, self._spawned = target, first_blocks, spawned_worker
+        self._target, self._preload_blocks, self._spawned = target, preload_blocks, spawned_worker
         self._config = first_config(settings)
         # Twice as many threads: a process that cannot be killed keeps its thread while a new one replaces it.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
@@ -174,10 +174,10 @@ class Pool:
         self._first_process_event = asyncio.Event()
         self._starting = 0
         self.renderer: str | None = None
-        self.basis: PlanBasis | None = None
-        self.preparing: Preparing | None = Preparing("starting a render process")
+        self.measurements: PlanMeasurements | None = None
+        self.preparing: PreparationProgress | None = PreparationProgress("starting a render process")
         self.preparing_since = time.monotonic()
-        self.background_compile = BackgroundCompile(usable_cores(), self._note_preparing)
+        self.background_compile = BackgroundCompile(usable_cores(), self._note_preparation_progress)
         self.idle_work = IdleWork(self._is_busy, self._config.gl_threads)
         self.idle_calibration = IdleCalibration(
             settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure
@@ -201,28 +201,28 @@ class Pool:
 
     def plan_version(self, level: LevelKey | None) -> str:
         """Return the present version of a level's plans; ``None`` stands for plans of clients' descriptors."""
-        return "" if self.basis is None else self.basis.version_of(level)
+        return "" if self.measurements is None else self.measurements.version_of(level)
 
     def _plan_version_of(self, job: Job) -> str:
-        return self.plan_version(None if isinstance(job, DescribedPlanJob) else job.level)
+        return self.plan_version(None if isinstance(job, DescriptorPlanJob) else job.level)
 
     def _device(self) -> DeviceProfile | None:
-        return None if self.basis is None else self.basis.device
+        return None if self.measurements is None else self.measurements.device
 
     def _set_device(self, device: DeviceProfile) -> None:
-        self.basis = replace(self.basis or PlanBasis(), device=device)
+        self.measurements = replace(self.measurements or PlanMeasurements(), device=device)
 
     def _known_probes(self) -> Mapping[str, str]:
-        return {} if self.basis is None else self.basis.probes_json_by_version
+        return {} if self.measurements is None else self.measurements.probes_json_by_version
 
     def _add_probes(self, probes: Mapping[str, str]) -> None:
-        self.basis = (self.basis or PlanBasis()).with_probed(probes)
+        self.measurements = (self.measurements or PlanMeasurements()).with_probes(probes)
 
     def _is_busy(self) -> bool:
         """Return whether jobs wait or run, a process starts, or loops are compiled: idle work must not run then."""
         return bool(self.queued or self.running or self._starting or self.background_compile.is_running)
 
-    def _note_preparing(self, preparing: Preparing | None) -> None:
+    def _note_preparation_progress(self, preparing: PreparationProgress | None) -> None:
         if self.preparing is None:
             self.preparing_since = time.monotonic()
         self.preparing = preparing
@@ -309,7 +309,7 @@ class Pool:
         if pending.plan_version not in (version, self._plan_version_of(job)):  # the job had started earlier, with older plans
             answer = await self._finished_answer(self._pending.get(job) or self._enqueue(job, client), client)
         if isinstance(answer, Failure):
-            raise answer.error()
+            raise answer.to_error()
         return answer
 
     async def _finished_answer(self, pending: PendingJob, client: str) -> Answer:
@@ -400,12 +400,12 @@ class Pool:
         if spawned_worker is None:
             # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
             needs_opengl = self.renderer not in (None, NO_OPENGL)
-            config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
+            config = replace(self._config, needs_opengl=needs_opengl, measurements=self.measurements, number=number)
             spawned_worker = SpawnedWorker(self._target, config)
-        worker = WorkerProcess(spawned_worker, self._threads, self._queue_changed.set, self._note_preparing)
+        worker = WorkerProcess(spawned_worker, self._threads, self._queue_changed.set, self._note_preparation_progress)
         self._workers.add(worker)
         try:
-            worker.first_blocks = await run_in_pool(self._threads, self._first_blocks)
+            worker.preload_blocks = await run_in_pool(self._threads, self._preload_blocks)
             return await self._start_and_serve(worker)
         finally:
             self._workers.discard(worker)
@@ -417,7 +417,7 @@ class Pool:
             began_s = asyncio.get_running_loop().time()
             self._starting += 1
             ready = await worker.start(self._settings.start_timeout_s)
-            self.renderer, self.basis = ready.renderer, self.basis or worker.basis
+            self.renderer, self.measurements = ready.renderer, self.measurements or worker.measurements
         except SkuggaError as error:
             log.error("a render process could not be started: %s", error)
             self._note_start_failure(error)
@@ -454,7 +454,7 @@ class Pool:
                 return count > 0
             pending.plan_version = self._plan_version_of(pending.job)
             try:
-                answer = await worker.send_and_receive(pending.job, self._settings.render_timeout_s, self.basis)
+                answer = await worker.send_and_receive(pending.job, self._settings.render_timeout_s, self.measurements)
             except ExhaustedError as error:  # the process did not receive the job
                 self._finish(pending, error)
                 continue
@@ -472,7 +472,7 @@ class Pool:
             except Exception as error:  # a bug of this task: clients must not wait for ever
                 self._finish(pending, WorkerCrashError(f"the supervisor of the render process failed: {error!r}"))
                 raise
-            if isinstance(answer, Failure) and answer.fatal:
+            if isinstance(answer, Failure) and answer.is_fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
                 self._retry_or_finish(pending, answer)
                 return True
@@ -491,12 +491,14 @@ class Pool:
                 return pending
             self._queue_changed.clear()
             try:
-                await asyncio.wait_for(self._queue_changed.wait(), PREPARE_AFTER_S if worker.first_blocks else HEARTBEAT_INTERVAL_S)
+                await asyncio.wait_for(
+                    self._queue_changed.wait(), PRELOAD_DELAY_S if worker.preload_blocks else HEARTBEAT_INTERVAL_S
+                )
             except TimeoutError:
                 try:
-                    pong = await worker.send_and_receive(Ping(worker.first_blocks), HEARTBEAT_TIMEOUT_S)
-                    worker.first_blocks = ()
-                    if isinstance(pong, Pong):
+                    pong = await worker.send_and_receive(HeartbeatRequest(worker.preload_blocks), HEARTBEAT_TIMEOUT_S)
+                    worker.preload_blocks = ()
+                    if isinstance(pong, HeartbeatAnswer):
                         self.background_compile.start_if_needed(pong.missing_loops)
                 except ExhaustedError:  # try again later
                     continue
@@ -579,7 +581,7 @@ def _start_error_of(error: SkuggaError) -> SkuggaError:
 
 
 def _job_title(job: Job) -> str:
-    if isinstance(job, DescribedPlanJob):
+    if isinstance(job, DescriptorPlanJob):
         return "A plan of such a descriptor"
     settings_clause = " with these settings" if job.request.overrides.asked else ""
     return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{settings_clause}"

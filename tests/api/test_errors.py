@@ -83,7 +83,7 @@ def test_errors_have_their_documented_statuses(kind: type[SkuggaError], status: 
 @pytest.mark.parametrize("kind", [kind for kind in every_error() if kind is not NotServedError])
 def test_errors_cross_the_pipe(kind: type[SkuggaError]):
     error = make(kind)
-    received = pickle.loads(pickle.dumps(Failure.of(error))).error()
+    received = pickle.loads(pickle.dumps(Failure.from_error(error))).to_error()
     assert type(received) is kind
     assert str(received) == str(error)
     assert getattr(received, "name", None) == getattr(error, "name", None)

@@ -189,5 +189,5 @@ def test_exhausted_jobs_are_retried_later(monkeypatch: pytest.MonkeyPatch, error
 
     monkeypatch.setattr(render_worker, "run_job", run_out)
     answer = render_worker._try_job(block(0), WorkerState("a device"))
-    assert isinstance(answer, Failure) and isinstance(answer.error(), ExhaustedError)
-    assert error_report_of(answer.error()).status == 503
+    assert isinstance(answer, Failure) and isinstance(answer.to_error(), ExhaustedError)
+    assert error_report_of(answer.to_error()).status == 503

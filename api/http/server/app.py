@@ -21,7 +21,7 @@ from skugga.api.http.points import routes_point
 from skugga.api.http.server import routes_docs, routes_health, routes_viewer
 from skugga.api.http.server.bearer_token import BearerToken
 from skugga.api.http.server.cross_origin import CrossOrigin
-from skugga.api.http.server.first_blocks import first_blocks
+from skugga.api.http.server.first_blocks import central_blocks
 from skugga.api.http.server.openapi import install_openapi
 from skugga.api.http.server.problem_handlers import install_problem_handlers
 from skugga.api.http.server.request_middleware import CACHED_ROUTE_KEY, CLIENT_CLOSED_REQUEST, RequestMiddleware
@@ -35,8 +35,8 @@ from skugga.api.http.state.service import ClientGoneError, Service
 from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
 from skugga.api.http.views import routes_animations, routes_snapshot
 from skugga.api.settings import Settings
-from skugga.api.workers.idle_calibration import measured_profile
-from skugga.api.workers.idle_probes import Probe, probed_level
+from skugga.api.workers.idle_calibration import measure_profile
+from skugga.api.workers.idle_probes import Probe, probe_level
 from skugga.api.workers.jobs import LevelKey
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
 from skugga.api.workers.pool import Pool
@@ -50,8 +50,8 @@ def create_app(
     settings: Settings,
     levels: Sequence[Path | LevelSource],
     worker_target: WorkerTarget = worker_main,
-    measure: Callable[[], DeviceProfile] = measured_profile,
-    probe: Probe = probed_level,
+    measure: Callable[[], DeviceProfile] = measure_profile,
+    probe: Probe = probe_level,
     archives: Sequence[Path] = (),
     spawned_worker: SpawnedWorker | None = None,
 ) -> FastAPI:
@@ -96,7 +96,7 @@ def create_app(
     served_archives = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
     for level in source_levels:
         served_archives.open_level_archives(level)
-    pool = Pool(settings, worker_target, lambda: first_blocks(served_levels), measure, probe, spawned_worker)
+    pool = Pool(settings, worker_target, lambda: central_blocks(served_levels), measure, probe, spawned_worker)
     tiles = EncodedTiles(settings.tile_cache_bytes)
 
     async def current_level_key(name: str) -> LevelKey:

@@ -22,7 +22,7 @@ from skugga.api.http.state.rate_limiter import RateLimiter, network_of
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevel, ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import DescribedPlanJob, FilmCheckResult, Job, Result
+from skugga.api.workers.jobs import DescriptorPlanJob, FilmCheckResult, Job, Result
 from skugga.api.workers.pool import Pool
 from skugga.terrain.errors import LevelError, SkuggaError, SourceError
 
@@ -101,13 +101,13 @@ class Service:
         client = network_of(request.client.host if request.client else "")
         if self.pool.cached_picture(job) is None:
             if job.request.sun is not None:
-                level = None if isinstance(job, DescribedPlanJob) else job.level
+                level = None if isinstance(job, DescriptorPlanJob) else job.level
                 self.rate_limiter.acquire(client, (level, job.request.sun))
             request.state.expected_time = ExpectedTime(self.pool.expected_wait_s(job, client), self.pool.expected_s(job))
         try:
             return await cancel_on_disconnect(request, self.pool.run(job, client))
         except (LevelError, SourceError):
-            if isinstance(job, DescribedPlanJob) or self.levels.serves(job.level.path):
+            if isinstance(job, DescriptorPlanJob) or self.levels.serves(job.level.path):
                 raise
             raise NotServedError("level", "level: this level is no longer served.") from None
 

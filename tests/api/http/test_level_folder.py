@@ -20,7 +20,7 @@ from skugga.api.errors import exit_status
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import Failure, Ping, Pong, Ready
+from skugga.api.workers.jobs import Failure, HeartbeatAnswer, HeartbeatRequest, WorkerReady
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
@@ -131,18 +131,18 @@ def test_clients_see_added_and_removed_levels(folder: Path):
 
 def worker_missing_level_file(pipe: Connection, config: WorkerConfig, job_started, may_finish) -> None:
     """Run a fake render worker that signals ``job_started``, waits for ``may_finish``, and then fails to find the level file."""
-    pipe.send(Ready(fake_workers.RENDERER))
+    pipe.send(WorkerReady(fake_workers.RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         job_started.release()
         may_finish.acquire()
-        pipe.send(Failure.of(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
+        pipe.send(Failure.from_error(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
 
 
 @pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (worker_missing_level_file, 404)])

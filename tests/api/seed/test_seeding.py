@@ -238,7 +238,7 @@ def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object):
         raise AssertionError("a plan was made again")
 
-    monkeypatch.setattr(planning, "plan_in_service", fail)
+    monkeypatch.setattr(planning, "select_view_plan", fail)
     write_ground(run.level, rough_ground(120, seed=4))
     assert run()[1], "the ground has changed"
     run.zooms = 11, 15

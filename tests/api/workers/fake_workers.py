@@ -21,14 +21,14 @@ from skugga.api.workers.jobs import (
     FilmPicture,
     FilmPlanState,
     FrameJob,
-    Ping,
+    HeartbeatAnswer,
+    HeartbeatRequest,
     PlanAnswer,
     PlanJob,
-    Pong,
-    Preparing,
-    Ready,
+    PreparationProgress,
+    WorkerReady,
 )
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.selector.map_probes import MapClass
 from skugga.terrain.errors import GraphicsError, InputError, RenderError
@@ -52,14 +52,14 @@ def obedient(
     input), ``fail``, ``doubt`` (broken OpenGL).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         if job_started is not None:
             job_started.release()
@@ -76,33 +76,33 @@ def obedient(
 def planning(
     pipe: Connection, config: WorkerConfig, job_started: Semaphore | None = None, may_finish: Semaphore | None = None
 ) -> None:
-    """Answer with the basis of plans.
+    """Answer with the version of the measurements that plans use.
 
-    A plan has the name of its policy, a tile the version of its plans. On a calibrated basis a tile reports a missing probe
+    A plan has the name of its policy, a tile the version of its plans. With a calibration, a tile reports a missing probe
     until its level has one. Gated like ``obedient``.
     """
-    basis = config.basis or PlanBasis()
-    pipe.send(Ready(RENDERER, basis.device, VERSION))
+    measurements = config.measurements or PlanMeasurements()
+    pipe.send(WorkerReady(RENDERER, measurements.device, VERSION))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
-        if isinstance(job, PlanBasis):
-            basis = job
+        if isinstance(job, PlanMeasurements):
+            measurements = job
             continue
         if job_started is not None:
             job_started.release()
         if may_finish is not None:
             may_finish.acquire()
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if basis.device is None else "predict"}"}}'))
+            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if measurements.device is None else "predict"}"}}'))
         else:
-            version = basis.version_of(job.level)
-            unprobed_class = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
+            version = measurements.version_of(job.level)
+            unprobed_class = None if measurements.device is None or measurements.probes_of(job.level).classes else UNPROBED
             tiles = dict.fromkeys(TILE_POSITIONS, version.encode())
             pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed_class=unprobed_class))
 
@@ -120,17 +120,19 @@ def filming(
     ``crash``, ``fail``.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         if isinstance(job, FilmCheckJob):
-            failure = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
+            failure = Failure.from_error(
+                InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground")
+            )
             pipe.send(failure if job.view == "refuse" else FilmCheckResult(1500.0))
             continue
         if job_started is not None:
@@ -150,14 +152,14 @@ def filming(
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
     """Never return from a job."""
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     pipe.recv()
     signal.pause()
 
 
 def unable(pipe: Connection, config: WorkerConfig) -> None:
     """Fail to start."""
-    pipe.send(Failure.of(GraphicsError("libEGL at /secret/place is broken"), fatal=True))
+    pipe.send(Failure.from_error(GraphicsError("libEGL at /secret/place is broken"), is_fatal=True))
 
 
 def compiling(
@@ -172,17 +174,17 @@ def compiling(
 
     ``missing`` loops remain to be compiled.
     """
-    pipe.send(Preparing("compiling loops for map tiles", 3, 9))
+    pipe.send(PreparationProgress("compiling loops for map tiles", 3, 9))
     if may_finish is not None:
         may_finish.acquire()
-    pipe.send(Ready(RENDERER, missing_loops=missing))
+    pipe.send(WorkerReady(RENDERER, missing_loops=missing))
     while True:
         try:
             pipe.recv()
         except EOFError:
             return
         for step in range(steps):
-            pipe.send(Preparing("compiling loops for points", step, steps))
+            pipe.send(PreparationProgress("compiling loops for points", step, steps))
             time.sleep(step_s)
         pipe.send(_answer("draw"))
 
@@ -199,22 +201,22 @@ def never_ready(pipe: Connection, config: WorkerConfig) -> None:
 
 def leaky(pipe: Connection, config: WorkerConfig) -> None:
     """Fail with a message that must not reach clients."""
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             pipe.recv()
         except EOFError:
             return
-        pipe.send(Failure.of(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
+        pipe.send(Failure.from_error(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
 def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
     if order == "refuse":
-        return Failure.of(InputError("view", order, "another order"))
+        return Failure.from_error(InputError("view", order, "another order"))
     if order == "fail":
-        return Failure.of(RenderError("it went wrong"))
+        return Failure.from_error(RenderError("it went wrong"))
     if order == "doubt":
-        return Failure.of(GraphicsError("OpenGL left an error behind"), fatal=True)
+        return Failure.from_error(GraphicsError("OpenGL left an error behind"), is_fatal=True)
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
     return BlockTiles(dict.fromkeys(TILE_POSITIONS, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

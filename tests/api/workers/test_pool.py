@@ -12,7 +12,7 @@ import pytest
 from skugga.api.errors import WorkerCrashError, WorkerStartError
 from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
-from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
+from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, PreparationProgress
 from skugga.api.workers.pool import Pool
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
@@ -94,9 +94,9 @@ def test_compilation_before_readiness_is_reported(caplog: pytest.LogCaptureFixtu
 
     async def run() -> None:
         pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, may_finish=may_finish))
-        assert pool.preparing == Preparing("starting a render process")
+        assert pool.preparing == PreparationProgress("starting a render process")
         pool.open()
-        await wait_until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
+        await wait_until(lambda: pool.preparing == PreparationProgress("compiling loops for map tiles", 3, 9))
         assert not pool.is_ready
         may_finish.release()
         await asyncio.wait_for(pool.wait_for_first_process(), TIMEOUT_S)
@@ -135,7 +135,7 @@ def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.Monkey
     async def run() -> None:
         pool = Pool(Settings(workers=2), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
-        await wait_until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
+        await wait_until(lambda: pool.preparing == PreparationProgress("compiling loops for points", 5, 7))
         assert pool.is_ready and pool.background_compile.is_running
         assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
         assert not pool.idle_work._is_idle(), "what is measured while the machine is idle waits"

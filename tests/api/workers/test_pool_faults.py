@@ -91,7 +91,7 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(worker_process, "STOPPED_CHECK_S", 0.1)
+    monkeypatch.setattr(worker_process, "STOP_POLL_INTERVAL_S", 0.1)
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
