@@ -99,11 +99,11 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         pids = set(pool.ready_pids)
-        pool._threads.shutdown(wait=False)
+        pool.supervisor._threads.shutdown(wait=False)
         with monkeypatch.context() as patch:
-            patch.setattr(pool, "_threads", ThreadPoolExecutor(2))
-            for worker in pool._workers:
-                patch.setattr(worker._child, "_threads", pool._threads)
+            patch.setattr(pool.supervisor, "_threads", ThreadPoolExecutor(2))
+            for worker in pool.supervisor.workers:
+                patch.setattr(worker._child, "_threads", pool.supervisor._threads)
             for number in range(3):
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))

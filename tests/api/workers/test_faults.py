@@ -138,7 +138,7 @@ def test_a_process_killed_during_warm_up_is_restarted(serve_with):
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(client.get, tile())
         wait_until(lambda: client.service.pool.queued == 1)
-        (worker,) = client.service.pool._workers
+        (worker,) = client.service.pool.supervisor.workers
         os.kill(worker.pid, signal.SIGKILL)
         answer = waiting.result()
     problem = check_problem(answer, 503, "worker_start", None)

@@ -225,11 +225,11 @@ def test_a_job_counts_for_the_clients_that_wait_for_it():
         leaves = asyncio.create_task(pool.run(order("second"), "one"))
         await wait_until(lambda: pool.queued == 1)
         staying_job = asyncio.create_task(pool.run(order("second"), "other"))
-        await wait_until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
-        assert len(pool._queue.jobs_of_client("one")) == 1
+        await wait_until(lambda: len(pool.jobs.queue.waiting[order("second")].clients) == 2)
+        assert len(pool.jobs.queue.jobs_of_client("one")) == 1
         leaves.cancel()
-        await wait_until(lambda: not pool._queue.jobs_of_client("one"))
-        assert len(pool._queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
+        await wait_until(lambda: not pool.jobs.queue.jobs_of_client("one"))
+        assert len(pool.jobs.queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
         gate.open(2)
         await asyncio.gather(running_job, staying_job)
 
