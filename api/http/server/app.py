@@ -19,8 +19,8 @@ from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point
 from skugga.api.http.server import routes_docs, routes_health, routes_viewer
-from skugga.api.http.server.bearer_token import BearerToken
-from skugga.api.http.server.cross_origin import CrossOrigin
+from skugga.api.http.server.bearer_token import BearerTokenMiddleware
+from skugga.api.http.server.cross_origin import SharedCacheCorsMiddleware
 from skugga.api.http.server.first_blocks import central_blocks
 from skugga.api.http.server.openapi import install_openapi
 from skugga.api.http.server.problem_handlers import install_problem_handlers
@@ -31,7 +31,7 @@ from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.http.state.rate_limiter import RateLimiter
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevels
-from skugga.api.http.state.service import ClientGoneError, Service
+from skugga.api.http.state.service import ClientDisconnectedError, Service
 from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
 from skugga.api.http.views import routes_animations, routes_snapshot
 from skugga.api.settings import Settings
@@ -123,19 +123,19 @@ def create_app(
     )  # fmt: skip
     app.state.service = service
     app.add_middleware(TileCacheMiddleware, service=service)
-    app.add_middleware(HeadAsGet)
-    app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
+    app.add_middleware(HeadAsGetMiddleware)
+    app.add_middleware(BodyLimitMiddleware, max_bytes=settings.max_body_bytes)
     if settings.api_token is not None:
-        app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
+        app.add_middleware(BearerTokenMiddleware, token=settings.api_token.get_secret_value())
     # CORS wraps the middleware that rejects requests, so pages of other origins can read the reason. Requests carry no credentials
     # such as cookies, so all request headers are allowed.
     app.add_middleware(
-        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
+        SharedCacheCorsMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
         allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(RequestMiddleware, metrics=metrics, access_log=settings.access_log)
     install_problem_handlers(app)
-    app.add_exception_handler(ClientGoneError, _client_gone)
+    app.add_exception_handler(ClientDisconnectedError, _client_disconnected)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
         routes_snapshot, routes_animations, routes_archives, routes_health,
@@ -147,7 +147,7 @@ def create_app(
     return app
 
 
-class HeadAsGet:
+class HeadAsGetMiddleware:
     """Middleware that answers HEAD like GET, without the body."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -167,7 +167,7 @@ class HeadAsGet:
         scope.update({key: get_scope[key] for key in (CACHED_ROUTE_KEY, "route") if key in get_scope})
 
 
-class BoundedBody:
+class BodyLimitMiddleware:
     """Middleware that rejects request bodies of more than ``max_bytes`` bytes.
 
     A body with a Content-Length is rejected before it is read.
@@ -203,5 +203,5 @@ class BoundedBody:
         await self.app(scope, receive_some, send)
 
 
-async def _client_gone(request: Request, error: Exception) -> Response:
+async def _client_disconnected(request: Request, error: Exception) -> Response:
     return Response(status_code=CLIENT_CLOSED_REQUEST)

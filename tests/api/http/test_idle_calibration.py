@@ -126,7 +126,7 @@ def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, 
 
 
 def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    """An estimate is used until the device is calibrated, which it does not prevent. A later one is ignored."""
+    """An estimate is used until the device is calibrated. A later estimate is ignored."""
     estimate = fake_calibrations.profile().model_copy(update={"is_estimate": True})
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     save_profile(estimate)
@@ -140,10 +140,10 @@ def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, c
     assert state(client) == "calibrated" and client.service.pool.plan_version(None) == version
 
 
-def test_watch_outlives_a_moment_without_threads(
+def test_file_watch_survives_a_lack_of_threads(
     serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    """A calibration that is saved after such a moment is loaded."""
+    """A calibration that is saved afterwards is loaded."""
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 

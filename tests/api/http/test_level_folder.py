@@ -79,18 +79,18 @@ def test_missing_folder_is_an_input_error(tmp_path: Path):
         ServedLevels([], folder=tmp_path / "nowhere")
 
 
-def test_read_folder_again_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
+def test_reload_folder_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
     levels = ServedLevels([], folder=folder)
     hills = levels.reload_if_changed("hills")
     remove(folder, "moor")
     write_level(folder, "fen")
     (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
     assert levels.names() == ["hills", "moor"], "not before it is told to"
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["fen", "hills"] and levels.reload_if_changed("hills") is hills
     assert "broken.yaml is left out" in caplog.text
     write_level(folder, "broken")
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["broken", "fen", "hills"]
 
 
@@ -98,10 +98,10 @@ def test_unreadable_folder_leaves_levels_unchanged(folder: Path, caplog: pytest.
     levels = ServedLevels([], folder=folder)
     write_level(folder, "fen")
     (folder / "fen.yml").write_text((folder / "fen.yaml").read_text(), encoding="utf-8")
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["hills", "moor"] and "a level 'fen'" in caplog.text
     folder.rename(folder.with_name("elsewhere"))
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["hills", "moor"] and "The levels are unchanged." in caplog.text
 
 
@@ -109,7 +109,7 @@ def test_level_broken_after_start_stays_listed(folder: Path):
     """Requests for it fail until its file is repaired."""
     levels = ServedLevels([], folder=folder)
     (folder / "moor.yaml").write_text("version: 7", encoding="utf-8")
-    levels.read_folder_again()
+    levels.reload_folder()
     with pytest.raises(LevelError):
         levels.reload_if_changed("moor")
     write_level(folder, "moor")
@@ -123,7 +123,7 @@ def test_clients_see_added_and_removed_levels(folder: Path):
             assert client.get(f"/levels/{name}/{TILE}").status_code == 200
         remove(folder, "moor")
         write_level(folder, "fen")
-        client.service.levels.read_folder_again()
+        client.service.levels.reload_folder()
         assert [level["name"] for level in client.get("/levels").json()] == ["fen", "hills"]
         assert client.get(f"/levels/fen/{TILE}").status_code == client.get(f"/levels/hills/{TILE}").status_code == 200
         check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
@@ -157,7 +157,7 @@ def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Call
         drawing = thread.submit(client.get, f"/levels/moor/{TILE}")
         assert job_started.acquire(timeout=TIMEOUT_S)
         remove(folder, "moor")
-        client.service.levels.read_folder_again()
+        client.service.levels.reload_folder()
         may_finish.release()
         answer: httpx.Response = drawing.result()
         assert answer.status_code == status

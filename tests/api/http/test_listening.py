@@ -1,4 +1,4 @@
-"""Idle and stalled connections, and more connections than file descriptors, keep no other client from being served."""
+"""Idle and stalled connections, and more connections than file descriptors, do not block other clients."""
 
 import contextlib
 import resource

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skugga.api.errors import RateLimitError
 from skugga.api.http.request_times import rounded_time
-from skugga.api.http.state.rate_limiter import RateLimiter, network_of
+from skugga.api.http.state.rate_limiter import RateLimiter, client_key
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -129,8 +129,8 @@ def test_rate_limiter_of_zero_is_off():
         ("a socket", "a socket", True),
     ],
 )
-def test_network_of_groups_a_customers_addresses(one: str, other: str, same: bool):
-    assert (network_of(one) == network_of(other)) == same
+def test_client_key_groups_a_customers_addresses(one: str, other: str, same: bool):
+    assert (client_key(one) == client_key(other)) == same
 
 
 def test_too_many_suns_are_429(serve_with):
