@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.terrain.errors import printable
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def validate(level: LevelSource) -> None:
     """Check a level file and the data it names."""
     from skugga.api.level_summary import remarks

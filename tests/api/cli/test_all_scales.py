@@ -96,7 +96,7 @@ def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path
     assert fine_probes.plan.view == "map"
 
 
-def test_a_probe_that_saw_a_slow_choice_changes_it(probe_rows: list[dict], hills_level: Path):
+def test_a_probe_of_a_slow_choice_changes_the_plan(probe_rows: list[dict], hills_level: Path):
     """Plan the same level on a device whose probe measured the preferred choice as very slow."""
     served_level = ServedLevels([hills_level]).cached_levels()[0]
     scene, profile = build_scene(load_level(hills_level)), typical_device()
@@ -114,11 +114,11 @@ def test_a_probe_that_saw_a_slow_choice_changes_it(probe_rows: list[dict], hills
         plan = select_view_plan(scene, view, "map", {}, served_level.key, plan_basis)
         return next(observation.reason for observation in plan.reasons if observation.name == "sun: probe").rsplit("; ", 1)[1]
 
-    assert verdict(_basis(profile, served_level.version, probes)) == f"the choice remains {name}"
-    assert verdict(_basis(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
+    assert verdict(_measurements(profile, served_level.version, probes)) == f"the choice remains {name}"
+    assert verdict(_measurements(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
 
 
-def _basis(profile: DeviceProfile, version: str, probes) -> PlanMeasurements:
+def _measurements(profile: DeviceProfile, version: str, probes) -> PlanMeasurements:
     return PlanMeasurements(profile, {version: probes.model_dump_json()})
 
 

@@ -298,7 +298,7 @@ def test_openapi_lists_all_parameters(yard_client: Client):
     }  # fmt: skip
 
 
-def test_plans_refuse_truth_too(yard_client: Client):
+def test_plans_reject_ray_traced_truth(yard_client: Client):
     check_problem(yard_client.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
 
 
