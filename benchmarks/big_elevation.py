@@ -36,7 +36,7 @@ from pyproj import CRS
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
-from skugga.api.overviews import make_overviews, reason_without_overviews
+from skugga.api.overviews import make_overviews, reason_for_no_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
@@ -292,7 +292,7 @@ def main() -> None:
     for raster in make_rasters(args.folder, args.raster):
         print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, made in {raster.made_s:.0f} s", flush=True)
     vrt = paths_in(args.folder)[-1]
-    if reason_without_overviews(vrt) is None:
+    if reason_for_no_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, {time.perf_counter() - start:.0f} s", flush=True)

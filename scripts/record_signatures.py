@@ -67,7 +67,7 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
     """
     from skugga.api.http.server.first_blocks import central_block
     from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
-    from skugga.api.matrices import OVERZOOMS
+    from skugga.api.matrices import MAX_OVERZOOM
     from skugga.api.request import ProductRequest
     from skugga.api.workers.render_worker import run_job
     from skugga.api.workers.warm_up import warm_up
@@ -79,7 +79,7 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
         zooms = level.zooms.get(DEFAULT_MATRIX_SET)
         if zooms is None:
             continue
-        native_zoom = max(zooms.last - OVERZOOMS, zooms.first)
+        native_zoom = max(zooms.last - MAX_OVERZOOM, zooms.first)
         colors = [(zoom, "color", sun) for zoom in dict.fromkeys((native_zoom, zooms.first, zooms.last)) for sun in (None, *suns)]
         for zoom, layer, sun in [*colors, *((native_zoom, layer, None) for layer in layers)]:
             block = central_block(level, zoom)

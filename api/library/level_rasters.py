@@ -239,6 +239,6 @@ class LevelRasters(LevelState):
             (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
             if top >= bottom or left >= right:
                 raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
-            raster = self._own_raster.cells(top, left, bottom - top, right - left)
+            raster = self._own_raster.raster_part(top, left, bottom - top, right - left)
         check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_per_cell, PART_REMEDY)
         return raster

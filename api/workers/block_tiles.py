@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from skugga.api.encoding import ARRAY_FORMATS, colored, encode
+from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, encode
 from skugga.api.products.product import MapFormat, Part
 from skugga.api.request import ProductRequest
 from skugga.shadows.picture import Picture
@@ -54,14 +54,14 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
         array = product.compute(Part(scene, view, request.options, picture))
-    return encode(colored(array, product, request.options, scene.world, format), product, format, view)
+    return encode(apply_color_scale(array, product, request.options, scene.world, format), product, format, view)
 
 
 def tiles_of_array(
     array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles: int = 1
 ) -> dict[TilePosition, bytes]:
     """Return the encoded files of a block's array by position, one for each part of ``tiles`` x ``tiles`` tiles."""
-    colored_array = colored(array, request.product_record, request.options, world, format)
+    colored_array = apply_color_scale(array, request.product_record, request.options, world, format)
     return {
         position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
         for position, part_view, window in _tiles_of(view, tiles)

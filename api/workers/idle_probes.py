@@ -38,11 +38,11 @@ log = logging.getLogger("skugga")
 
 def probe_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
     """Probe a level's maps at all scales under a representative sun of the class ``sun``. Raises ``SkuggaError``."""
-    from skugga.api.map_probing import probe_maps, under_class_sun
+    from skugga.api.map_probing import probe_maps, with_class_sun
 
     scene = build_scene(load_level(level))
     try:
-        return probe_maps(under_class_sun(scene, sun), device, budget_s=PROBE_BUDGET_S)
+        return probe_maps(with_class_sun(scene, sun), device, budget_s=PROBE_BUDGET_S)
     finally:
         scene.close()
 

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.api.compute import compute
-from skugga.api.encoding import ARRAY_FORMATS, colored, composite_over, encode
+from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, composite_over, encode
 from skugga.api.workers.jobs import MapJob
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
@@ -92,7 +92,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
     product.check(scene)
     plan = plan_of(*representative_part(scene, view)) if product.needs else None
     computed = compute(scene, view, request, plan)
-    array = colored(computed.array, product, request.options, scene.world, job.format)
+    array = apply_color_scale(computed.array, product, request.options, scene.world, job.format)
     if plan is None:
         return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
     return _map_file(job, array, view, plan.headline, computed.passes, computed.reach)

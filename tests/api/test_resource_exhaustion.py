@@ -65,7 +65,7 @@ def test_other_errors_are_no_exhaustion(error: Exception):
     assert exhausted_error(error) is None
 
 
-def test_routes_start_without_a_thread():
+def test_routes_are_coroutines():
     """The framework calls plain functions in threads. With them even the health check would fail on a machine without
     threads.
     """
@@ -81,7 +81,7 @@ def test_routes_start_without_a_thread():
     assert not [part for part in functions if not inspect.iscoroutinefunction(part)]
 
 
-def test_work_without_a_thread_is_never_run(monkeypatch: pytest.MonkeyPatch):
+def test_work_rejected_for_lack_of_threads_never_runs(monkeypatch: pytest.MonkeyPatch):
     """An executor puts the work into its queue even if it cannot start a thread."""
     calls: list[str] = []
 

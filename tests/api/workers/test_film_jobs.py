@@ -104,7 +104,7 @@ class FilmGate:
             self._may_finish.release()
 
 
-def test_pictures_pass_frames_and_a_full_queue_accepts_them():
+def test_pictures_overtake_frames_and_full_queue_takes_frames():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:

@@ -62,7 +62,7 @@ def plan_version_of(answer: object) -> str:
     return answer.plan_version
 
 
-def test_all_processes_adopt_a_new_basis():
+def test_all_processes_adopt_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
@@ -79,7 +79,7 @@ def test_all_processes_adopt_a_new_basis():
     run_with_pool(scenario, gate.target, workers=3)
 
 
-def test_requests_after_a_change_use_the_new_basis():
+def test_requests_after_a_change_use_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
@@ -100,7 +100,7 @@ def test_requests_after_a_change_use_the_new_basis():
     run_with_pool(scenario, gate.target)
 
 
-def test_queued_jobs_use_the_new_basis():
+def test_queued_jobs_use_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
@@ -113,7 +113,7 @@ def test_queued_jobs_use_the_new_basis():
     run_with_pool(scenario, gate.target)
 
 
-def test_a_process_started_later_uses_the_new_basis():
+def test_a_process_started_later_uses_new_measurements():
     async def scenario(pool: Pool) -> None:
         await pool.wait_for_first_process()
         pool.measurements = PlanMeasurements(profile())

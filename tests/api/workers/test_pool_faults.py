@@ -32,7 +32,7 @@ def view(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
 
-def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
+def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """Creating the pipe of the next process fails twice, then descriptors are free again."""
     original_context, failures_left = piped_process.get_context, [2]
 
@@ -64,7 +64,7 @@ def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.Monkey
     run_with_pool(scenario)
 
 
-def test_an_ended_worker_slot_is_reported():
+def test_an_ended_supervisor_task_is_unhealthy():
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         assert pool.is_healthy
@@ -187,7 +187,7 @@ def pending(job, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
-def test_light_jobs_pass_heavy_ones_for_a_limited_time():
+def test_light_jobs_overtake_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
     queue.expected_times.add_duration(view(), 30.0)
     queue.expected_times.add_duration(block(0), 0.1)
@@ -298,7 +298,7 @@ def _is_alive(pid: int) -> bool:
         return False
 
 
-def test_a_fake_process_answers_pings():
+def test_a_fake_process_answers_heartbeats():
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         (pid,) = pool.ready_pids
