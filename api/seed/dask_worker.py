@@ -51,7 +51,7 @@ class PersistentProcess:
                 return TaskFailure(task.id, str(ended), "died")
 
     def end(self) -> None:
-        """End the process unless it is drawing. A process that draws belongs to another run, or ends when the next run begins."""
+        """End the process unless it draws. A process that draws belongs to another run, or ends when the next run begins."""
         if self._lock.acquire(blocking=False):
             try:
                 self._end()

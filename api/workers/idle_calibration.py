@@ -158,7 +158,7 @@ class IdleCalibration:
             except (OSError, RuntimeError, MemoryError) as error:
                 if exhausted_error(error) is None:
                     raise
-                log.warning("the calibration's file is read later: %s", exhausted_error(error))
+                log.warning("the calibration file could not be read: %s. It is read again later.", exhausted_error(error))
 
     async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
         """Load the file if its stamp (time, inode, size) differs from ``last_stamp``.

@@ -165,7 +165,7 @@ class IdleProbes:
             except (OSError, RuntimeError, MemoryError) as error:
                 if exhausted_error(error) is None:
                     raise
-                log.warning("stored probes are read later: %s", exhausted_error(error))
+                log.warning("stored probes could not be read: %s. They are read again later.", exhausted_error(error))
 
     def _read_changed_files(self) -> dict[str, MapProbes]:
         """Return the probes in files that were written since they were last read, by the version of their level."""

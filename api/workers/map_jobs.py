@@ -23,7 +23,7 @@ from skugga.terrain.scene import Scene
 PIXEL_STEP_DIGITS = 9
 """Significant digits of a map's pixel steps in the key of its plan.
 
-Maps of one scale have equal steps except for rounding errors, and share a plan."""
+Maps of one scale share a plan, although their steps differ by rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)

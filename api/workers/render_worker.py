@@ -269,7 +269,7 @@ def _picture_record(
 def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     """Warm up, send ``WorkerReady``, then answer jobs from the pipe.
 
-    The function returns when the pipe is closed, or after a fatal ``Failure``, which may have spoilt the OpenGL context.
+    The function returns when the pipe is closed, or after a fatal ``Failure``, which may have corrupted the OpenGL context.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()

@@ -144,7 +144,9 @@ class WorkerSupervisor:
             try:
                 healthy = await self._run_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the task survives all of them
-                log.error("a supervisor of render processes failed and starts another process: %s: %s", type(error).__name__, error)
+                log.error(
+                    "the supervisor of a render process failed and starts another process: %s: %s", type(error).__name__, error
+                )
                 self._note_start_failure(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
@@ -254,7 +256,7 @@ class WorkerSupervisor:
                 except ExhaustedError:  # try again later
                     continue
                 except (RenderTimeoutError, WorkerCrashError):
-                    log.error("render process %s is replaced: it does not answer any more", worker.pid)
+                    log.error("render process %s is replaced: it did not answer a heartbeat request", worker.pid)
                     return None
         log.error("render process %s died while it was idle", worker.pid)
         return None

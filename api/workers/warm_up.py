@@ -44,7 +44,7 @@ log = logging.getLogger("skugga.worker")
 def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
     """Draw a first picture, check that its shadow is in the right place, and return the renderer's name.
 
-    This pays the one-time costs (imports, compilation, the OpenGL context) before the first request.
+    Imports, compilation and the creation of the OpenGL context are then done before the first request.
 
     Parameters
     ----------

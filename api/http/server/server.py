@@ -148,7 +148,11 @@ def connection_limit(settings: Settings) -> int:
     film_descriptors = settings.animations_kept + DESCRIPTORS_PER_FILM * settings.animations_at_a_time
     available = soft - open_descriptors() - DESCRIPTORS_PER_WORKER * settings.workers - film_descriptors - RESERVED_DESCRIPTORS
     if available < settings.max_connections:
-        log.warning("at most %d connections at a time: the limit of open files is %d", max(available, MIN_CONNECTIONS), soft)
+        log.warning(
+            "the limit of connections is reduced to %d, because the limit of open files is %d",
+            max(available, MIN_CONNECTIONS),
+            soft,
+        )
     return min(settings.max_connections, max(available, MIN_CONNECTIONS))
 
 

@@ -57,7 +57,7 @@ def serve(tmp_path: Path) -> Callable[..., object]:
     def make(keys: dict | None, archives: list[Path] = [], **settings) -> object:  # noqa: B006
         levels = [] if keys is None else [write_level(tmp_path, "hills", **keys)]
         settings = {"level_check_s": 0.0, "tile_cache_bytes": 0} | settings
-        return running(create_app(Settings(workers=1, **settings), levels, fake_workers.obedient, archives=archives))
+        return running(create_app(Settings(workers=1, **settings), levels, fake_workers.scripted, archives=archives))
 
     return make
 

@@ -154,7 +154,7 @@ def test_file_watch_survives_a_lack_of_threads(
 
     wait_until(lambda: state(client) == "running")
     monkeypatch.setattr(idle_calibration, "_stamp", failing_stamp)
-    wait_until(lambda: log_count(caplog, "is read later") == 2)
+    wait_until(lambda: log_count(caplog, "is read again later") == 2)
     save_profile(fake_calibrations.profile())
     wait_until(lambda: state(client) == "calibrated")
 
@@ -207,7 +207,7 @@ def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pyte
 
 
 def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path):
-    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.obedient)
+    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.scripted)
     assert state(client) == "none" and client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()

@@ -143,7 +143,7 @@ def test_check_out_of_file_descriptors_keeps_old_level():
 def test_request_without_a_thread_is_503_with_retry_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The level is served as last known; a request that needs a thread can be repeated later."""
     path = write_level(tmp_path, "hills")
-    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.scripted)) as client:
         client.get(tile("hills"))
         before = client.get("/levels/hills").json()
         level = json.loads(path.read_text())
@@ -173,7 +173,7 @@ def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
     """Opening a named pipe blocks until another process writes into it."""
     good_level, slow_level = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=2.0)
-    with running(create_app(settings, [good_level, slow_level], fake_workers.obedient)) as client:
+    with running(create_app(settings, [good_level, slow_level], fake_workers.scripted)) as client:
         while not client.service.pool.is_ready:
             client.get("/readyz")
         assert client.get(tile("slow")).status_code == client.get(tile("good")).status_code == 200
@@ -194,7 +194,7 @@ def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
 def test_level_that_parses_slowly_is_served_as_before(tmp_path: Path):
     path = write_level(tmp_path, "hills")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=0.2)
-    with running(create_app(settings, [path], fake_workers.obedient)) as client:
+    with running(create_app(settings, [path], fake_workers.scripted)) as client:
         assert client.get(tile("hills")).status_code == 200
         level = json.loads(path.read_text())
         level["meshes"] = [{"generate": "tetrahedra"}] * 20_000

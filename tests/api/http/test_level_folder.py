@@ -118,7 +118,7 @@ def test_level_broken_after_start_stays_listed(folder: Path):
 
 def test_clients_see_added_and_removed_levels(folder: Path):
     settings = Settings(workers=1, levels=folder)
-    with running(create_app(settings, [], fake_workers.obedient)) as client:
+    with running(create_app(settings, [], fake_workers.scripted)) as client:
         for name in ("hills", "moor"):
             assert client.get(f"/levels/{name}/{TILE}").status_code == 200
         remove(folder, "moor")
@@ -145,7 +145,7 @@ def worker_missing_level_file(pipe: Connection, config: WorkerConfig, job_starte
         pipe.send(Failure.from_error(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
 
 
-@pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (worker_missing_level_file, 404)])
+@pytest.mark.parametrize(("target", "status"), [(fake_workers.scripted, 200), (worker_missing_level_file, 404)])
 def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Callable[..., None], status: int):
     """The tile itself is 200 if the worker had read the level before, else 404; later requests are 404."""
     spawn = get_context("spawn")

@@ -293,7 +293,7 @@ def calibrated(pipe, config) -> None:
         def send(self, answer) -> None:
             pipe.send(WorkerReady(answer.renderer, profile()) if isinstance(answer, WorkerReady) else answer)
 
-    fake_workers.obedient(Pipe(), config)
+    fake_workers.scripted(Pipe(), config)
 
 
 def tag(client: Client) -> str:
@@ -306,7 +306,7 @@ def tag(client: Client) -> str:
 
 
 def test_etags_depend_on_the_calibration(serve_with):
-    plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
+    plain, other = serve_with(fake_workers.scripted), serve_with(calibrated)
     assert tag(plain) != tag(other)
     assert other.service.pool.plan_version(None) == profile_digest(profile()) != profile_digest(profile(took_s=2.0))
     assert plain.service.pool.plan_version(None) == ""

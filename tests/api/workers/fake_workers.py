@@ -1,4 +1,4 @@
-"""Fake render processes that draw nothing. A job's view or tile is an order to them, so that tests control their behaviour."""
+"""Fake render processes that draw nothing. A job's view or tile tells them what to do, so that tests control their behaviour."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FILM_ROWS, FILM_COLS = 4, 6
 TILE_POSITIONS = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
-def obedient(
+def scripted(
     pipe: Connection,
     config: WorkerConfig,
     job_started: Semaphore | None = None,
@@ -48,8 +48,8 @@ def obedient(
 ) -> None:
     """Answer at once. If ``may_finish`` is given, signal ``job_started`` for each job and wait for ``may_finish``.
 
-    The view of a plan is an order, unless ``always`` orders the same for all jobs: ``crash``, ``hang``, ``refuse`` (wrong
-    input), ``fail``, ``doubt`` (broken OpenGL).
+    The view of a plan is a command, unless ``always`` is the command for all jobs. Commands are ``crash``, ``hang``, ``refuse``
+    (wrong input), ``fail`` and ``doubt`` (broken OpenGL).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(WorkerReady(RENDERER))
@@ -79,7 +79,7 @@ def planning(
     """Answer with the version of the measurements that plans use.
 
     A plan has the name of its policy, a tile the version of its plans. With a calibration, a tile reports a missing probe
-    until its level has one. Gated like ``obedient``.
+    until its level has one. Gated like ``scripted``.
     """
     measurements = config.measurements or PlanMeasurements()
     pipe.send(WorkerReady(RENDERER, measurements.device, VERSION))
@@ -114,9 +114,9 @@ def filming(
     may_finish: Semaphore | None = None,
     orders: tuple[tuple[int, str], ...] = (),
 ) -> None:
-    """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``obedient``.
+    """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``scripted``.
 
-    Gated like ``obedient``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
+    Gated like ``scripted``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
     ``crash``, ``fail``.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -157,7 +157,7 @@ def hanging(pipe: Connection, config: WorkerConfig) -> None:
     signal.pause()
 
 
-def unable(pipe: Connection, config: WorkerConfig) -> None:
+def failing_at_start(pipe: Connection, config: WorkerConfig) -> None:
     """Fail to start."""
     pipe.send(Failure.from_error(GraphicsError("libEGL at /secret/place is broken"), is_fatal=True))
 
@@ -189,7 +189,7 @@ def compiling(
         pipe.send(_answer("draw"))
 
 
-def stillborn(pipe: Connection, config: WorkerConfig) -> None:
+def exiting_at_start(pipe: Connection, config: WorkerConfig) -> None:
     """End the process during its start."""
     os._exit(9)
 
@@ -199,7 +199,7 @@ def never_ready(pipe: Connection, config: WorkerConfig) -> None:
     signal.pause()
 
 
-def leaky(pipe: Connection, config: WorkerConfig) -> None:
+def leaking_errors(pipe: Connection, config: WorkerConfig) -> None:
     """Fail with a message that must not reach clients."""
     pipe.send(WorkerReady(RENDERER))
     while True:

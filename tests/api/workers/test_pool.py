@@ -31,7 +31,7 @@ def block(x: int) -> BlockJob:
     return BlockJob(level=LEVEL, matrix_set="WebMercatorQuad", zoom=12, block_x=x, block_y=0)
 
 
-def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
+def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.scripted, **settings) -> None:
     """Run a scenario with a pool of one process, and check that no process remains."""
 
     async def run() -> set[int]:
@@ -68,7 +68,7 @@ class Gate:
     def __init__(self) -> None:
         spawn = get_context("spawn")
         self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
-        self.target = functools.partial(fake_workers.obedient, job_started=self._job_started, may_finish=self._may_finish)
+        self.target = functools.partial(fake_workers.scripted, job_started=self._job_started, may_finish=self._may_finish)
 
     async def job_started(self) -> None:
         assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
@@ -347,7 +347,9 @@ def test_processes_are_recycled():
     run_with_pool(scenario, recycle_blocks=2)
 
 
-@pytest.mark.parametrize(("target", "error"), [(fake_workers.unable, GraphicsError), (fake_workers.stillborn, WorkerStartError)])
+@pytest.mark.parametrize(
+    ("target", "error"), [(fake_workers.failing_at_start, GraphicsError), (fake_workers.exiting_at_start, WorkerStartError)]
+)
 def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
     async def scenario(pool: Pool) -> None:
         with pytest.raises(error):

@@ -307,4 +307,4 @@ def test_a_fake_process_answers_heartbeats():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(supervisor_module, "HEARTBEAT_INTERVAL_S", 0.05)
-        run_with_pool(scenario, fake_workers.obedient)
+        run_with_pool(scenario, fake_workers.scripted)
