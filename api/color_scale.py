@@ -13,8 +13,8 @@ from skugga.terrain.cache import MIB, cached
 LegendFormat = Literal["png", "svg"]
 LEGEND_MEDIA_TYPES: dict[LegendFormat, str] = {"png": "image/png", "svg": "image/svg+xml"}
 
-LEGEND_IN = (3.4, 0.85)
-"""Width and height of a legend, inches at 100 pixels per inch."""
+LEGEND_SIZE_INCHES = (3.4, 0.85)
+"""Width and height of a legend in inches, at 100 pixels per inch."""
 
 LEGEND_SIZE_PX = 340, 85
 """Width and height of a legend, pixels."""
@@ -42,7 +42,7 @@ class ColorScale:
     high: float
     ticks: tuple[tuple[float, str], ...]
 
-    def colored(self, values: np.ndarray) -> np.ndarray:
+    def to_rgba(self, values: np.ndarray) -> np.ndarray:
         """Return numbers (rows, cols) as RGBA, uint8 (rows, cols, 4); NaN and infinity are transparent."""
         valid = np.isfinite(values)
         fraction = (np.where(valid, values, self.low) - self.low) / (self.high - self.low)
@@ -52,7 +52,7 @@ class ColorScale:
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the ticks as JSON objects with value, label and colour (``#rrggbb``)."""
-        colors = self.colored(np.array([[value for value, _ in self.ticks]]))[0]
+        colors = self.to_rgba(np.array([[value for value, _ in self.ticks]]))[0]
         return [
             {"value": value, "label": label, "color": "#" + bytes(color[:3]).hex()}
             for (value, label), color in zip(self.ticks, colors, strict=True)
@@ -65,7 +65,7 @@ class ColorScale:
         from matplotlib.colors import Normalize
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=LEGEND_IN, dpi=100, facecolor="white")
+        figure = Figure(figsize=LEGEND_SIZE_INCHES, dpi=100, facecolor="white")
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.06, 0.36, 0.88, 0.26))
         bar = figure.colorbar(

@@ -79,7 +79,7 @@ def compute(
     Parameters
     ----------
     scene
-        The scene with the request's sun and look (``PictureRequest.applied_to``).
+        The scene with the request's sun and style (``PictureRequest.applied_to``).
     view
         The view to compute.
     request
@@ -115,7 +115,7 @@ def compute(
     if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
         return ComputedProduct(_compute_block(scene, nodes, product, request.options))
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
-    blocks = blocks_of(nodes)  # the blocks of tiles, so that maps and tiles have identical pixels
+    blocks = blocks_of(nodes)  # as for tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
         window, block_window = windows_of(nodes, block, row, col)
         out[window] = _cached_block(scene, block, product.name, request.options)[block_window]
@@ -134,8 +134,8 @@ def plan_for(
 ) -> Plan | None:
     """Return the plan of a view for a product; ``None`` if the product needs no picture.
 
-    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``limits_time`` tells that the caller
-    compares the plan's expected time with a limit of its user. Raises ``InputError`` if the product is not defined for this kind of
+    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``limits_time`` says whether the
+    caller compares the plan's expected time with a time limit. Raises ``InputError`` if the product is not defined for this kind of
     view.
     """
     check_view(product, view)
@@ -215,14 +215,14 @@ def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRequest:
-    """A request with all that is decided before its raster is computed.
+    """A request with its scene and its plan, before its raster is computed.
 
     Attributes
     ----------
     request
         The request.
     scene
-        The scene with the request's sun and look.
+        The scene with the request's sun and style.
     plan
         The plan of all blocks; ``None`` if the product needs no picture.
     """
@@ -295,7 +295,7 @@ def raster_parts(
                 array = _compute_block(planned_request.scene, block, product, planned_request.request.options, step)
             else:
                 array = _picture_block(planned_request.scene, block, product, planned_request.request.options, planned_request.plan)
-            yield RasterPart(number, *raster.in_raster_order_at(window[0].start, window[1].start, array[block_window]))
+            yield RasterPart(number, *raster.window_in_raster_order(window[0].start, window[1].start, array[block_window]))
             if product.when != "days":
                 step()
         trim_bare_ground_cache(1)

@@ -16,7 +16,7 @@ WINDOW_CELLS = 2048
 """Cells along a window. Adjacent windows share a row or column, so that their lines end at the same points."""
 
 MAX_VERTICES = 20_000_000
-"""Vertices of all lines together, at most: about a gigabyte."""
+"""Maximum number of vertices of all lines together. They take about a gigabyte."""
 
 
 def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:

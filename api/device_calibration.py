@@ -16,10 +16,10 @@ from skugga.terrain.level.level import Shadows
 def calibration_for(shadows: Shadows, overrides: dict[str, Any], shows_times: bool = False) -> DeviceProfile | None:
     """Return this device's calibration or an estimate of it, if a plan may need OpenGL.
 
-    Where there is neither, a software rasteriser is estimated. That takes a benchmark of about two seconds if times matter: if they
-    are limited (``max_ms``), or shown (``shows_times``). Otherwise only their ratios count, which a benchmark does not change.
+    A software rasteriser without a calibration is estimated. If times are limited (``max_ms``) or shown (``shows_times``), the
+    estimate runs a benchmark of about two seconds. Otherwise only ratios of times count, which a benchmark does not change.
 
-    Returns ``None`` if no requested algorithm needs OpenGL, if the device has neither, or if OpenGL is missing.
+    Returns ``None`` if no requested algorithm needs OpenGL, if there is neither a calibration nor an estimate, or without OpenGL.
     """
     algorithm_override = overrides.get("algorithm")
     algorithms = [algorithm_override] if algorithm_override else [settings.algorithm for settings in shadows.all_settings.values()]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.world import World
 
 LOSSY_QUALITY = 90
-"""Quality of JPEG, and of WebP for products that are for display only."""
+"""Quality of JPEG, and of WebP for display products."""
 
 ARRAY_FORMATS = ("tif", "npy")
 """Formats that hold the numbers themselves. A TIFF is georeferenced."""
@@ -29,11 +29,11 @@ def check_format(product: Product, format: str) -> None:
         raise InputError("format", format, f"{', '.join(product.map_formats)} for layer {product.name}")
 
 
-def colored(array: np.ndarray, product: Product, options: ProductOptions, world: World, format: str) -> np.ndarray:
+def apply_color_scale(array: np.ndarray, product: Product, options: ProductOptions, world: World, format: str) -> np.ndarray:
     """Return a product's array in the form that a format stores: numbers, or colours of its colour scale for picture formats."""
     if format in ARRAY_FORMATS or product.color_scale is None:
         return array
-    return product.color_scale(options, world).colored(array)
+    return product.color_scale(options, world).to_rgba(array)
 
 
 def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> np.ndarray:
@@ -45,7 +45,7 @@ def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> 
 
 
 def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array of a product as a file. The array must be ``colored`` for the format.
+    """Return an array of a product as a file. The array is the result of ``apply_color_scale`` for the format.
 
     Only display products (shaded pictures) are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows
     pixels without a surface as white. A GeoTIFF keeps all channels and is georeferenced by the map ``view``.
@@ -64,11 +64,11 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
 
 
 def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array of a product, ``colored`` for the format, as a file with all channels. Only JPEG loses information."""
+    """Return an array as a file with all channels, after ``apply_color_scale``. Only JPEG loses information."""
     if format == "tif":
-        return geotiff(array, view, product.nodata)
+        return encode_geotiff(array, view, product.nodata)
     if format == "npy":
-        return npy(array)
+        return encode_npy(array)
     return encode_picture(array, format)
 
 
@@ -96,7 +96,7 @@ def composite_over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarr
     return np.concatenate([blended, np.full_like(picture[..., 3:], 255)], axis=-1)
 
 
-def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
+def encode_geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
     """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF, georeferenced if ``view`` is a map."""
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
@@ -118,7 +118,7 @@ def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
         return bytes(file.read())
 
 
-def npy(array: np.ndarray) -> bytes:
+def encode_npy(array: np.ndarray) -> bytes:
     """Return an array as a ``.npy`` file."""
     out = io.BytesIO()
     np.save(out, array)

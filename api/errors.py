@@ -24,8 +24,8 @@ from skugga.terrain.errors import (
     UnsupportedError,
 )
 
-DONE, FAILED, WRONG_INPUT = 0, 1, 2
-"""Exit statuses."""
+EXIT_SUCCESS, EXIT_FAILURE, EXIT_WRONG_INPUT = 0, 1, 2
+"""Exit statuses of the command line."""
 
 _PARAMETER_REMEDY = re.compile(r"(\(without a level file: )(\w+)=")
 """The part of ``skugga.terrain.level.level_source.remedy`` that spells an option as a parameter."""
@@ -91,7 +91,7 @@ class CircuitOpenError(RetryLaterError):
 
 
 class RateLimitError(RetryLaterError):
-    """A client requests more new suns than the settings allow."""
+    """A client requests more new sun positions than the settings allow."""
 
 
 class UnfinishedError(RetryLaterError):
@@ -149,61 +149,69 @@ class ErrorReport:
 
 
 ERROR_REPORTS: dict[type[SkuggaError], ErrorReport] = {
-    SkuggaError: ErrorReport(500, FAILED, "error", "The work failed. The service's log has the cause."),
-    InputError: ErrorReport(422, WRONG_INPUT, "invalid_parameter"),
-    LevelError: ErrorReport(500, WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
-    SourceError: ErrorReport(500, WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."),
-    ArrayError: ErrorReport(422, WRONG_INPUT, "array", reaches_http=False),
-    ArchiveError: ErrorReport(500, WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."),
-    UnsupportedError: ErrorReport(422, WRONG_INPUT, "unsupported"),
-    TooLargeError: ErrorReport(413, WRONG_INPUT, "too_large"),
-    TooCostlyError: ErrorReport(422, WRONG_INPUT, "too_costly"),
-    NotFoundError: ErrorReport(404, WRONG_INPUT, "not_found"),
-    NotServedError: ErrorReport(404, WRONG_INPUT, "not_found"),
-    BusyError: ErrorReport(503, FAILED, "busy", retry_after_s=2),
-    RetryLaterError: ErrorReport(503, FAILED, "busy", retry_after_s=2),
+    SkuggaError: ErrorReport(500, EXIT_FAILURE, "error", "The work failed. The service's log has the cause."),
+    InputError: ErrorReport(422, EXIT_WRONG_INPUT, "invalid_parameter"),
+    LevelError: ErrorReport(500, EXIT_WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
+    SourceError: ErrorReport(
+        500, EXIT_WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."
+    ),
+    ArrayError: ErrorReport(422, EXIT_WRONG_INPUT, "array", reaches_http=False),
+    ArchiveError: ErrorReport(
+        500, EXIT_WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."
+    ),
+    UnsupportedError: ErrorReport(422, EXIT_WRONG_INPUT, "unsupported"),
+    TooLargeError: ErrorReport(413, EXIT_WRONG_INPUT, "too_large"),
+    TooCostlyError: ErrorReport(422, EXIT_WRONG_INPUT, "too_costly"),
+    NotFoundError: ErrorReport(404, EXIT_WRONG_INPUT, "not_found"),
+    NotServedError: ErrorReport(404, EXIT_WRONG_INPUT, "not_found"),
+    BusyError: ErrorReport(503, EXIT_FAILURE, "busy", retry_after_s=2),
+    RetryLaterError: ErrorReport(503, EXIT_FAILURE, "busy", retry_after_s=2),
     ExhaustedError: ErrorReport(
         503,
-        FAILED,
+        EXIT_FAILURE,
         "exhausted",
         "The service's machine has run out of threads, file descriptors or memory. The service's log has the details.",
         retry_after_s=5,
     ),
-    CircuitOpenError: ErrorReport(503, FAILED, "set_aside", retry_after_s=30),
-    NotReadyError: ErrorReport(503, FAILED, "not_ready", retry_after_s=2),
-    RateLimitError: ErrorReport(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
-    UnfinishedError: ErrorReport(409, WRONG_INPUT, "unfinished", retry_after_s=2),
-    LevelChangedError: ErrorReport(503, FAILED, "level_changed", retry_after_s=1),
-    StorageError: ErrorReport(507, FAILED, "storage", "No space is left for the film. The service's log has the cause."),
-    UnhealthyError: ErrorReport(503, FAILED, "unhealthy", "A part of the service has ended. Its log names it.", retry_after_s=30),
-    RenderError: ErrorReport(500, FAILED, "render", "The picture could not be drawn. The service's log has the cause."),
+    CircuitOpenError: ErrorReport(503, EXIT_FAILURE, "set_aside", retry_after_s=30),
+    NotReadyError: ErrorReport(503, EXIT_FAILURE, "not_ready", retry_after_s=2),
+    RateLimitError: ErrorReport(429, EXIT_WRONG_INPUT, "too_many_suns", retry_after_s=2),
+    UnfinishedError: ErrorReport(409, EXIT_WRONG_INPUT, "unfinished", retry_after_s=2),
+    LevelChangedError: ErrorReport(503, EXIT_FAILURE, "level_changed", retry_after_s=1),
+    StorageError: ErrorReport(507, EXIT_FAILURE, "storage", "No space is left for the film. The service's log has the cause."),
+    UnhealthyError: ErrorReport(
+        503, EXIT_FAILURE, "unhealthy", "A part of the service has ended. Its log names it.", retry_after_s=30
+    ),
+    RenderError: ErrorReport(500, EXIT_FAILURE, "render", "The picture could not be drawn. The service's log has the cause."),
     WorkerCrashError: ErrorReport(
-        503, FAILED, "worker_crash", "Two render processes ended while they drew this picture. They are being replaced.", 2
+        503, EXIT_FAILURE, "worker_crash", "Two render processes ended while they drew this picture. They are being replaced.", 2
     ),
     WorkerStartError: ErrorReport(
-        503, FAILED, "worker_start", "A render process ended while it started. It is being restarted.", retry_after_s=5
+        503, EXIT_FAILURE, "worker_start", "A render process ended while it started. It is being restarted.", retry_after_s=5
     ),
-    BrokenShardError: ErrorReport(500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", reaches_http=False),
+    BrokenShardError: ErrorReport(
+        500, EXIT_FAILURE, "broken_shard", "Stored tiles are damaged. The log names them.", reaches_http=False
+    ),
     GraphicsError: ErrorReport(
         503,
-        FAILED,
+        EXIT_FAILURE,
         "graphics",
         "The service cannot draw: OpenGL does not work. Its log has the cause.",
         retry_after_s=30,
     ),
     NoOpenGLError: ErrorReport(
         503,
-        FAILED,
+        EXIT_FAILURE,
         "no_opengl",
         "This picture needs OpenGL, which the service does not have. Bare ground under the sun does not need it.",
     ),
-    RenderTimeoutError: ErrorReport(504, FAILED, "render_timeout"),
+    RenderTimeoutError: ErrorReport(504, EXIT_FAILURE, "render_timeout"),
 }
-"""Outcome by the exact class of an error. A test checks that all classes are listed."""
+"""Report by the exact class of an error. A test checks that all classes are listed."""
 
 
 def error_report_of(error: SkuggaError) -> ErrorReport:
-    """Return how an error is reported to users."""
+    """Return the report of an error to users."""
     return ERROR_REPORTS[type(error)]
 
 

@@ -25,10 +25,10 @@ FILM_SUFFIXES = ".webp", ".mp4"
 FILM_FORMATS_TEXT = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
 MAX_WEBP_PX = 16383
-"""Longest side of a WebP picture."""
+"""Maximum side of a WebP picture in pixels."""
 
 MP4_QUALITY = "17"
-"""x264's constant rate factor: losses are hardly visible."""
+"""Constant rate factor of x264, at which losses are hardly visible."""
 
 TICKS_PER_S = 90_000
 """Time base of MP4 frames, ticks per second."""

@@ -18,7 +18,7 @@ MIN_STEP_S = 0.001
 
 _ALLOWED_ENDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, such as 0s or 10m, under a fixed sun"
 _STEP_TOLERANCE = 1e-6
-"""Tolerance of the span's length, as a fraction of a step. Steps of a thirtieth of a second are rounded."""
+"""Tolerance of the span's length, as a fraction of a step, since steps such as 1/30 s are rounded."""
 
 
 def film_span(

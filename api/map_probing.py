@@ -20,13 +20,13 @@ from skugga.terrain.scene import Scene
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-FINEST_OCTAVES, COARSEST_PX = 3, 128
-"""Range of probed pixel sizes. The smallest is a cell's side divided by 2 ** ``FINEST_OCTAVES``. At the largest, ``COARSEST_PX``
-pixels show the level, as tiles do."""
+MAX_OVERSAMPLING_OCTAVES, MIN_LEVEL_PX = 3, 128
+"""Range of probed pixel sizes. The smallest is a cell's side divided by 2 ** ``MAX_OVERSAMPLING_OCTAVES``. At the largest, the
+level's longer side has ``MIN_LEVEL_PX`` pixels."""
 
 
 PROBE_CENTERS = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
-"""Centres of probed blocks, as fractions of the level's sides. One block predicts others poorly
+"""Centres of probed blocks, as fractions of the level's sides. One block alone predicts other blocks poorly
 (``benchmarks/selection/blocks.py``)."""
 
 MIN_BLOCKS_FOR_SEVERAL_PROBES = 2.0
@@ -35,12 +35,15 @@ MIN_BLOCKS_FOR_SEVERAL_PROBES = 2.0
 
 def probed_scales(scene: Scene) -> range:
     """Return the scales of a level's tiles, finest first. A pixel is about ``2 ** scale`` metres wide."""
-    view, finest = _level_map(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST_OCTAVES
+    view, finest = (
+        _level_map(scene),
+        round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - MAX_OVERSAMPLING_OCTAVES,
+    )
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
-    return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
+    return range(finest, max(round(log2(longest_m / MIN_LEVEL_PX)), finest) + 1)
 
 
-def under_class_sun(scene: Scene, sun: int) -> Scene:
+def with_class_sun(scene: Scene, sun: int) -> Scene:
     """Return a scene with a sun that represents a class of suns of similar altitude (``skugga.selector.map_probes.MapClass``).
 
     ``sun`` is the number of the class. The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's

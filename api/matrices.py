@@ -16,10 +16,10 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transform
 from skugga.terrain.scene import Scene
 
 FIRST_ZOOM_TILES = 0.5
-"""Approximate length of a level's longest side at the first zoom, tiles."""
+"""Length of a level's longest side at its first zoom, in tiles; approximate."""
 
-OVERZOOMS = 3
-"""Zooms beyond the one whose pixels are closest in size to the source's cells."""
+MAX_OVERZOOM = 3
+"""Number of served zooms beyond the zoom whose pixels are closest in size to the raster's cells."""
 
 CASTER_DETAIL_M = 4.0
 """Finest detail of levels with trees or meshes, metres, which sets their zoom range. At the last zoom a house of 10 m is some 20
@@ -78,8 +78,8 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
     """Return the zooms at which a level is served; ``None`` if it lies outside the tile matrix set's area.
 
     At the first zoom the level's longest side is closest to ``FIRST_ZOOM_TILES`` tiles, so that one or two tiles show it. The last
-    zoom is ``OVERZOOMS`` beyond the zoom whose pixels are closest to ``cell_m`` (``detail_m``). Pixels are measured on the ground
-    at the level's anchor, its point of reference.
+    zoom is ``MAX_OVERZOOM`` beyond the zoom whose pixels are closest to ``cell_m`` (``detail_m``). Pixels are measured on the
+    ground at the level's anchor, its point of reference.
     """
     if not _intersects_area(matrix_set, bounds_lon_lat):
         return None
@@ -89,7 +89,7 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
         return None
     side_tiles = _longest_side_m(bounds_lon_lat) / (TILE_PX * pixel_m)
     first = int(np.abs(np.log2(side_tiles / FIRST_ZOOM_TILES)).argmin())
-    last = min(int(np.abs(np.log2(pixel_m / cell_m)).argmin()) + OVERZOOMS, len(zooms) - 1)
+    last = min(int(np.abs(np.log2(pixel_m / cell_m)).argmin()) + MAX_OVERZOOM, len(zooms) - 1)
     return ZoomRange(int(zooms[min(first, last)]), int(zooms[last]))
 
 
@@ -143,10 +143,10 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
 
 def shows_no_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
     """Return whether a tile certainly shows no data."""
-    return extent_shows_no_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
+    return is_extent_without_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
 
 
-def extent_shows_no_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
+def is_extent_without_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
     """Return whether an extent (west, south, east, north in a CRS) certainly shows no data.
 
     The comparison uses longitudes and latitudes, with a margin for curved edges. Returns ``False`` if the extent cannot be
@@ -160,7 +160,7 @@ def extent_shows_no_data(crs: CRS, edges: tuple[float, float, float, float], dat
     margin = 0.01 * max(east - west, north - south, data_east - data_west, data_north - data_south)
     if south > data_north + margin or north < data_south - margin:
         return True
-    # Shifts the tile by whole turns so that it begins at or after the data's western edge.
+    # Shift the tile by multiples of 360 degrees, so that it begins at or after the data's western edge.
     gap = (west - (data_west - margin)) % 360.0
     begins_inside = gap <= data_east - data_west + 2.0 * margin
     reaches_round = gap + (east - west) >= 360.0

@@ -33,13 +33,13 @@ from skugga.terrain.level.rasters import open_raster
 TILE_CELLS = 512
 """Side of a tile of the file, cells."""
 
-TILES_AT_A_TIME = 8
-"""Adjacent tiles that are made from one window of the raster, which has 4 million cells."""
+TILES_PER_WINDOW = 8
+"""Number of adjacent tiles that are computed from one window of the raster."""
 
 GDALADDO_REMEDY = "Use gdaladdo for such a raster"
 
 
-def reason_without_overviews(raster: Path) -> str | None:
+def reason_for_no_overviews(raster: Path) -> str | None:
     """Return why a raster needs no further overviews, as text; ``None`` if it needs some.
 
     Raises ``SourceError``.
@@ -150,8 +150,8 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
             dataset.count and dataset.overviews(1) and not target.is_file()
         ),
     }
-    for reason, valid in reasons.items():
-        if valid:
+    for reason, applies in reasons.items():
+        if applies:
             raise SourceError(str(raster), reason, f"Only one band of heights without overviews is supported. {GDALADDO_REMEDY}")
     dtype = np.dtype(dataset.dtypes[0])
     if nodata is not None and dtype.kind in "iu":
@@ -180,10 +180,10 @@ def _nodata_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | 
 
 def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
     """Yield windows of whole tiles that cover a raster."""
-    wide = TILE_CELLS * TILES_AT_A_TIME
+    window_cols = TILE_CELLS * TILES_PER_WINDOW
     for row in range(0, rows, TILE_CELLS):
-        for col in range(0, cols, wide):
-            yield Window(col, row, min(wide, cols - col), min(TILE_CELLS, rows - row))
+        for col in range(0, cols, window_cols):
+            yield Window(col, row, min(window_cols, cols - col), min(TILE_CELLS, rows - row))
 
 
 def _first_overview(

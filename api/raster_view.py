@@ -27,7 +27,7 @@ MAX_RESOLUTION = 1e8
 """Upper bound of a resolution, CRS units. In metres it is more than twice the earth's circumference."""
 
 MAX_CELLS = 2.0**40
-"""Cells of an output raster, at most."""
+"""Maximum number of cells of an output raster."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class RasterView:
         shape = self.view.rows, self.view.cols
         return shape[::-1] if self.order.transposed else shape
 
-    def in_raster_order_at(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
+    def window_in_raster_order(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
         """Return the first row and column of a window in the raster, and the window's cells in the raster's order.
 
         ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
@@ -93,11 +93,11 @@ class RasterView:
 
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
         """Return a part of the raster, given its first row and column in the view, which may be negative, and its size."""
-        first_row, first_col, _ = self.in_raster_order_at(row, col, np.empty((rows, cols), np.bool_))
+        first_row, first_col, _ = self.window_in_raster_order(row, col, np.empty((rows, cols), np.bool_))
         transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
-    def cells(self, top: int, left: int, rows: int, cols: int) -> RasterView:
+    def raster_part(self, top: int, left: int, rows: int, cols: int) -> RasterView:
         """Return a part of the raster, given its first row and column in the raster, and its size."""
         all_rows, all_cols = self.shape
         if self.order.rows_reversed:
@@ -207,7 +207,7 @@ def extent_warning(scene: Scene, raster: RasterView) -> str | None:
     except InputError:  # the level has no extent in that CRS
         return None
     west, south, east, north = raster.view.bounds
-    if raster.crs.is_geographic:  # shifts the raster by whole turns to the level
+    if raster.crs.is_geographic:  # shift the raster by multiples of 360 degrees to the level
         shift_deg = 360.0 * round((level_bounds[0] + level_bounds[2] - west - east) / 720.0)
         west, east = west + shift_deg, east + shift_deg
     cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
@@ -217,7 +217,7 @@ def extent_warning(scene: Scene, raster: RasterView) -> str | None:
 
 
 def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
-    """Return the extents of a raster and of a level in words."""
+    """Return the extents of a raster and of a level as text."""
     raster_text, level_text = (",".join(f"{value:.9g}" for value in bounds) for bounds in (raster_bounds, level_bounds))
     return f"the raster is {raster_text}, the level {level_text} (west,south,east,north in {crs.name})"
 
@@ -235,11 +235,11 @@ def _view_of(cells: RasterCells) -> RasterView | None:
         return None
     west = gt.c + min(right * shape[1], 0.0) + abs(right) / 2.0
     north = gt.f + max(down * shape[0], 0.0) - abs(down) / 2.0
-    view = _lattice(cells.crs, west, north, abs(right), abs(down), *shape)
+    view = _cell_center_view(cells.crs, west, north, abs(right), abs(down), *shape)
     return RasterView(view, order, cells.crs, cells.transform)
 
 
-def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
+def _cell_center_view(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
     """Return a map view whose nodes are the centres of cells. Shade is then computed at the cells' own heights.
 
     ``x0`` and ``y0`` are the centre of the first cell. The steps are the sides of a cell.

@@ -1,4 +1,4 @@
-"""Requests of all front ends: the sun, the look (style) and the shadows, and the product with its options."""
+"""Requests of all front ends: the sun, the style and the shadow settings, and the product with its options."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RequestedSettings(_RequestModel):
 
     @field_validator("asked")
     @classmethod
-    def _allowed(cls, settings: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+    def _check_settings(cls, settings: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
         override_settings(Shadows(), _parsed(settings))
         return settings
 
@@ -52,7 +52,7 @@ def _parsed(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class PictureRequest(_RequestModel):
-    """The part of a request that is independent of the view: the sun, the look (style) and the shadows.
+    """The part of a request that is independent of the view: the sun, the style and the shadow settings.
 
     ``None`` keeps the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
     only needs a line in ``applied_to``.
@@ -69,15 +69,15 @@ class PictureRequest(_RequestModel):
         return urlencode({**parameters, **fields.pop("sun", {}), **fields, **dict(self.overrides.asked)})
 
     def applied_to(self, scene: Scene) -> Scene:
-        """Return a level's scene with the requested sun and look."""
+        """Return a level's scene with the requested sun and style."""
         return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
 
 
 class ProductRequest(PictureRequest):
     """A product with its options, under a sun. Requests for the same picture are equal.
 
-    Fields that do not affect the product are dropped. These are the style, if the product is not for display. They are also the sun
-    and the shadows, if the product does not depend on a moment.
+    Fields that do not affect the product are dropped: the style of a product that is not for display, and the sun and the shadow
+    settings of a product that does not depend on a moment.
     """
 
     product: str = "color"
@@ -85,7 +85,7 @@ class ProductRequest(PictureRequest):
 
     @model_validator(mode="before")
     @classmethod
-    def _normalised(cls, values: Any) -> Any:
+    def _drop_unused_fields(cls, values: Any) -> Any:
         if not isinstance(values, Mapping):
             return values
         product, fields = product_named(values.get("product", "color")), dict(values)

@@ -15,13 +15,13 @@ from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 from skugga.terrain.level.level_errors import allowed_phrase
 
 MAX_DEFAULT_WORKERS = 4
-"""Default number of render processes, at most. With a software rasteriser each takes about 1.5 GB."""
+"""Maximum of the default number of render processes. With a software rasteriser each takes about 1.5 GB."""
 
 
 def default_workers() -> int:
     """Return the default number of render processes: one per core, at most ``MAX_DEFAULT_WORKERS``.
 
-    Answering requests takes little time. Several processes draw more blocks than the threads of one software rasteriser.
+    Several processes draw more blocks per second than one process whose software rasteriser uses several threads.
     """
     return min(usable_cores(), MAX_DEFAULT_WORKERS)
 
@@ -59,7 +59,7 @@ class Settings(BaseSettings):
     queue_length: int = Field(
         default=64,
         ge=1,
-        description="Tiles of each client that may always wait in the queue: a screenful, whatever they take.",
+        description="Tiles of each client that may always wait in the queue: a screenful, whatever their expected time.",
     )
     queue_work_s: float = Field(
         default=20.0,
@@ -109,7 +109,9 @@ class Settings(BaseSettings):
         description="Seconds between two checks of a level's files for changes.",
     )
     level_timeout_s: float = Field(
-        default=5.0, gt=0, description="Seconds that requests wait for a changed level to be read; then its old version is served."
+        default=5.0,
+        gt=0,
+        description="Seconds that requests wait until a changed level is read. After that its old version is served.",
     )
     time_grain_s: int = Field(
         default=60,

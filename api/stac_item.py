@@ -72,7 +72,9 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
                 f"{path}: {', '.join(SUN_FIELDS)}", f"{azimuth}, {elevation}", "degrees, with an elevation from -90 to 90"
             ) from None
     moments = [
-        _moment(path, name, properties[name]) for name in ("datetime", "start_datetime", "end_datetime") if properties.get(name)
+        _sun_at_time(path, name, properties[name])
+        for name in ("datetime", "start_datetime", "end_datetime")
+        if properties.get(name)
     ]
     if properties.get("datetime"):
         return moments[0]
@@ -86,7 +88,7 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
     )  # fmt: skip
 
 
-def _moment(path: Path, name: str, text: Any) -> SunSpec:
+def _sun_at_time(path: Path, name: str, text: Any) -> SunSpec:
     try:
         moment = parse_sun(str(text), None, None)
     except InputError as error:

@@ -12,22 +12,22 @@ MAX_CODE = 2**24 - 1
 """Largest code of three bytes."""
 
 
-def terrain_rgb(height_m: np.ndarray) -> np.ndarray:
+def encode_terrain_rgb(height_m: np.ndarray) -> np.ndarray:
     """Encode heights (rows, cols) as Mapbox Terrain-RGB, uint8 (rows, cols, 3), in steps of 0.1 m from -10,000 m.
 
     ``height = -10000 + (R * 65536 + G * 256 + B) * 0.1`` (Mapbox, "Terrain-RGB v1"). Heights beyond the range are clamped.
     """
-    return _three_bytes((height_m.astype(np.float64) + 10000.0) * 10.0)
+    return _encode_three_bytes((height_m.astype(np.float64) + 10000.0) * 10.0)
 
 
-def terrarium(height_m: np.ndarray) -> np.ndarray:
+def encode_terrarium(height_m: np.ndarray) -> np.ndarray:
     """Encode heights (rows, cols) as Terrarium, uint8 (rows, cols, 3), in steps of 1/256 m from -32,768 m.
 
     ``height = R * 256 + G + B / 256 - 32768`` (Tilezen, "Terrain tiles formats"). Heights beyond the range are clamped.
     """
-    return _three_bytes((height_m.astype(np.float64) + 32768.0) * 256.0)
+    return _encode_three_bytes((height_m.astype(np.float64) + 32768.0) * 256.0)
 
 
-def _three_bytes(steps: np.ndarray) -> np.ndarray:
+def _encode_three_bytes(steps: np.ndarray) -> np.ndarray:
     codes = np.clip(np.rint(steps), 0, MAX_CODE).astype(np.uint32)
     return np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)

@@ -37,10 +37,10 @@ from pyproj import CRS
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, raster_paths
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
-from skugga.api.overviews import make_overviews, reason_without_overviews
+from skugga.api.overviews import make_overviews, reason_for_no_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
-from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
+from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.warm_up import warm_up
 from skugga.api.workers.worker_state import WorkerState, representative_block
@@ -92,7 +92,7 @@ def zooms_by_label(scene: Scene) -> dict[str, int]:
 
 def block_job(scene: Scene, raster: Path, zoom: int, rows_south: int = 0, cols_east: int = 0) -> BlockJob:
     """Return the job that draws the block at the middle of a level, or a block at an offset (in blocks) from it."""
-    view = representative_block(scene, Tiles(matrix_set=TILE_MATRIX_SET, zoom=zoom))
+    view = representative_block(scene, ZoomTiles(matrix_set=TILE_MATRIX_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + rows_south, int(view.col0) // BLOCK_PX + cols_east
     request = ProductRequest(sun=SUN)
     return BlockJob(
@@ -295,7 +295,7 @@ def main() -> None:
     for raster in make_rasters(args.folder, args.raster):
         print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.made_s:.0f} s", flush=True)
     vrt = raster_paths(args.folder)[-1]
-    if reason_without_overviews(vrt) is None:
+    if reason_for_no_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, written in {time.perf_counter() - start:.0f} s", flush=True)

@@ -20,7 +20,7 @@ from skugga.api.catalogue import find_level
 from skugga.api.compute import draw_picture
 from skugga.api.matrices import ZoomRange
 from skugga.api.request import ProductRequest
-from skugga.api.seed.messages import MIN_LIMIT_S, Task
+from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S, Task
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.run_spec import MATRIX_SET
 from skugga.api.seed.running import task_of
@@ -67,7 +67,7 @@ def main() -> None:
         table = TaskTable(Path(folder) / "tasks.sqlite")
         request = SeedRequest(source, ZoomRange(args.zoom, args.zoom), (None,), ProductRequest(product=args.layer), "png")
         run = plan_run(table, request, lambda _: None)
-        tasks = [task_of(table, run, number, MIN_LIMIT_S) for number in table.waiting_tasks()[: args.blocks]]
+        tasks = [task_of(table, run, number, MIN_TASK_TIMEOUT_S) for number in table.waiting_tasks()[: args.blocks]]
     scene = build_scene(load_level(run.spec.level)).with_sun(run.spec.suns[0])
     rounds = []
     for _ in range(args.rounds):

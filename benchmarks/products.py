@@ -26,7 +26,7 @@ from skugga.api.workers.jobs import BlockJob, LevelKey, MapJob
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.warm_up import warm_up
 from skugga.api.workers.worker_state import WorkerState, tiles_view
-from skugga.api.workers.jobs import Tiles
+from skugga.api.workers.jobs import ZoomTiles
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
@@ -38,7 +38,7 @@ except ImportError:
 raster, zoom, repeats = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 state, key = WorkerState(warm_up()), LevelKey(path=raster, version="1")
 scene = build_scene(load_level(raster))
-view = tiles_view(scene, Tiles(matrix_set="WebMercatorQuad", zoom=zoom))
+view = tiles_view(scene, ZoomTiles(matrix_set="WebMercatorQuad", zoom=zoom))
 block_x, block_y = int(view.col0) // 1024, int(view.row0) // 1024
 def job_fields(layer, azimuth):
     sun = SunSpec(azimuth=azimuth, altitude=20.0)

@@ -30,7 +30,7 @@ import numpy as np
 
 from benchmarks.seed import SUN_OPTIONS, dask_cluster, write_mosaic
 from skugga.api.matrices import ZoomRange
-from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.seed.archive import ArchiveMetadata, ShardIndex, write_archive
 from skugga.api.seed.messages import Task, TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.running import run_tasks
@@ -176,7 +176,7 @@ def measure_packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000
         store.write(f"{number % 256:02x}/{number}", content)
         indexes.append(index)
     start = time.perf_counter()
-    facts = ArchiveFacts("png", (0.0, 0.0, 1.0, 1.0), 12, 12, {})
+    facts = ArchiveMetadata("png", (0.0, 0.0, 1.0, 1.0), 12, 12, {})
     write_archive(folder / "packed.pmtiles", indexes, lambda i: store.read(f"{i % 256:02x}/{i}"), facts)
     took = time.perf_counter() - start
     return tiles * tile_bytes / took, tiles / took

@@ -65,9 +65,9 @@ def _draw_blocks(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[
     Colours are drawn at the coarsest, the native and the finest zoom, under the level's sun and ``suns`` (azimuth, altitude). The
     other layers are drawn at the native zoom.
     """
-    from skugga.api.http.server.first_blocks import first_block
+    from skugga.api.http.server.first_blocks import central_block
     from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
-    from skugga.api.matrices import OVERZOOMS
+    from skugga.api.matrices import MAX_OVERZOOM
     from skugga.api.request import ProductRequest
     from skugga.api.workers.render_worker import run_job
     from skugga.api.workers.warm_up import warm_up
@@ -79,10 +79,10 @@ def _draw_blocks(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[
         zooms = level.zooms.get(DEFAULT_MATRIX_SET)
         if zooms is None:
             continue
-        native_zoom = max(zooms.last - OVERZOOMS, zooms.first)
+        native_zoom = max(zooms.last - MAX_OVERZOOM, zooms.first)
         colors = [(zoom, "color", sun) for zoom in dict.fromkeys((native_zoom, zooms.first, zooms.last)) for sun in (None, *suns)]
         for zoom, layer, sun in [*colors, *((native_zoom, layer, None) for layer in layers)]:
-            block = first_block(level, zoom)
+            block = central_block(level, zoom)
             assert block is not None
             spec = None if sun is None else SunSpec(azimuth=sun[0], altitude=sun[1])
             suffix = "npy" if layer == "visibility" else "png"
@@ -141,7 +141,7 @@ def compute_masks(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def compute_sun_hours(rasters: Sequence[Path], folder: Path) -> None:
-    from skugga.api.http.server.first_blocks import first_blocks
+    from skugga.api.http.server.first_blocks import central_blocks
     from skugga.api.http.state.served_levels import ServedLevels
     from skugga.api.products.sun_hours import SunHoursOptions
     from skugga.api.request import ProductRequest
@@ -153,7 +153,7 @@ def compute_sun_hours(rasters: Sequence[Path], folder: Path) -> None:
         for quantity in ("hours", "first", "longest"):
             _run_command("sunhours", raster, "--date", "2024-12-21", "--quantity", quantity, "-o", folder / "out.tif")
     state = WorkerState("")
-    for block in first_blocks(ServedLevels(rasters[:2])):
+    for block in central_blocks(ServedLevels(rasters[:2])):
         place = block.model_dump(include={"matrix_set", "zoom", "block_x", "block_y"})
         options = SunHoursOptions(**SunHoursOptions.UNSERVED, date=date(2024, 3, 20))
         run_job(BlockJob(level=block.level, **place, request=ProductRequest(product="sunhours", options=options)), state)

@@ -27,14 +27,14 @@ from skugga.api.workers.block_tiles import tiles_of_picture
 from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
-    DescribedPlanJob,
     DescriptorJob,
-    Ping,
+    DescriptorPlanJob,
+    HeartbeatAnswer,
+    HeartbeatRequest,
     PlanAnswer,
     PlanJob,
-    Pong,
-    Ready,
     Snapshot,
+    WorkerReady,
 )
 from skugga.api.workers.render_worker import run_job, run_worker
 from skugga.api.workers.worker_config import WorkerConfig
@@ -55,16 +55,16 @@ TILE, SNAPSHOT, PLAN = f"{TILES}.png", "/levels/hills/snapshot.png", "/levels/hi
 
 def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
     """Run a render process that answers with the job's options and the sun that it would draw under."""
-    pipe.send(Ready("told"))
+    pipe.send(WorkerReady("told"))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
-        if isinstance(job, DescriptorJob | DescribedPlanJob):
+        if isinstance(job, DescriptorJob | DescriptorPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
             continue
         sun = job.request.applied_to(build_scene(load_level(job.level.path))).sun

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import ProgressLines
 from skugga.api.cli.snapshot import StyleOverrides, check_seconds, declare_view_loops
 from skugga.api.cli.warnings import print_default_sun, print_warnings
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 MAX_FRAMES_AHEAD = 4
-"""Frames rendered in parallel ahead of the one being written. Each takes some 100 MB."""
+"""Maximum number of frames that are rendered ahead of the frame that is written. Each takes some 100 MB."""
 
 FRAMES_BEFORE_ESTIMATE, NEW_ESTIMATE_RATIO = 5, 1.5
 """Frames before the first estimate of a film's size and time, and the factor of change that prints a new estimate. The first
@@ -104,7 +104,7 @@ def render_film(
         raise InputError("--lossless", Problem(f"{output} is no .webp film"), "Use .webp, or .png frames, which are lossless")
     if options.path is not None and view != "map":
         raise InputError.conflict("--view", "--path", "Leave out --view: the path sets the camera")
-    check_targets(level, [("--stats", stats)], options.path)
+    check_output_files(level, [("--stats", stats)], options.path)
     check_seconds(seconds)
     path = None if options.path is None else load_camera_path(options.path)
     fps = DEFAULT_FPS if options.fps is None else options.fps
@@ -123,7 +123,7 @@ def render_film(
         moments = frame_moments(scene, request)
         check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))
         existing_files = [file for file in film_files(output, len(moments)) if file.exists()]
-        check_targets(level, [("--output", file) for file in existing_files], options.path)
+        check_output_files(level, [("--output", file) for file in existing_files], options.path)
         device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=max_ms is not None)
         _check_costs(scene, request, moments, device, max_ms)
         replanner = Replanner(device=device)
@@ -153,7 +153,7 @@ def _check_costs(
 
 
 class _FilmProgress:
-    """Report the progress of frames on their way to the file, and collect their statistics."""
+    """Report the progress of a film, and collect statistics of its frames."""
 
     def __init__(self, lines: ProgressLines, total: int) -> None:
         self._lines, self._total, self._begin = lines, total, clock.perf_counter()
@@ -167,7 +167,7 @@ class _FilmProgress:
             drawn_s, moment = clock.perf_counter() - begin, frame.moment
             if frame.switch is not None:
                 switch = frame.switch
-                self._lines.line(printable(f"{moment.label}: {switch.after} instead of {switch.before}: {switch.reason}"))
+                self._lines.print_line(printable(f"{moment.label}: {switch.after} instead of {switch.before}: {switch.reason}"))
             if not self._lines.is_terminal:
                 typer.echo(f"[{moment.number + 1}/{self._total}] {moment.label}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
             self._record_statistics(frame, drawn_s)
@@ -179,7 +179,7 @@ class _FilmProgress:
     def report_estimate(self, frames_written: int, size: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
-        The estimate is printed once early. It is printed again whenever it changes by the factor ``NEW_ESTIMATE_RATIO``.
+        The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
         """
         if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._total or size == 0:
             return
@@ -195,7 +195,7 @@ class _FilmProgress:
         if change > NEW_ESTIMATE_RATIO:
             self._last_estimate = expected
             remaining = _format_seconds(frame_s * (self._total - self._drawn))
-            self._lines.line(f"{self._total} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
+            self._lines.print_line(f"{self._total} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
 
     def _record_statistics(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.warnings import print_warnings
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError, Problem
@@ -36,7 +36,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
         raise InputError("--output", str(path), "a file name that ends in .yaml or .yml")
     if path.exists() and not force:
         raise InputError("--output", Problem(f"{path} exists"), "Use --force to overwrite it")
-    check_targets(source, [("--output", path)])
+    check_output_files(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
         print_warnings(scene, with_objects=False)

@@ -64,7 +64,7 @@ _OPTIONS: dict[str, Any] = {
 }
 
 
-def takes_level(function: Callable[..., None]) -> Callable[..., None]:
+def with_level_argument(function: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``.
 
     The decorated command gets the argument LEVEL, which is resolved before the call. It also gets the options that describe a

@@ -10,7 +10,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 
 
-def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]], *inputs: Path | None) -> None:
+def check_output_files(level: LevelSource, targets: Iterable[tuple[str, Path | None]], *inputs: Path | None) -> None:
     """Raise ``InputError`` if an output file is also an input.
 
     Inputs are the level file, all files that it refers to, and ``inputs``. Files are compared by identity, not by spelling.

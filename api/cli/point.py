@@ -14,14 +14,14 @@ from pydantic import ValidationError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
 from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import point_report, point_surroundings, requested_clock, requested_day
-from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrivals
+from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrival_times
 from skugga.api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
 from skugga.shadows.point.horizon import Surroundings, horizon_profile
 from skugga.terrain.atomic_files import write_atomically
@@ -110,7 +110,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     """
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
-    check_targets(level, [("--output", options.output), ("--picture", options.picture)])
+    check_output_files(level, [("--output", options.output), ("--picture", options.picture)])
     query, crs = _point_query(options, *_read_pair(options.at or "")), _read_crs(options.crs)
     declare_product(POINTS)
     loaded = load_level(level)
@@ -147,7 +147,7 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
     """
     points = read_track(file, every_m, options.height)
     if start is not None:
-        points = with_arrivals(points, read_time("--start", start), speed_kmh)
+        points = with_arrival_times(points, read_time("--start", start), speed_kmh)
     _report_many(level, points, options)
 
 

@@ -88,7 +88,7 @@ class ProgressLines:
         if self.is_terminal:
             self._console.print(text, style="dim", highlight=False, markup=False)
 
-    def line(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line above the bar."""
         if not self.is_terminal:
             typer.echo(text, err=True)

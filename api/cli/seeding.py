@@ -13,7 +13,7 @@ import typer
 from rich import box
 from rich.console import Console
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.product_parameters import split_product_options
 from skugga.api.cli.progress import ProgressLines
 from skugga.api.cli.tables import named_table
@@ -22,14 +22,14 @@ from skugga.api.matrices import ZoomRange
 from skugga.api.products import product_named
 from skugga.api.products.product import MapFormat
 from skugga.api.request import ProductRequest, RequestedSettings
-from skugga.api.seed.drawing import check_seeded_format
+from skugga.api.seed.drawing import check_tile_format
 from skugga.api.seed.local_pool import LocalPool, Runner
 from skugga.api.seed.messages import TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.publishing import check_output
-from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.running import TaskCompletion
 from skugga.api.seed.seeding import SeedResult, draw_and_publish, requeue_lost_shards
-from skugga.api.seed.storage import ShardStore, store_at
+from skugga.api.seed.storage import ShardStore, open_store
 from skugga.api.seed.task_table import TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
 from skugga.selector.formatting import format_duration
@@ -46,7 +46,7 @@ TABLE_NAME = "tasks.sqlite"
 LOG_NAME = "log.jsonl"
 
 ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
-"""Assumed bytes of a PNG tile full of relief until tiles are measured: colour from mountains (docs/scale.md), others guessed."""
+"""Assumed bytes of a PNG tile full of data, by layer, until tiles are measured. ``color`` was measured (docs/scale.md)."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class SeedOptions:
 
 def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[str, Any]) -> None:
     """Render a level's tiles in advance, or print a forecast (``dry_run``). Raises ``SkuggaError`` and ``OSError``."""
-    check_seeded_format(options.layer, options.format)
+    check_tile_format(options.layer, options.format)
     if declared_options.get("algorithm") is not None:
         parse_algorithm(declared_options["algorithm"], "--algorithm", names=served_algorithms())
     sun = sun_from_options(options.time, options.azimuth, options.altitude)
@@ -88,14 +88,14 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
     paths = paths_by_time(options.output, suns)
     for path in paths:
         check_output(path)
-    check_targets(level, [("--output", path) for path in paths])
+    check_output_files(level, [("--output", path) for path in paths])
     level = level.model_copy(update={"path": level.path.resolve()})
     layer_options, overrides = split_product_options(product_named(options.layer), declared_options)
     product_request = ProductRequest(product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides))
     request = SeedRequest(level, _zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
     work = options.work or options.output.with_name(options.output.name.replace(TIME_PLACEHOLDER, "times") + ".seed")
-    shards = options.shards or str(work.resolve() / "shards")
-    store = store_at(shards)
+    store_address = options.shards or str(work.resolve() / "shards")
+    store = open_store(store_address)
     if options.scheduler is not None and options.workers is not None:
         raise InputError.conflict("--workers", "--scheduler", "Leave out --workers: the cluster has its own")
     with TaskTable(work / TABLE_NAME) as table, _RunProgress(work / LOG_NAME, options.as_json) as progress:
@@ -109,8 +109,8 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
                 _print_forecast(table, run, store, options)
                 return
             result = draw_and_publish(
-                table, run, store, shards, outputs, lambda: workers.begin(run, shards), progress.report_task_end, options.max_tasks,
-                options.retry_failed, options.task_timeout, options.max_ms,
+                table, run, store, store_address, outputs, lambda: workers.prepare_run(run, store_address),
+                progress.report_completion, options.max_tasks, options.retry_failed, options.task_timeout, options.max_ms,
             )  # fmt: skip
         finally:
             workers.close()
@@ -122,30 +122,30 @@ class _Workers:
 
     def __init__(self, options: SeedOptions) -> None:
         self._count, self._scheduler = options.workers or usable_cores(), options.scheduler
-        self._warm: LocalPool | DaskCluster | None = None
+        self._idle_workers: LocalPool | DaskCluster | None = None
 
     def warm_up(self) -> None:
         """Start local or cluster workers. Raises ``InputError`` if the cluster cannot be reached."""
         if self._scheduler is None:
-            self._warm = LocalPool(self._count)
+            self._idle_workers = LocalPool(self._count)
         else:
             from skugga.api.seed.dask_cluster import DaskCluster
 
-            self._warm = DaskCluster(self._scheduler)
+            self._idle_workers = DaskCluster(self._scheduler)
 
-    def begin(self, run: PlannedRun, shards: str) -> Runner:
+    def prepare_run(self, run: PlannedRun, store_address: str) -> Runner:
         """Prepare the workers for a planned run, starting them if necessary, and return the ``Runner`` that draws its tasks."""
-        if self._warm is None:
+        if self._idle_workers is None:
             self.warm_up()
-        assert self._warm is not None
-        runner = self._warm.begin(run.spec, shards)
-        self._warm = None
+        assert self._idle_workers is not None
+        runner = self._idle_workers.prepare_run(run.spec, store_address)
+        self._idle_workers = None
         return runner
 
     def close(self) -> None:
         """Stop workers that were started but not handed to a run. A run stops its own workers."""
-        if self._warm is not None:
-            self._warm.close()
+        if self._idle_workers is not None:
+            self._idle_workers.close()
 
 
 def _zooms(text: str | None) -> ZoomRange | None:
@@ -162,7 +162,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     requeue_lost_shards(table, store)
     measured_costs = table.measured_costs()
     rows: list[dict[str, Any]] = []
-    for sun, zoom, reason, count, full_tasks, seconds in table.forecast():
+    for sun, zoom, reason, count, full_tasks, seconds in table.waiting_totals():
         assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
         full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
@@ -219,12 +219,12 @@ class _RunProgress:
             self._file.close()
 
     def print_status(self, text: str) -> None:
-        """Print a step that precedes the first task. Only a terminal shows it."""
+        """Print a step before the first task, on a terminal only."""
         self._lines.print_status(text)
 
-    def report_task_end(self, task_end: TaskEnd) -> None:
+    def report_completion(self, completion: TaskCompletion) -> None:
         """Report the end of a task."""
-        task, outcome = task_end.task, task_end.outcome
+        task, outcome = completion.task, completion.outcome
         block_label = f"zoom {task.zoom} block {task.x},{task.y}"
         record: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
         if isinstance(outcome, TaskResult):
@@ -236,9 +236,9 @@ class _RunProgress:
         else:
             record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
-        record |= {"done": task_end.done, "total": task_end.total}
+        record |= {"done": completion.done, "total": completion.total}
         self._write(record)
-        self._print_line(f"[{task_end.done}/{task_end.total}] {block_label}: {text}", task_end)
+        self._print_line(f"[{completion.done}/{completion.total}] {block_label}: {text}", completion)
 
     def end(self, seeded: SeedResult, table: TaskTable) -> None:
         """Report the end of the run."""
@@ -262,7 +262,7 @@ class _RunProgress:
         self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
-    def _print_line(self, text: str, task_end: TaskEnd) -> None:
+    def _print_line(self, text: str, completion: TaskCompletion) -> None:
         if not self._quiet:
-            self._lines.line(text)
-            self._lines.advance(task_end.done, task_end.total)
+            self._lines.print_line(text)
+            self._lines.advance(completion.done, completion.total)

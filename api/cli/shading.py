@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.times import paths_by_time
 from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
 from skugga.api.compute import OnBlock, write_rasters
@@ -69,7 +69,7 @@ def write_product(
     paths = output_paths(output, suns)
     contour_targets = [] if contours is None else [("--contours", contours[0])]
     like = output_grid.like if isinstance(output_grid.like, Path) else None
-    check_targets(level, [*(("--output", path) for path in paths), *contour_targets], like)
+    check_output_files(level, [*(("--output", path) for path in paths), *contour_targets], like)
     declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
     if not is_terrain_only(scene) and product.when != "days":

@@ -9,7 +9,7 @@ from typing import Any
 
 from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.compute import ComputedProduct, compute, plan_for
-from skugga.api.encoding import ARRAY_FORMATS, as_picture, colored, encode_exactly
+from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost, limit_or_default_ms
 from skugga.api.request import ProductRequest
 from skugga.shadows.executed_effects import executed_effects
@@ -55,7 +55,7 @@ class Snapshot:
     def write(self, request: ProductRequest, path: Path) -> None:
         """Write the snapshot in the format that the path's suffix names. A GeoTIFF of a map view is georeferenced."""
         product, format = request.product_record, path.suffix.lower().removeprefix(".")
-        array = colored(self.computed.array, product, request.options, self.scene.world, format)
+        array = apply_color_scale(self.computed.array, product, request.options, self.scene.world, format)
         if format not in ARRAY_FORMATS:
             array = as_picture(array, product, self.computed.picture)
         write_atomically(path, encode_exactly(array, product, format, self.view))

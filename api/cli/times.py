@@ -56,7 +56,7 @@ def suns_from_options(
     return [SunSpec(time=first + n * every) for n in range(count)]
 
 
-def time_in_name(sun: SunSpec | None, number: int) -> str:
+def time_for_file_name(sun: SunSpec | None, number: int) -> str:
     """Return the time of a sun for a file name, in UTC such as 20240321T090000Z; its number if it has no time."""
     if sun is None or sun.time is None:
         return str(number)
@@ -67,7 +67,9 @@ def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     """Return the output path of each sun: ``{time}`` in the name is replaced. Raises ``InputError``."""
     if len(suns) > 1 and TIME_PLACEHOLDER not in output.name:
         raise InputError("--output", str(output), f"a name with {TIME_PLACEHOLDER}, for {len(suns)} times")
-    paths = [output.with_name(output.name.replace(TIME_PLACEHOLDER, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
+    paths = [
+        output.with_name(output.name.replace(TIME_PLACEHOLDER, time_for_file_name(sun, n))) for n, sun in enumerate(suns, start=1)
+    ]
     if len(set(paths)) < len(paths):
         raise InputError("--times", Problem("a time occurs twice"), "Give different times")
     return paths

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def print_warnings(scene: Scene, with_objects: bool = True) -> None:
-    """Print each warning about the ground and, if ``with_objects``, about objects, whose files are then read. One line each."""
+    """Print each warning about the ground as a line. ``with_objects`` also reads the files of objects and prints their warnings."""
     on_objects = scene.objects.warnings if with_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
         typer.echo(printable(f"skugga: warning: {with_option_names(text)}"), err=True)

@@ -1,6 +1,6 @@
 """Validate numbers in paths and queries. Only plain decimal digits are accepted.
 
-Other spellings of a number would be further URLs of the same picture, which caches store separately.
+With other spellings of a number, the same picture would have several URLs, which caches store separately.
 """
 
 from __future__ import annotations

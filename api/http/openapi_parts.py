@@ -100,16 +100,16 @@ def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:
     }
 
 
-def with_bounds(schema: Any) -> Any:
+def with_standard_bounds(schema: Any) -> Any:
     """Return a JSON schema whose numeric bounds have the standard keywords, inside the number's own schema.
 
     For ``Annotated[float | None, ...]`` pydantic writes bounds as ``ge``, ``le``, ``gt`` and ``lt``, outside the number's schema.
     """
     if isinstance(schema, list):
-        return [with_bounds(subschema) for subschema in schema]
+        return [with_standard_bounds(subschema) for subschema in schema]
     if not isinstance(schema, Mapping):
         return schema
-    converted = {key: with_bounds(value) for key, value in schema.items() if key not in STANDARD_BOUND_KEYWORDS}
+    converted = {key: with_standard_bounds(value) for key, value in schema.items() if key not in STANDARD_BOUND_KEYWORDS}
     bounds = {
         STANDARD_BOUND_KEYWORDS[key]: value
         for key, value in schema.items()

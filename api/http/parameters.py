@@ -49,7 +49,7 @@ class PlanQuery:
 def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
     """Return a FastAPI dependency that raises ``InputError`` for query parameters that are repeated or not in ``names``."""
 
-    async def refuse(request: Request) -> None:
+    async def check_names(request: Request) -> None:
         items = request.query_params.multi_items()
         for name, value in items:
             if name not in names:
@@ -58,7 +58,7 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
             if sum(name == other for other, _ in items) > 1:
                 raise InputError(name, Problem("given more than once"), "Give it once")
 
-    return refuse
+    return check_names
 
 
 TimeQuery = Annotated[
@@ -208,7 +208,7 @@ LayerQuery = Annotated[
     str,
     Query(
         description=f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. "
-        "What passes leave behind, as PNG, where the plan's algorithms have it: "
+        "Intermediate results of render passes, as PNG, if the plan's algorithms have them: "
         f"{_product_descriptions(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None)}.",
         json_schema_extra={"enum": [*VIEW_PRODUCTS]},
         examples=["mask"],
@@ -231,14 +231,14 @@ def _product_parameter(name: str) -> Any:
     description = f"For {', '.join(f'`{product}`' for product in products)}. {field.description or ''}".rstrip()
     limits: dict[str, Any] = {"allow_inf_nan": False} if float in kinds else {}
     if str in kinds and not any(isinstance(constraint, MaxLen) for constraint in field.metadata):
-        limits["max_length"] = MAX_TEXT
+        limits["max_length"] = MAX_TEXT_CHARACTERS
     query = Query(description=description, examples=field.examples or [], **limits)
     return Annotated[(value_type | None, *readers[:1], *field.metadata, query)]
 
 
 OPTION_VALIDATORS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_INTEGER, float: PLAIN_DECIMAL}
 
-MAX_TEXT = 100
+MAX_TEXT_CHARACTERS = 100
 """Maximum number of characters of a text option."""
 
 

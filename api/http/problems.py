@@ -23,7 +23,7 @@ log = logging.getLogger("skugga")
 class Problem(BaseModel):
     """A problem document.
 
-    ``code`` is a stable identifier. ``parameter`` names the wrong parameter, if one is to blame. ``preparing`` is present
+    ``code`` is a stable identifier. ``parameter`` names the wrong parameter, if a parameter is wrong. ``preparing`` is present
     until the service is ready: the ``task`` in words, steps ``done``, and ``total`` (0 while unknown).
     """
 
@@ -42,10 +42,10 @@ HTTP_PROBLEMS: dict[int, tuple[str, str]] = {
     400: ("bad_request", "The request, or its body, cannot be read: it is not HTTP/1.1, or not JSON in UTF-8."),
     401: ("unauthorized", "A token is needed: Authorization: Bearer TOKEN."),
     404: ("not_found", "There is nothing at this address."),
-    405: ("method_not_allowed", "There is no such method here."),
+    405: ("method_not_allowed", "The address does not support this method."),
     413: ("too_large", "The body has too many bytes."),
     431: ("head_too_large", "The request's line and headers have too many bytes."),
-    500: ("internal", "Something went wrong inside the service; its log says what."),
+    500: ("internal", "An unexpected error occurred. The service's log has the details."),
 }
 """Codes and texts of problems that are no ``SkuggaError``, by HTTP status."""
 

@@ -1,6 +1,6 @@
 """Parse the times of requests.
 
-Times are rounded, so that clients whose clocks differ slightly request the same picture. The word ``is_current`` means now.
+Times are rounded, so that clients whose clocks differ slightly request the same picture. The word ``current`` means now.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ DEFAULT_TIME = "default"
 TIME_HEADER = "X-Skugga-Time"
 """Response header with the rounded time, present if the request has a time."""
 
-CURRENT_S = 60
-"""Upper bound in seconds of the freshness lifetime of an answer for ``is_current``."""
+MAX_CURRENT_AGE_S = 60
+"""Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
 
 _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -111,7 +111,7 @@ def rounded_time(moment: datetime, grain_s: int) -> datetime:
 def request_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
     """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
 
-    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``is_current`` is rounded down. The rounded time is also stored as
+    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``current`` is rounded down. The rounded time is also stored as
     ``request.state.request_time``. Raises ``InputError``.
     """
     if time is not None and time.strip() == CURRENT:
@@ -121,7 +121,7 @@ def request_sun(request: Request, time: str | None, azimuth: float | None, altit
         grain = timedelta(seconds=grain_s or 1)
         moment = _EPOCH + (now - _EPOCH) // grain * grain  # rounded down: now is never in the future
         left_s = int((moment + grain - now).total_seconds())
-        request.state.request_time = RequestTime(moment, max(min(left_s, CURRENT_S), 1), is_current=True)
+        request.state.request_time = RequestTime(moment, max(min(left_s, MAX_CURRENT_AGE_S), 1), is_current=True)
         return SunSpec(time=moment)
     sun = parse_sun(None if time == DEFAULT_TIME else time, azimuth, altitude)
     if sun is None or sun.time is None:
@@ -138,7 +138,7 @@ def request_time(request: Request) -> RequestTime | None:
 
 
 def is_current(request: Request) -> bool:
-    """Return whether a request asks for ``is_current``. Its address then means another picture soon."""
+    """Return whether a request asks for ``current``. Its address then means another picture soon."""
     stored_time = request_time(request)
     return stored_time is not None and stored_time.is_current
 
@@ -154,7 +154,7 @@ def current_quarter_hour() -> tuple[datetime, int]:
 
 
 def freshness_s(request: Request, default_s: int) -> int:
-    """Return the freshness lifetime in seconds: for ``is_current`` until it means another rounded time, else ``default_s``."""
+    """Return the freshness lifetime in seconds: for ``current`` until it means another rounded time, else ``default_s``."""
     stored_time = request_time(request)
     return stored_time.max_age_s if stored_time is not None and stored_time.is_current else default_s
 

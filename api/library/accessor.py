@@ -1,4 +1,4 @@
-"""The xarray accessor ``da.skugga``: shadows and sun of a DataArray of heights, on its own coordinates.
+"""The xarray accessor ``da.skugga``: shadows and hours of sun of a DataArray of heights, on its own coordinates.
 
 CRS and geotransform follow rioxarray's conventions. A dask array stays lazy: the whole array is never in memory. Its heights are
 written once, chunk by chunk, to a temporary raster. Each chunk of the result is computed from that raster, with all casters within
@@ -21,24 +21,24 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
+from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
 from skugga.api.library.grids import grid_of_heights
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
-from skugga.api.library.upright_grid import UprightGrid, upright_grid
+from skugga.api.library.upright_grid import NorthUpGrid, north_up_grid
 from skugga.api.raster_file import TILE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
 
-MAX_OVERVIEW_CELLS = 512
-"""Smallest size of the longer side of an overview of a temporary raster."""
+MIN_OVERVIEW_CELLS = 512
+"""Minimum cells along the longer side of an overview of a temporary raster."""
 
-WITHOUT_OPENGL = next(
+CPU_ALGORITHM = next(
     name
     for name, algorithm in ALGORITHMS.items()
     if not algorithm.needs_opengl and any(algorithm.node_fill(settings()) for settings in algorithm.settings)
 )
-"""The algorithm that needs heights only, for dask: dask computes chunks in threads, and OpenGL works in one thread."""
+"""Algorithm for dask arrays, which needs no OpenGL: dask computes chunks in threads, and OpenGL works in one thread."""
 
 
 class SkuggaAccessor:
@@ -53,7 +53,7 @@ class SkuggaAccessor:
     def __init__(self, array: xarray.DataArray) -> None:
         self._array = array
 
-    @checked
+    @validate_arguments
     def shadow(
         self,
         time: Time | None = None,
@@ -86,13 +86,13 @@ class SkuggaAccessor:
             raise InputError.missing("time", "Give a time, or an azimuth and an altitude")
 
         def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
-            settings_by_key = {**({"algorithm": WITHOUT_OPENGL} if cells else {}), **shadows}
+            settings_by_key = {**({"algorithm": CPU_ALGORITHM} if cells else {}), **shadows}
             visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **settings_by_key)
             return visibility < 0.5  # False for NaN, which are cells without ground
 
         return self._compute_data_array("shadow", compute_array, np.bool_)
 
-    @checked
+    @validate_arguments
     def sun_hours(self, date: Date, **rules: Any) -> xarray.DataArray:
         """Return the hours of direct sun, or another quantity of direct sun.
 
@@ -119,7 +119,7 @@ class SkuggaAccessor:
 
         return self._compute_data_array("sun_hours", compute_array, np.float32)
 
-    @checked
+    @validate_arguments
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
         """Return the horizon profile of a point. A dask array is read into memory.
 
@@ -140,13 +140,13 @@ class SkuggaAccessor:
         SkuggaError
             For a wrong argument, and for an array that is not a grid of heights.
         """
-        with upright_grid(self._array).level() as level:
+        with north_up_grid(self._array).level() as level:
             profile = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
     def _compute_data_array(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
         """Return a DataArray on the array's coordinates. ``compute_array`` computes its values from an open level."""
-        grid = upright_grid(self._array)
+        grid = north_up_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
                 values: Any = compute_array(level)
@@ -159,7 +159,7 @@ class SkuggaAccessor:
 class _StagedRaster:
     """A temporary raster. Dask first writes all chunks to it; its tasks then open it as a level."""
 
-    def __init__(self, grid: UprightGrid) -> None:
+    def __init__(self, grid: NorthUpGrid) -> None:
         folder = tempfile.mkdtemp(prefix="skugga-")
         self._cleanup = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.path = Path(folder) / "heights.tif"
@@ -183,7 +183,7 @@ class _StagedRaster:
         """Build the raster's overviews and close it after all chunks are written. Return self."""
         with self._lock:
             if not self._dataset.closed:
-                steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MAX_OVERVIEW_CELLS]
+                steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MIN_OVERVIEW_CELLS]
                 if steps:
                     self._dataset.build_overviews(steps, Resampling.average)
                 self._dataset.close()
@@ -198,7 +198,7 @@ class _StagedRaster:
         return opened
 
 
-def _compute_by_chunk(grid: UprightGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
+def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
     import dask.array
     from dask.delayed import delayed
 

@@ -8,13 +8,23 @@ from typing import Any, cast
 import numpy as np
 from affine import Affine
 
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, CellSides, Cores, Date, LatitudeDeg, Lines, LongitudeDeg, checked
+from skugga.api.library.checked import (
+    AltitudeDeg,
+    AzimuthDeg,
+    CellSides,
+    Cores,
+    Date,
+    LatitudeDeg,
+    Lines,
+    LongitudeDeg,
+    validate_arguments,
+)
 from skugga.api.library.grids import Heights, HorizonHeights, SweptHeights
 from skugga.shadows.sweep import grid as sweep
 from skugga.shadows.sweep.horizon import horizon_deg
 
 
-@checked
+@validate_arguments
 def shadow(
     height_m: SweptHeights,
     cell_m: CellSides,
@@ -65,7 +75,7 @@ def shadow(
     return valid & ~sweep.sunlit(heights, cast(tuple[float, float], cell_m), azimuth_deg, altitude_deg, lines, cores)
 
 
-@checked
+@validate_arguments
 def sunlit(
     height_m: SweptHeights,
     cell_m: CellSides,
@@ -98,7 +108,7 @@ def sunlit(
     return sweep.sunlit(heights, sides, azimuth_deg, altitude_deg, lines, cores)
 
 
-@checked
+@validate_arguments
 def horizon(height_m: HorizonHeights, cell_m: CellSides, azimuth_deg: AzimuthDeg, lines: Lines = 4, cores: Cores = 1) -> np.ndarray:
     """Return the horizon angle of each node of a heightfield towards an azimuth.
 
@@ -122,7 +132,7 @@ def horizon(height_m: HorizonHeights, cell_m: CellSides, azimuth_deg: AzimuthDeg
     return horizon_deg(cast(np.ndarray, height_m), cast(tuple[float, float], cell_m), azimuth_deg, lines, cores)
 
 
-@checked
+@validate_arguments
 def sun_hours_of_array(
     height_m: Heights,
     cell_m: CellSides,

@@ -1,6 +1,6 @@
 """Validate the arguments of the library's functions. A wrong argument raises a ``SkuggaError`` that names it.
 
-The decorator ``checked`` validates with pydantic by a function's annotations. This module defines types that pydantic lacks.
+The decorator ``validate_arguments`` uses pydantic and a function's annotations. This module defines types that pydantic lacks.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from skugga.terrain.level.parts import ALLOWED_TIMES
 ParametersT = ParamSpec("ParametersT")
 ResultT = TypeVar("ResultT")
 
-CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
+ADAPTER_CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 
 SHADOWS_PARAMETER = "shadows"
 """Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
 
 
-def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, ResultT]:
+def validate_arguments(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, ResultT]:
     """Return a function that validates and converts its arguments by its annotations.
 
     Raises
@@ -53,7 +53,7 @@ def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, R
         if not adapters:
             hints = typing.get_type_hints(function, include_extras=True)
             adapters.update(
-                {name: TypeAdapter(hint, config=CONFIG) for name, hint in hints.items() if name in signature.parameters}
+                {name: TypeAdapter(hint, config=ADAPTER_CONFIG) for name, hint in hints.items() if name in signature.parameters}
             )
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
@@ -96,22 +96,22 @@ def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
 
 
 UNITS_WITHOUT_DAY = ("Y", "M", "W")
-"""Units of datetime64 that name no day."""
+"""Units of datetime64 that are longer than a day."""
 
 UNITS_WITHOUT_TIME = (*UNITS_WITHOUT_DAY, "D")
-"""Units of datetime64 that name no time of day."""
+"""Units of datetime64 without a time of day."""
 
 
-def _datetime64(value: Any, wrong_units: Collection[str]) -> np.ndarray | None:
-    """Return a datetime64 as an array without dimensions; ``None`` for other values, for NaT and in one of the wrong units."""
+def _as_datetime64(value: Any, wrong_units: Collection[str]) -> np.ndarray | None:
+    """Return a datetime64 as an array without dimensions; ``None`` for other types, for NaT and for a unit in ``wrong_units``."""
     if getattr(getattr(value, "dtype", None), "kind", "") != "M" or np.ndim(value) != 0:
         return None
     moment = np.asarray(value)
     return None if np.isnat(moment) or np.datetime_data(moment.dtype)[0] in wrong_units else moment
 
 
-def _moment(value: Any) -> str:
-    moment = _datetime64(value, UNITS_WITHOUT_TIME)
+def _parse_time(value: Any) -> str:
+    moment = _as_datetime64(value, UNITS_WITHOUT_TIME)
     if moment is not None:
         return f"{np.datetime_as_string(moment.astype('datetime64[s]'))}Z"
     if isinstance(value, datetime.datetime):
@@ -121,8 +121,8 @@ def _moment(value: Any) -> str:
     return value
 
 
-def _day(value: Any) -> datetime.date:
-    moment = _datetime64(value, UNITS_WITHOUT_DAY)
+def _parse_day(value: Any) -> datetime.date:
+    moment = _as_datetime64(value, UNITS_WITHOUT_DAY)
     if moment is not None:
         value = str(moment.astype("datetime64[D]"))
     if isinstance(value, datetime.datetime):
@@ -137,7 +137,7 @@ def _day(value: Any) -> datetime.date:
         raise PydanticCustomError("date", "{words}", {"words": error.allowed}) from None
 
 
-def _bounds(value: Any) -> tuple[float, float, float, float]:
+def _parse_bounds(value: Any) -> tuple[float, float, float, float]:
     try:
         numbers = [] if isinstance(value, str) else [float(number) for number in value]
     except (TypeError, ValueError, OverflowError):
@@ -148,7 +148,7 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
     return west, south, east, north
 
 
-def _crs(value: Any) -> CRS:
+def _parse_crs(value: Any) -> CRS:
     try:
         if isinstance(value, str) and value.isascii() and value.strip().isdigit():
             value = int(value)
@@ -160,7 +160,7 @@ def _crs(value: Any) -> CRS:
     return crs
 
 
-def _transform(value: Any) -> Affine:
+def _parse_transform(value: Any) -> Affine:
     try:
         numbers = [float(number) for number in tuple(value)[:6]]
     except (TypeError, ValueError, OverflowError):
@@ -170,7 +170,7 @@ def _transform(value: Any) -> Affine:
     return Affine(*numbers)
 
 
-def _size(value: Any) -> tuple[int, int]:
+def _parse_size(value: Any) -> tuple[int, int]:
     try:
         sides = [] if isinstance(value, str) else [operator.index(number) for number in value]
     except (TypeError, ValueError, OverflowError):
@@ -180,7 +180,7 @@ def _size(value: Any) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _cells(value: Any) -> tuple[slice, slice]:
+def _parse_cells(value: Any) -> tuple[slice, slice]:
     parts = value if isinstance(value, tuple) else ()
     ends = [end for part in parts if isinstance(part, slice) for end in (part.start, part.stop) if end is not None]
     if len(parts) != 2 or not all(isinstance(part, slice) and part.step in (None, 1) for part in parts):
@@ -190,7 +190,7 @@ def _cells(value: Any) -> tuple[slice, slice]:
     return parts
 
 
-def _sides(value: Any) -> tuple[float, float]:
+def _parse_cell_sides(value: Any) -> tuple[float, float]:
     try:
         sides = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -210,22 +210,22 @@ MIN_CELL_M, MAX_CELL_M = 1e-6, 1e6
 MAX_PICTURE_PX = 16384
 """Largest side of a picture, as for ``--size``."""
 
-Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_moment)]
+Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_parse_time)]
 """A time with an offset from UTC, or datetime64 in UTC with a time of day. The function receives ISO 8601 text."""
 
-Date = Annotated[datetime.date | str, PlainValidator(_day)]
+Date = Annotated[datetime.date | str, PlainValidator(_parse_day)]
 """A date. The function receives a ``datetime.date``."""
 
-AnyCrs = Annotated[Any, PlainValidator(_crs)]
+CrsLike = Annotated[Any, PlainValidator(_parse_crs)]
 """A CRS in any form that pyproj accepts, or one of rasterio. The function receives a pyproj CRS."""
 
-Bounds = Annotated[tuple[float, float, float, float], PlainValidator(_bounds)]
+Bounds = Annotated[tuple[float, float, float, float], PlainValidator(_parse_bounds)]
 """West, south, east, north."""
 
-Transform = Annotated[Affine, PlainValidator(_transform)]
+Transform = Annotated[Affine, PlainValidator(_parse_transform)]
 """A geotransform, or its six numbers."""
 
-CellSides = Annotated[float | tuple[float, float], PlainValidator(_sides)]
+CellSides = Annotated[float | tuple[float, float], PlainValidator(_parse_cell_sides)]
 """The side of a cell in metres, or its (row, column) sides. The function receives both sides."""
 
 AzimuthDeg = Annotated[float, Field(ge=-360.0, le=720.0)]
@@ -237,11 +237,11 @@ LongitudeDeg = Annotated[float, Field(ge=-540.0, le=540.0)]
 Days = Annotated[int, Field(ge=1)]
 StepMinutes = Annotated[float, Field(ge=0.5, le=60.0)]
 ThresholdHours = Annotated[float, Field(ge=0.0, le=24.0)]
-LeastAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]
+MinAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]
 HeightM = Annotated[float, Field(ge=0.0, le=1000.0)]
 Resolution = Annotated[float, Field(gt=0.0)]
-Size = Annotated[tuple[int, int], PlainValidator(_size)]
+Size = Annotated[tuple[int, int], PlainValidator(_parse_size)]
 """Columns and rows of a picture, in pixels."""
 
-Cells = Annotated[tuple[slice, slice], PlainValidator(_cells)]
+Cells = Annotated[tuple[slice, slice], PlainValidator(_parse_cells)]
 """Slices of rows and columns."""

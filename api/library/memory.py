@@ -13,12 +13,12 @@ CGROUPS = (
     (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
     (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
-"""Folders of cgroups v2 and v1, with the files of a container's limit and use, and the field of pages that the kernel may drop."""
+"""Folders of cgroups v2 and v1, the files with a container's limit and use, and the field for pages that the kernel may drop."""
 
 
 def free_bytes() -> int | None:
     """Return the bytes of memory that this process can still allocate; ``None`` if the system does not report them."""
-    return min(_free(), default=None)
+    return min(_free_byte_counts(), default=None)
 
 
 def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy: str) -> None:
@@ -33,7 +33,7 @@ def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy:
     bytes_per_cell
         Bytes that the work takes for each cell.
     remedy
-        A way to do the same in less memory, as a sentence without its full stop.
+        A way to do the same with less memory: a sentence without a full stop.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy:
         raise InputError(name, Problem(problem), remedy)
 
 
-def _free() -> Iterator[int]:
+def _free_byte_counts() -> Iterator[int]:
     try:
         fields = dict(line.split(":", 1) for line in MEMINFO.read_text(encoding="ascii").splitlines())
         yield int(fields["MemAvailable"].split()[0]) * 1024

@@ -1,4 +1,4 @@
-"""Convert DataArrays of heights to upright grids: rows from north to south, columns from west to east, NaN where no ground is."""
+"""Convert DataArrays of heights to north-up grids: rows from north to south, columns from west to east, NaN without ground."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band, positive_
 from skugga.terrain.level.level_source import parse_positive
 from skugga.terrain.level.parts import METRES_PER_UNIT
 
-MAX_UNEVEN_CELLS = 0.1
+SPACING_TOLERANCE_CELLS = 0.1
 """Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""
 
 NODATA_ATTRIBUTES = "_FillValue", "missing_value", "fill_value", "nodata", "nodatavals"
-"""Attributes in which rioxarray finds the nodata value, the first of them that is there."""
+"""Attributes in which rioxarray looks for the nodata value, in this order."""
 
 GRID_NAMES = "grid_latitude", "grid_longitude"
 """Standard names of the coordinates of a rotated pole (CF conventions, appendix F). rioxarray does not know them."""
@@ -35,8 +35,8 @@ CHUNKS_REMEDY = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), r
 
 
 @dataclass(frozen=True, eq=False)
-class UprightGrid:
-    """Heights of an array in upright order.
+class NorthUpGrid:
+    """Heights of an array in north-up order.
 
     Attributes
     ----------
@@ -60,8 +60,8 @@ class UprightGrid:
         return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY_NAME), self.transform, self.crs)
 
 
-def upright_grid(array: xarray.DataArray) -> UprightGrid:
-    """Return the heights of an array as an upright grid.
+def north_up_grid(array: xarray.DataArray) -> NorthUpGrid:
+    """Return the heights of an array as a north-up grid.
 
     It follows rioxarray's conventions for dimensions, CRS, geotransform and nodata, and the attributes ``scale_factor``,
     ``add_offset``, ``units`` and ``positive``.
@@ -89,13 +89,13 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     for dim, step, direction in ((y_dim, declared.e, -1.0), (x_dim, declared.a, 1.0)):
         coordinates = array[dim].to_numpy() if dim in array.coords else None
         if (
-            step if coordinates is None or coordinates.size < 2 else _number(coordinates[-1]) - _number(coordinates[0])
+            step if coordinates is None or coordinates.size < 2 else _as_number(coordinates[-1]) - _as_number(coordinates[0])
         ) * direction < 0.0:
             flips[dim] = slice(None, None, -1)
     upright = array.isel(flips)
-    y0, dy = _edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
-    x0, dx = _edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
-    return UprightGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
+    y0, dy = _first_edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
+    x0, dx = _first_edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
+    return NorthUpGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
 
 
 def _spatial_dims(array: xarray.DataArray) -> tuple[Any, Any]:
@@ -117,16 +117,16 @@ def _nodata(array: xarray.DataArray) -> float | None:
     """Return an array's nodata value, or ``None``. Raises ``InputError`` if it declares several."""
     try:
         nodata: float | None = array.rio.nodata
-    except (ValueError, OverflowError):  # the array's type cannot hold the value, so no cell has it
+    except (ValueError, OverflowError):  # no cell can have a value beyond the array's type
         return None
     except TypeError:  # the value is a list
         values = [("_FillValue", array.encoding.get("_FillValue")), *((name, array.attrs.get(name)) for name in NODATA_ATTRIBUTES)]
-        return next((_number_in(name, value) for name, value in values if value is not None), None)
+        return next((_single_number(name, value) for name, value in values if value is not None), None)
     return nodata
 
 
-def _number_in(name: str, value: object) -> float:
-    """Return the number of an attribute, which may be a list of it alone. Raises ``InputError``."""
+def _single_number(name: str, value: object) -> float:
+    """Return the number of an attribute: a number, or a list of equal numbers. Raises ``InputError``."""
     try:
         (number,) = np.unique(np.asarray(value, np.float64))
     except (TypeError, ValueError, OverflowError):
@@ -141,7 +141,7 @@ def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.
         with np.errstate(over="ignore", invalid="ignore"):
             heights = heights.where(array != (array.dtype.type(nodata) if array.dtype.kind == "f" else nodata))
     scale, offset = (
-        _number_in(name, array.attrs.get(name, default)) for name, default in (("scale_factor", 1.0), ("add_offset", 0.0))
+        _single_number(name, array.attrs.get(name, default)) for name, default in (("scale_factor", 1.0), ("add_offset", 0.0))
     )
     if (scale, offset) != (1.0, 0.0):
         heights = heights * scale + offset
@@ -191,11 +191,11 @@ def _declared_transform(array: xarray.DataArray) -> Affine:
     return transform
 
 
-def _number(value: Any) -> float:
+def _as_number(value: Any) -> float:
     return float(value) if np.asarray(value).dtype.kind in "iuf" else 0.0
 
 
-def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
+def _first_edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
     """Return the coordinate of the first cell's outer edge along a dimension, and the step to the next cell.
 
     ``start`` and ``step`` are the values that the array declared before it was flipped. Raises ``InputError``.
@@ -212,6 +212,6 @@ def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float,
         step = float(coordinates[-1] - coordinates[0]) / (coordinates.size - 1)
         if step == 0.0 or np.abs(
             coordinates - (coordinates[0] + step * np.arange(coordinates.size))
-        ).max() > MAX_UNEVEN_CELLS * abs(step):
+        ).max() > SPACING_TOLERANCE_CELLS * abs(step):
             raise InputError(name, Problem("uneven steps"), "Use evenly spaced coordinates, as da.interp(...) makes them")
     return float(coordinates[0]) - step / 2.0, step

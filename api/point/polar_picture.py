@@ -20,10 +20,13 @@ from skugga.terrain.geo.clock import day_bounds
 SkyPictureFormat = Literal["svg", "png"]
 
 PATH_STEP_S = 120.0
+"""Time between two points of a sun path."""
+
 MIN_LABEL_DIFFERENCE_DEG = 6.0
 """A path is labelled if its highest altitude differs from that of the day by more than this, degrees."""
 
-MIN_OUTSIDE_ALTITUDE_DEG = 6.0
+MIN_OUTWARD_LABEL_ALTITUDE_DEG = 6.0
+"""Altitude above which an hour's number lies on the outer side of its mark, degrees."""
 
 SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
 
@@ -168,7 +171,7 @@ def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, floa
 
     The offset is towards the rim. Near the rim it is towards the centre, so that the number does not overlap azimuth labels.
     """
-    angle, radius = np.radians(azimuth_deg), 11.0 if altitude_deg > MIN_OUTSIDE_ALTITUDE_DEG else -11.0
+    angle, radius = np.radians(azimuth_deg), 11.0 if altitude_deg > MIN_OUTWARD_LABEL_ALTITUDE_DEG else -11.0
     return float(radius * np.sin(angle)), float(radius * np.cos(angle))
 
 
@@ -179,10 +182,10 @@ def _subtitle(surroundings: Surroundings, day: date, clock: tzinfo) -> str:
         return height
     lon = f"{abs(place.lon_deg):.5f}° {'E' if place.lon_deg >= 0 else 'W'}"
     lat = f"{abs(place.lat_deg):.5f}° {'N' if place.lat_deg >= 0 else 'S'}"
-    return f"{lat}, {lon}, {height}    {day:%-d %B %Y}, {_clock_words(day, clock)}"
+    return f"{lat}, {lon}, {height}    {day:%-d %B %Y}, {_clock_label(day, clock)}"
 
 
-def _clock_words(day: date, clock: tzinfo) -> str:
+def _clock_label(day: date, clock: tzinfo) -> str:
     noon = datetime(day.year, day.month, day.day, 12, tzinfo=clock)
     name = noon.tzname() or ""
     if name == "solar":

@@ -48,8 +48,8 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
     )  # fmt: skip
 
 
-def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
-    """Return the report of a point. Outside the level's data its values are null, and its remark names the valid range.
+def report_with_remark(scene: Scene, query: PointQuery) -> PointReport:
+    """Return the report of a point. For a point outside the level's data, values are null and the remark names the valid range.
 
     Raises ``InputError``.
     """

@@ -35,8 +35,8 @@ def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
     return points
 
 
-def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackPoint]:
-    """Return the points of a line: its vertices, and further points between them, so that steps are at most ``every_m`` metres.
+def read_track(path: Path, max_spacing_m: float, height_m: float = 0.0) -> list[TrackPoint]:
+    """Return the points of a line: its vertices, and points between them at most ``max_spacing_m`` metres apart.
 
     Raises the errors of ``read_points``.
     """
@@ -55,9 +55,9 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
             azimuth, _, distance_m = WGS84.inv(previous.lon_deg, previous.lat_deg, lon, lat)
             if distance_m == 0.0:
                 continue
-            count = int(np.ceil(distance_m / every_m))
+            count = int(np.ceil(distance_m / max_spacing_m))
             if len(points) + count > MAX_POINTS:
-                raise InputError("--every", every_m, f"a distance that makes at most {MAX_POINTS} points")
+                raise InputError("--every", max_spacing_m, f"a distance that makes at most {MAX_POINTS} points")
             for n in range(1, count):
                 position = WGS84.fwd(previous.lon_deg, previous.lat_deg, azimuth, distance_m * n / count)
                 points.append(TrackPoint(float(position[0]), float(position[1]), height_m))
@@ -65,7 +65,7 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
     return points
 
 
-def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
+def with_arrival_times(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
     """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``."""
     if not speed_kmh > 0.0:
         raise InputError("--speed", speed_kmh, "more than 0 km/h")

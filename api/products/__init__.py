@@ -14,7 +14,7 @@ from skugga.api.products.product import PICTURE_FORMATS, Product
 from skugga.terrain.errors import InputError
 
 LEADING_PRODUCTS = "color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium"
-"""The first products of lists. The others follow by name, and layers of passes come last."""
+"""Products that come first in lists. Other products follow by name, then the layers of render passes."""
 
 
 def _products() -> Iterator[Product]:
@@ -51,8 +51,8 @@ MAP_PRODUCTS = products_with(lambda each: each.map_formats)
 RASTER_PRODUCTS = products_with(lambda each: each.is_raster)
 """Products that can be written as rasters of any size."""
 
-SEEDED_PRODUCTS = products_with(lambda each: each.when != "days" and set(each.map_formats) & set(PICTURE_FORMATS))
-"""Products of tile pyramids. Products of whole dates are excluded: they depend on too much ground to detect changed tiles."""
+SEED_PRODUCTS = products_with(lambda each: each.when != "days" and set(each.map_formats) & set(PICTURE_FORMATS))
+"""Products that ``skugga seed`` computes. Products of whole dates are excluded: each tile depends on too much ground."""
 
 
 def product_named(name: str, allowed: tuple[str, ...] | None = None, parameter: str = "layer") -> Product:

@@ -9,9 +9,9 @@ from skugga.api.products.product import Part, Product
 
 def _compute(part: Part) -> np.ndarray:
     """Return RGBA, uint8 (rows, cols, 4), transparent without a surface. The sky of a perspective view is opaque."""
-    color = part.drawn.color
+    color = part.required_picture.color
     assert color is not None
-    alpha = np.where(part.drawn.opaque_mask, np.uint8(255), np.uint8(0))
+    alpha = np.where(part.required_picture.opaque_mask, np.uint8(255), np.uint8(0))
     return np.concatenate([color, alpha[..., None]], axis=-1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Part, Product
-from skugga.api.terrain_encodings import terrain_rgb, terrarium
+from skugga.api.terrain_encodings import encode_terrain_rgb, encode_terrarium
 
 
 def height_m(part: Part) -> np.ndarray:
@@ -24,18 +24,18 @@ def nodata_height_m(lowest_m: float) -> float:
     return float(np.floor(lowest_m))
 
 
-def encoded_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
+def encode_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
     """Return heights (rows, cols) encoded as RGB, uint8 (rows, cols, 3). NaN becomes ``nodata_m``."""
     filled_m = np.where(np.isnan(heights_m), nodata_m, heights_m)
-    return terrain_rgb(filled_m) if encoding == "mapbox" else terrarium(filled_m)
+    return encode_terrain_rgb(filled_m) if encoding == "mapbox" else encode_terrarium(filled_m)
 
 
 def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> Product:
     def compute(part: Part) -> np.ndarray:
-        return encoded_heights(height_m(part), nodata_height_m(part.scene.height_range_m[0]), encoding)
+        return encode_heights(height_m(part), nodata_height_m(part.scene.height_range_m[0]), encoding)
 
     def empty(rows: int, cols: int, lowest_m: float) -> np.ndarray:
-        return encoded_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
+        return encode_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
 
     return Product(
         name=name, description=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,

@@ -12,7 +12,7 @@ MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 
 def _compute(part: Part) -> np.ndarray:
     classes = np.where(visibility_of(part) < 0.5, MASK_SHADOW, MASK_LIT)
-    return np.where(part.drawn.valid, classes, MASK_NO_SURFACE).astype(np.uint8)
+    return np.where(part.required_picture.valid, classes, MASK_NO_SURFACE).astype(np.uint8)
 
 
 PRODUCT = Product(

@@ -59,9 +59,9 @@ def _pass_product(
 
 PRODUCTS = (
     _pass_product("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
-    _pass_product("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _stretch),
+    _pass_product("stencil", "the stencil buffer of shadow volumes", ("npy", "png"), _stretch),
     _pass_product(
-        "silhouettes", "edges of casters as the light sees them; of a hybrid, the pixels left to its volumes", ("npy", "png")
+        "silhouettes", "edges of casters seen from the light; for a hybrid, the pixels that its volumes decide", ("npy", "png")
     ),
     _pass_product("volumes", "shadow volumes over the picture", ("npy", "png"), _blend_volumes),
     _pass_product("shadow-height", "", ("npy", "tif")),

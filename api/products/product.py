@@ -33,7 +33,7 @@ MapFormat = Literal["png", "webp", "jpg", "tif", "npy"]
 MEDIA_TYPES: dict[MapFormat, str] = {
     "png": "image/png", "webp": "image/webp", "jpg": "image/jpeg", "tif": "image/tiff", "npy": "application/x-npy",
 }  # fmt: skip
-"""Formats of files: pictures, and arrays to compute with."""
+"""Media type of each format: pictures, and arrays of numbers."""
 
 PICTURE_FORMATS: tuple[PictureFormat, ...] = ("png", "webp", "jpg")
 
@@ -63,7 +63,7 @@ class ProductOptions(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The input of a product's computation: a view, or a block of a map.
+    """The input of a product's computation: the scene, the pixels of a view or of a block of a map, and the drawn picture.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Part:
         return self.view
 
     @property
-    def drawn(self) -> Picture:
+    def required_picture(self) -> Picture:
         """The drawn view, for a product that needs a picture."""
         assert self.picture is not None
         return self.picture
@@ -150,7 +150,7 @@ class Product:
     needs, perspective_needs
         The images to draw for a map, and for a perspective view (``None``: the same). If none, ``compute`` uses the scene only.
     reach_px
-        Pixels around a part that ``compute`` needs. They are computed and cut off, so that blocks and tiles have no seams.
+        Margin in pixels around a part that ``compute`` needs. It is computed and cropped, so that blocks and tiles have no seams.
     options
         The model of its options.
     dtype

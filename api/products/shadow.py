@@ -9,7 +9,7 @@ from skugga.api.products.product import Part, Product
 
 def _compute(part: Part) -> np.ndarray:
     """Return RGBA, uint8 (rows, cols, 4): black with alpha 1 - visibility, transparent without a surface."""
-    opacity = part.drawn.opacity
+    opacity = part.required_picture.opacity
     assert opacity is not None
     out = np.zeros((*opacity.shape, 4), np.uint8)
     out[..., 3] = opacity

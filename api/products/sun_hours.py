@@ -66,12 +66,14 @@ class SunHoursOptions(ProductOptions):
     )
     clock: str = Field(
         default="solar", max_length=60, examples=["Europe/Oslo"],
-        description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.",
+        description="Clock of date and window: solar (the default), utc, +02:00 or Europe/Oslo.",
     )  # fmt: skip
     height: float = Field(default=0.0, ge=0.0, le=1000.0, description="Metres above the ground.", examples=[1.7])
-    least_altitude: float = Field(default=0.0, ge=-1.0, lt=90.0, description="Of a sun that counts, degrees.", examples=[3])
+    least_altitude: float = Field(
+        default=0.0, ge=-1.0, lt=90.0, description="Minimum altitude of a sun that counts, degrees.", examples=[3]
+    )
     step_min: float | None = Field(default=None, ge=0.5, le=60.0, description="Minutes between two suns; default: as needed.")
-    threshold_h: float = Field(default=2.0, ge=0.0, le=24.0, description="Hours of sun that a day counts from.")
+    threshold_h: float = Field(default=2.0, ge=0.0, le=24.0, description="Minimum hours of sun of a day that counts.")
 
     def windows(self, world: World) -> list[DailyWindow]:
         """Return the daily windows of the dates. Raises ``InputError``, also in a flat world."""

@@ -12,7 +12,7 @@ VISIBILITY: Needs = frozenset({"visibility", "reach"})
 
 def visibility_of(part: Part) -> np.ndarray:
     """Return the visibility of the first light, float32 (rows, cols), NaN without a surface."""
-    visibility = part.drawn.visibility
+    visibility = part.required_picture.visibility
     assert visibility is not None
     return visibility
 

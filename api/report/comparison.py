@@ -39,7 +39,7 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
 
 
 def print_comparison(comparison: Comparison, base_command: str) -> None:
-    """Print the rows, one for each measured plan, lowest ``wrong_cast`` first. Print the summary and the remarks after them.
+    """Print a row for each measured plan, lowest ``wrong_cast`` first, then the summary and the remarks.
 
     ``base_command`` is the command line of the comparison, to which ``--only ROW`` can be appended.
     """

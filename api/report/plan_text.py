@@ -62,11 +62,11 @@ def format_plan(plan: Plan, title: str) -> str:
     """Return a plan as text for a terminal: sentences under headings, in lines of at most ``LINE_WIDTH`` characters."""
     plan = _with_display_names(plan)
     reason_list = _ReasonList(plan)
-    parts = [[title, *reason_list.notes("policy")], *(reason_list.light(light) for light in plan.algorithm)]
+    parts = [[title, *reason_list.take_notes("policy")], *(reason_list.light_lines(light) for light in plan.algorithm)]
     if not plan.algorithm:
         parts.append(["Nothing here casts a shadow."])
-    reason_list.notes("missed")  # dropped: the expectation has them
-    parts += [[format_expectation(plan)], reason_list.remaining()]
+    reason_list.take_notes("missed")  # dropped: the expectation has them
+    parts += [[format_expectation(plan)], reason_list.take_remaining()]
     parts += [
         _reason_section("Effects that run", plan.effects),
         _reason_section("Effects left out", plan.left_out),
@@ -137,19 +137,19 @@ def format_overshoot(plan: Plan) -> str:
 class _ReasonList:
     """The reasons that a plan gives for its choices. Each is printed once.
 
-    A reason stands beside its light and caster kind, beside its setting, or else at the end. Methods that take a reason remove it
-    from the list.
+    A reason is printed beside its light and caster kind, beside its setting, or else at the end. Methods that take a reason remove
+    it from the list.
     """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._unused = list(plan.reasons)
 
-    def notes(self, word: str) -> list[str]:
-        """Take the reasons whose name contains a word; return them as sentences."""
+    def take_notes(self, word: str) -> list[str]:
+        """Take the reasons whose name contains a word, and return them as sentences."""
         return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: word in name.split(" "))]
 
-    def light(self, light: str) -> list[str]:
+    def light_lines(self, light: str) -> list[str]:
         """Return the lines about a light: heading, algorithms and settings."""
         lines = ["Under the sun" if light == SUN else f"Under the light {light}"]
         for step in self._plan.steps:
@@ -157,8 +157,8 @@ class _ReasonList:
                 lines += self._step(step)
         return lines
 
-    def remaining(self) -> list[str]:
-        """Take all remaining reasons; return them as sentences."""
+    def take_remaining(self) -> list[str]:
+        """Take all remaining reasons, and return them as sentences."""
         return [f"{_capitalized(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
     def _step(self, step: Step) -> Iterator[str]:
@@ -194,7 +194,7 @@ def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
     yield from ((key, overrides[key]) for key in SETTING_ORDER if key in overrides)
 
 
-def _spoken_name(match: re.Match[str]) -> str:
+def _matched_display_name(match: re.Match[str]) -> str:
     """Return the display name of a matched algorithm or effect; return any other word unchanged."""
     word = match.group()
     return display_name(word) if word in ALGORITHMS or word in EFFECTS else word
@@ -228,7 +228,9 @@ def _with_display_names(plan: Plan) -> Plan:
     """Return a plan whose reasons use the display names of algorithms and effects."""
 
     def renamed(reasoned: list[NamedReason]) -> list[NamedReason]:
-        return [NamedReason(name=entry.name, reason=_SNAKE_CASE_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
+        return [
+            NamedReason(name=entry.name, reason=_SNAKE_CASE_WORD.sub(_matched_display_name, entry.reason)) for entry in reasoned
+        ]
 
     lists = ("effects", "left_out", "rejected", "reasons")
     return plan.model_copy(update={key: renamed(getattr(plan, key)) for key in lists})

@@ -12,10 +12,10 @@ from string import Template
 
 import numpy as np
 
-from skugga.api.report.page.bars import bars, bars_legend, exceeds_axis
-from skugga.api.report.page.markup import breakable_text, definitions, script_json, tag
+from skugga.api.report.page.bars import bar_chart, bars_legend, exceeds_axis
+from skugga.api.report.page.markup import breakable_text, definition_list, script_json, tag
 from skugga.api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
-from skugga.api.report.page.scatter import legend, scatter_file, scatter_plot
+from skugga.api.report.page.scatter import scatter_file, scatter_legend, scatter_plot
 from skugga.api.report.page.table import GLOSSARY, rows_table
 from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, casts_shadow, format_summary, is_on_front
 from skugga.selector.formatting import format_duration, format_percent
@@ -23,10 +23,10 @@ from skugga.selector.measure.compare import Comparison
 from skugga.terrain.atomic_files import write_atomically
 
 MAX_PAGE_BYTES = 5_000_000
-"""Limit of a page. Pictures get the bytes that text and plots leave."""
+"""Limit of a page in bytes. Pictures get the bytes that remain after text and plots."""
 
 MAX_REMARK_CHARACTERS = 240
-"""Longer remarks, in characters, are collapsed."""
+"""Length in characters above which a remark is collapsed."""
 
 LEFT_OUT_REMARK = "some rows were left out by the time limit"
 """Remark on rows for which the time limit left no time."""
@@ -90,7 +90,7 @@ def report_html(
     style, script = _template_text("report.css"), _template_text("report.js")
     parts = {
         "title": escape(" · ".join(list(facts.values())[:2])),
-        "about": definitions(facts, class_="about"),
+        "about": definition_list(facts, class_="about"),
         "summary": tag(
             "ul",
             *(
@@ -102,8 +102,8 @@ def report_html(
                 ]  # fmt: skip
             ),
         ),
-        "shares": definitions(_shares(comparison), class_="shares"),
-        "glossary": definitions(GLOSSARY),
+        "shares": definition_list(_shares(comparison), class_="shares"),
+        "glossary": definition_list(GLOSSARY),
         "style": style,
         "script": script,
         "style_hash": _csp_hash(style),
@@ -160,8 +160,8 @@ def _results(comparison: Comparison) -> dict[str, str]:
     cold = [f["name"] for f in figures if f["cold"]]
     return {
         "scatter": scatter_plot(comparison),
-        "scatter_legend": legend(comparison),
-        "bars": bars(figures),
+        "scatter_legend": scatter_legend(comparison),
+        "bars": bar_chart(figures),
         "bars_legend": bars_legend(figures),
         "cut": "A bar with a cut is longer than the axis; its stages keep their proportions." if exceeds_axis(figures) else "",
         "options": "".join(tag("option", escape(f["name"]), value=k) for k, f in enumerate(figures)),

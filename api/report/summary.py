@@ -33,7 +33,7 @@ def format_summary(comparison: Comparison) -> list[str]:
     summary = _SummaryWriter(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.error_of(f)))
     return [
-        *summary.extreme_sentences(rows), *summary.price_sentences(front), *_default_sentences(rows, comparison),
+        *summary.extreme_sentences(rows), *summary.cost_sentences(front), *_default_sentences(rows, comparison),
         *_softest_sentences(rows, comparison.error),
         *summary.failure_sentences(rows), *_dominated_sentences(rows, comparison.light),
     ]  # fmt: skip
@@ -63,18 +63,18 @@ class _SummaryWriter:
     ----------
     error
         Key of the error among the figures of a row.
-    exact_to
+    max_exact_error
         Errors up to this value count as exact.
     """
 
     error: str
-    exact_to: float
+    max_exact_error: float
 
     def error_of(self, figures: RowFigures) -> float:
         return float(figures[self.error])
 
     def is_exact(self, figures: RowFigures) -> bool:
-        return self.error_of(figures) <= self.exact_to
+        return self.error_of(figures) <= self.max_exact_error
 
     def extreme_sentences(self, rows: list[RowFigures]) -> list[str]:
         fastest = min(rows, key=lambda f: (f["ms_median"], self.error_of(f)))
@@ -93,16 +93,16 @@ class _SummaryWriter:
             accuracy_sentence = f"The most accurate is {best['name']}: {self._result(best)}"
         return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{accuracy_sentence}{times}."]
 
-    def price_sentences(self, front: list[RowFigures]) -> list[str]:
+    def cost_sentences(self, front: list[RowFigures]) -> list[str]:
         sentences, current = [], front[0] if front else None
         while current is not None and not self.is_exact(current):
             next_ = next((f for f in front if self.is_exact(f) or self.error_of(f) <= self.error_of(current) / 2.0), None)
             if next_ is not None and current["ms_median"] > 0.0:
-                sentences.append(self._price_sentence(current, next_))
+                sentences.append(self._cost_sentence(current, next_))
             current = next_
         return sentences
 
-    def _price_sentence(self, current: RowFigures, better: RowFigures) -> str:
+    def _cost_sentence(self, current: RowFigures, better: RowFigures) -> str:
         ratio = better["ms_median"] / current["ms_median"]
         cost_clause = (
             f"{f'costs {_format_ratio(ratio)} the' if ratio >= EQUAL_TIME_RATIO else 'takes hardly more'} time "

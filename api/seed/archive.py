@@ -26,22 +26,22 @@ from skugga.terrain.errors import InputError, Problem
 
 DIGEST_BYTES = 16
 
-DEDUPLICATED_BELOW_BYTES = 2048
+DEDUPLICATION_LIMIT_BYTES = 2048
 """Equal tiles of fewer bytes are stored once. Such tiles have one colour, or nearly so.
 
 Equal larger tiles are rare, and finding them would cost memory for every tile.
 """
 
-ROOT_END = 16_384
-"""Upper bound of the header and root directory in bytes (specification): readers fetch them in one request."""
+MAX_ROOT_END = 16_384
+"""Upper bound in bytes of the end of the root directory (specification): readers fetch header and root in one request."""
 
-ROOT_ENTRIES = 16_384
-"""With more entries a root directory without leaves is not tried, since it hardly ever fits."""
+MAX_ROOT_ENTRIES = 16_384
+"""Maximum number of entries for which a root directory without leaves is tried. With more it hardly ever fits."""
 
-LEAF_ENTRIES = 4096
-"""Initial number of entries of a leaf directory: some 20 KB, one request of a reader."""
+INITIAL_LEAF_ENTRIES = 4096
+"""Number of entries of a leaf directory that is tried first: some 20 KB, one request of a reader."""
 
-_TILE = np.dtype([("id", "<u8"), ("length", "<u4"), ("digest", "u1", (DIGEST_BYTES,))])
+TILE_RECORD_DTYPE = np.dtype([("id", "<u8"), ("length", "<u4"), ("digest", "u1", (DIGEST_BYTES,))])
 """Binary record of a tile in an index."""
 
 
@@ -77,19 +77,19 @@ class ShardIndex:
 
     def to_bytes(self) -> bytes:
         """Return the index as bytes, 28 per tile."""
-        table = np.empty(len(self.ids), _TILE)
+        table = np.empty(len(self.ids), TILE_RECORD_DTYPE)
         table["id"], table["length"], table["digest"] = self.ids, self.lengths, self.digests
         return table.tobytes()
 
     @classmethod
     def from_bytes(cls, blob: bytes) -> ShardIndex:
         """Return the index that ``to_bytes`` wrote. Raises ``ValueError`` for bytes of a wrong length."""
-        table = np.frombuffer(blob, _TILE)
+        table = np.frombuffer(blob, TILE_RECORD_DTYPE)
         return cls(*(np.ascontiguousarray(table[name]) for name in ("id", "length", "digest")))
 
 
 @dataclass(frozen=True)
-class ArchiveFacts:
+class ArchiveMetadata:
     """The metadata of an archive.
 
     Attributes
@@ -155,7 +155,7 @@ class _Layout:
     data_bytes: int
 
 
-def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int], bytes], facts: ArchiveFacts) -> ArchiveSize:
+def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int], bytes], facts: ArchiveMetadata) -> ArchiveSize:
     """Write the tiles of shards as a PMTiles archive, atomically. Equal tiles and facts give equal bytes.
 
     The tile ids of the indexes ascend from shard to shard. ``read(i)`` returns shard i's bytes; it is called once per shard, in
@@ -165,7 +165,7 @@ def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int
     unordered ids or ids outside of the zooms, ``OSError``, and the errors of ``read``.
     """
     layout = _layout(indexes, facts)
-    head = _head(layout, facts)
+    head = _encode_head(layout, facts)
     with atomic_path(path) as part, part.open("wb") as file:
         file.write(head)
         first = 0
@@ -175,7 +175,7 @@ def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int
     return ArchiveSize(len(head) + layout.data_bytes, len(layout.stored), len(layout.ids), int(np.count_nonzero(layout.stored)))
 
 
-def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
+def _layout(indexes: Sequence[ShardIndex], facts: ArchiveMetadata) -> _Layout:
     ids = np.concatenate([np.empty(0, np.uint64), *(index.ids for index in indexes)])
     lengths = np.concatenate([np.empty(0, np.uint32), *(index.lengths for index in indexes)])
     digests = np.concatenate([np.empty((0, DIGEST_BYTES), np.uint8), *(index.digests for index in indexes)])
@@ -194,7 +194,7 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     run_lengths = np.diff(np.append(entry_starts, len(ids))).astype(np.uint64)
     # The entry whose bytes each entry refers to: the first equal one.
     source = np.arange(len(entry_starts))
-    small = np.flatnonzero(lengths[entry_starts] < DEDUPLICATED_BELOW_BYTES)
+    small = np.flatnonzero(lengths[entry_starts] < DEDUPLICATION_LIMIT_BYTES)
     _, first, inverse = np.unique(keys[entry_starts[small]], return_index=True, return_inverse=True)
     source[small] = small[first[inverse]]
     copied = source == np.arange(len(entry_starts))
@@ -205,8 +205,8 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     return _Layout(stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, run_lengths, int(ends[-1]))
 
 
-def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
-    """Return everything that precedes the tiles' bytes."""
+def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
+    """Return the header, the directories and the metadata, which precede the tiles' bytes."""
     root, leaves = _directories(layout)
     metadata = gzip.compress(json.dumps(dict(facts.metadata), sort_keys=True, allow_nan=False).encode(), mtime=0)
     west, south, east, north = facts.bounds
@@ -249,12 +249,12 @@ def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
     """Return the root directory and the leaf directories. Leaves hold more and more entries until the root fits its size limit."""
-    count, max_root_bytes = len(layout.ids), ROOT_END - HEADER_BYTES
-    if count <= ROOT_ENTRIES:
+    count, max_root_bytes = len(layout.ids), MAX_ROOT_END - HEADER_BYTES
+    if count <= MAX_ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
         if len(root) <= max_root_bytes:
             return root, b""
-    leaf_entries = LEAF_ENTRIES
+    leaf_entries = INITIAL_LEAF_ENTRIES
     while True:
         root_entries, leaves = [], bytearray()
         for first in range(0, count, leaf_entries):

@@ -18,17 +18,17 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 
 from skugga.api.seed.messages import Task, TaskFailure, TaskResult
-from skugga.api.seed.storage import store_at
+from skugga.api.seed.storage import open_store
 from skugga.terrain.errors import GraphicsError, InputError, Problem, RenderError
 
 if TYPE_CHECKING:
     from skugga.api.seed.run_spec import RunSpec
 
 CLUSTER_TIMEOUT_S = 120.0
-"""Timeout of a lost scheduler's return, and of the first worker: either may be restarting."""
+"""Maximum seconds to wait for a lost scheduler, or for the first worker: either may be restarting."""
 
-WORKER_POLL_S = 1.0
-"""Interval between queries for the list of workers."""
+WORKER_POLL_INTERVAL_S = 1.0
+"""Seconds between two queries for the list of workers."""
 
 TASKS_PER_WORKER = 2
 """Tasks queued per worker: the one being drawn, and the next one."""
@@ -64,7 +64,7 @@ class DaskCluster:
         self._finished_futures: Queue[tuple[int, Any]] = Queue()
         self._refused: dict[str, str] = {}
         self._workers: list[str] = []
-        self._polled_at_s, self._present_at_s = -WORKER_POLL_S, clock.monotonic()
+        self._polled_at_s, self._present_at_s = -WORKER_POLL_INTERVAL_S, clock.monotonic()
         try:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -73,12 +73,12 @@ class DaskCluster:
             ) from None
         self._warm_up()
 
-    def begin(self, spec: RunSpec, shards: str) -> DaskCluster:
+    def prepare_run(self, spec: RunSpec, store_address: str) -> DaskCluster:
         """Prepare the workers for a run, and return this cluster. Raises ``OSError`` if the shard store is not writable."""
         content = spec.model_dump_json().encode()
         name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
-        store_at(shards).write(name, content)
-        self._run, self._present_at_s = (shards, name), clock.monotonic()
+        open_store(store_address).write(name, content)
+        self._run, self._present_at_s = (store_address, name), clock.monotonic()
         return self
 
     def free_lanes(self) -> Sequence[int]:
@@ -100,7 +100,7 @@ class DaskCluster:
                 workers=eligible if self._refused else None,
             )
         except SCHEDULER_LOST_ERRORS:
-            self._polled_at_s = -WORKER_POLL_S  # it is resubmitted once the scheduler returns
+            self._polled_at_s = -WORKER_POLL_INTERVAL_S  # it is resubmitted once the scheduler returns
             return
         self._running[task.id] = task, future
         future.add_done_callback(lambda completed, number=task.id: self._finished_futures.put((number, completed)))
@@ -112,7 +112,7 @@ class DaskCluster:
         until = clock.monotonic() + timeout_s
         while not outcomes and (left := until - clock.monotonic()) > 0.0:
             try:
-                number, future = self._finished_futures.get(timeout=min(left, WORKER_POLL_S))
+                number, future = self._finished_futures.get(timeout=min(left, WORKER_POLL_INTERVAL_S))
             except Empty:
                 self._update_workers()
                 continue
@@ -133,9 +133,9 @@ class DaskCluster:
         with suppress(Exception):
             self._client.close(timeout=5.0)
         if self._run is not None:
-            shards, name = self._run
+            store_address, name = self._run
             with suppress(OSError):
-                store_at(shards).delete([name])
+                open_store(store_address).delete([name])
 
     def _warm_up(self) -> None:
         """Start a render process on every worker that is present, and on each one that joins later."""
@@ -170,7 +170,7 @@ class DaskCluster:
     def _update_workers(self) -> None:
         """Update the list of workers. Raises ``RenderError`` if no worker has been present for long."""
         now_s = clock.monotonic()
-        if now_s - self._polled_at_s < WORKER_POLL_S:
+        if now_s - self._polled_at_s < WORKER_POLL_INTERVAL_S:
             return
         self._polled_at_s = now_s
         if self._client.status != "running":

@@ -13,7 +13,7 @@ from distributed import WorkerPlugin, get_worker
 
 from skugga.api.seed.messages import RunReady, Task, TaskFailure, TaskResult
 from skugga.api.seed.render_process import RenderProcess, thread_environment
-from skugga.api.seed.storage import store_at
+from skugga.api.seed.storage import open_store
 from skugga.terrain.errors import GraphicsError
 
 
@@ -34,11 +34,11 @@ class PersistentProcess:
             finally:
                 self._lock.release()
 
-    def draw(self, shards: str, spec: str, task: Task) -> TaskResult | TaskFailure:
+    def draw(self, store_address: str, spec: str, task: Task) -> TaskResult | TaskFailure:
         """Draw a task of a run."""
         with self._lock:
             try:
-                process = self._process_for((shards, spec))
+                process = self._process_for((store_address, spec))
                 process.draw(task)
                 message = process.receive()
                 assert not isinstance(message, RunReady)
@@ -51,7 +51,7 @@ class PersistentProcess:
                 return TaskFailure(task.id, str(ended), "died")
 
     def end(self) -> None:
-        """End the process unless it is drawing. A process that draws belongs to another run, or ends when the next run begins."""
+        """End the process unless it draws. A process that draws belongs to another run, or ends when the next run begins."""
         if self._lock.acquire(blocking=False):
             try:
                 self._end()
@@ -64,7 +64,7 @@ class PersistentProcess:
         if self._process is None:
             self._process = RenderProcess(thread_environment(1))
         if self._run is None:
-            self._process.begin(store_at(run[0]).read(run[1]).decode(), run[0])
+            self._process.prepare_run(open_store(run[0]).read(run[1]).decode(), run[0])
             self._process.receive()
             self._run = run
         return self._process
@@ -91,6 +91,6 @@ class WarmUpPlugin(WorkerPlugin):
         persistent_process.end()
 
 
-def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> TaskResult | TaskFailure:
+def draw_on_worker(store_address: str, spec: str, task: tuple[Any, ...]) -> TaskResult | TaskFailure:
     """Draw a task on a Dask worker. ``spec`` names the file in the shard store that holds the ``RunSpec``."""
-    return replace(persistent_process.draw(shards, spec, Task(*task)), worker=get_worker().address)
+    return replace(persistent_process.draw(store_address, spec, Task(*task)), worker=get_worker().address)

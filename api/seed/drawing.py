@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pmtiles.tile import zxy_to_tileid
 
 from skugga.api.compute import compute, draw_picture
-from skugga.api.products import SEEDED_PRODUCTS, product_named
+from skugga.api.products import SEED_PRODUCTS, product_named
 from skugga.api.products.product import PICTURE_FORMATS
 from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import Task, TaskResult
@@ -29,7 +29,7 @@ RSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
 """Unit of ``ru_maxrss`` in ``getrusage``."""
 
 
-class Drawer:
+class TaskDrawer:
     """Draw tasks of one run, with its level open."""
 
     def __init__(self, spec: RunSpec, store: ShardStore) -> None:
@@ -78,9 +78,9 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
     return dict(sorted(by_id.items())), clock.perf_counter() - start
 
 
-def check_seeded_format(layer: str, format: str) -> None:
+def check_tile_format(layer: str, format: str) -> None:
     """Raise ``InputError`` if tiles of a product cannot be drawn in advance in a format."""
-    product = product_named(layer, SEEDED_PRODUCTS, "--layer")
+    product = product_named(layer, SEED_PRODUCTS, "--layer")
     formats = [picture_format for picture_format in PICTURE_FORMATS if picture_format in product.map_formats]
     if format not in formats:
         raise InputError("--format", format, f"{', '.join(formats)} for layer {layer}")

@@ -14,13 +14,13 @@ import numpy as np
 
 from skugga.terrain.ground.elevation import Elevation
 
-MIN_SIDE = 64
+MIN_CHUNK_CELLS = 64
 """Side of a chunk in cells. It doubles for large rasters until ``MAX_CHUNKS`` suffice."""
 
 MAX_CHUNKS = 16_384
 """Upper bound of the number of chunks of a raster."""
 
-READ_CELLS = 2**23
+MAX_READ_CELLS = 2**23
 """Number of cells read at once."""
 
 CHUNK_DIGEST_BYTES = 16
@@ -70,14 +70,14 @@ class GroundChunks:
 
 def ground_chunks(elevation: Elevation) -> GroundChunks:
     """Compute the chunks of a raster, which is read once. Raises ``SourceError`` for an unreadable part."""
-    side = MIN_SIDE
+    side = MIN_CHUNK_CELLS
     while -(-elevation.rows // side) * -(-elevation.cols // side) > MAX_CHUNKS:
         side *= 2
     shape = -(-elevation.rows // side), -(-elevation.cols // side)
     factors = [factor for factor in elevation.overview_factors if factor <= side]
     digests = np.zeros((*shape, CHUNK_DIGEST_BYTES), np.uint8)
     low_m, high_m = (np.full(shape, np.nan, np.float32) for _ in range(2))
-    has_nodata, chunks_per_read = False, max(READ_CELLS // side // side, 1)
+    has_nodata, chunks_per_read = False, max(MAX_READ_CELLS // side // side, 1)
     for i in range(shape[0]):
         for first in range(0, shape[1], chunks_per_read):
             rows = slice(i * side, min((i + 1) * side, elevation.rows))

@@ -40,14 +40,14 @@ from skugga.terrain.scene import Scene
 GLOBAL_EFFECTS = frozenset({"clouds", "lamps"})
 """Effects that make a picture depend on ground anywhere."""
 
-LATTICE_PARTS = 4
-"""Parts per side of a block. The lattice of their corners bounds the block's ground."""
+LATTICE_INTERVALS = 4
+"""Intervals per side of the lattice of points that bounds a block's ground."""
 
 MARGIN_PX, MARGIN_CELLS = 8, 8
-"""Margins on which a block's normals and bilinear heights depend: pixels around the block, and cells around these pixels."""
+"""Margins that a block's normals and bilinear heights need: pixels around the block, and cells around these pixels."""
 
 SHADOW_MARGIN_DEG = 0.3
-"""Half of the sun's disc, plus slightly more than terrestrial refraction bends a ray of 100 km."""
+"""Angular margin of shadows: the sun's angular radius, plus terrestrial refraction over 100 km."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +58,12 @@ class _Chunks:
     ----------
     top_earth_m : (n, 3)
         Points above the chunks' middles at the height of their highest ground, in earth-fixed coordinates, metres.
-    half_m : (n,)
+    half_diagonal_m : (n,)
         Half of the chunks' diagonals, metres.
     """
 
     top_earth_m: np.ndarray
-    half_m: np.ndarray
+    half_diagonal_m: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class GroundDependencies:
         shape = self._chunks.low_m.shape
         if plan is not None and plan.effect_names & GLOBAL_EFFECTS:
             return [np.ones(shape, np.bool_) for _ in blocks]
-        sunlit = None if plan is None else self._tops_in_sun(plan)
+        sunlit = None if plan is None else self._sunlit_chunks(plan)
         masks = []
         for x, y in blocks:
             visible_chunks = self._visible_chunks(grid, x, y)
@@ -141,8 +141,8 @@ class GroundDependencies:
             )
         return masks
 
-    def data_shares(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
-        """Return the approximate share of each block that lies on the raster, 0 to 1."""
+    def data_fractions(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
+        """Return the approximate fraction of each block that lies on the raster, 0 to 1."""
         rows, cols = self._scene.elevation.shape
         shares = []
         for x, y in blocks:
@@ -182,7 +182,7 @@ class GroundDependencies:
         in_cols = (first_col <= right + 0.5) & (first_col + self._chunks.side > left - 0.5)
         return in_rows[:, None] & in_cols[None, :]
 
-    def _tops_in_sun(self, plan: Plan) -> _SunlitChunks | None:
+    def _sunlit_chunks(self, plan: Plan) -> _SunlitChunks | None:
         """Return the chunks' highest points in light space; ``None`` if the plan casts no shadow of the sun."""
         scene = with_apparent_sun(self._scene, plan.effect_names)
         if scene.sun is None or not scene.sun_is_up or not plan.casts_shadows:
@@ -210,7 +210,7 @@ class GroundDependencies:
         receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
         lower, upper, top_points_light_m = receivers.min(axis=0), receivers.max(axis=0), sunlit.top_points_light_m
         distance_m = np.maximum(upper[2] - top_points_light_m[:, 2], 0.0)
-        margin_m = self._points.half_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m
+        margin_m = self._points.half_diagonal_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m
         if not sunlit.is_per_point:
             step_m = map_pixel_m(scene.world, block_of_grid(grid, x, y))
             margin_m = margin_m + np.maximum(PATCH_QUADS * step_m, distance_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(
@@ -249,16 +249,16 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
     corners, _ = scene.world.ground(elevation.crs, *elevation.xy(corner_row, corner_col))
     middle_col, middle_row = np.meshgrid((ends[1][1:] + ends[1][:-1]) / 2, (ends[0][1:] + ends[0][:-1]) / 2)
     middles, up = scene.world.ground(elevation.crs, *elevation.xy(middle_row, middle_col))
-    half_m = np.max(
+    half_diagonal_m = np.max(
         [np.linalg.norm(corners[i : i + rows, j : j + cols] - middles, axis=-1) for i in (0, 1) for j in (0, 1)], axis=0
     )
     top = middles + chunks.high_m[..., None].astype(np.float64) * up  # NaN without ground: it shades nothing
-    return _Chunks(top.reshape(-1, 3), half_m.ravel())
+    return _Chunks(top.reshape(-1, 3), half_diagonal_m.ravel())
 
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     """Return map coordinates x and y of a regular lattice of points over a block and a small margin."""
-    steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_PARTS + 1)
+    steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_INTERVALS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 

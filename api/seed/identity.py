@@ -19,7 +19,7 @@ from skugga.terrain.scene import Scene
 KEYS_WITHOUT_EFFECT = {"title", "attribution", "views", "shadows", "sun", "archive"}
 """Keys of a level that do not affect tiles directly. The plans include ``shadows``, and the sun has its own digest."""
 
-READ_BYTES = 2**20
+READ_BLOCK_BYTES = 2**20
 
 
 def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
@@ -36,7 +36,7 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
     return digest_of_json([_without_paths(settings, contents), facts])
 
 
-def ground_chunks_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
+def cached_ground_chunks(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
     """Return the digests of a level's ground by chunk. They are recomputed only if one of the ground's files has changed.
 
     Raises ``SourceError``.
@@ -122,5 +122,5 @@ def _digest_of_bytes(path: Path) -> str:
 
 
 def _file_parts(file: Any) -> Iterable[bytes]:
-    while part := file.read(READ_BYTES):
+    while part := file.read(READ_BLOCK_BYTES):
         yield part

@@ -8,13 +8,13 @@ from multiprocessing.connection import wait
 from typing import Protocol
 
 from skugga.api.seed.messages import RunReady, Task, TaskFailure, TaskResult
-from skugga.api.seed.render_process import START_LIMIT_S, RenderProcess, thread_environment
+from skugga.api.seed.render_process import START_TIMEOUT_S, RenderProcess, thread_environment
 from skugga.api.seed.run_spec import RunSpec
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import GraphicsError
 
 MAX_FAILED_STARTS = 5
-"""Upper bound of starts in a row, per process, that draw nothing before they end or hang. More indicates a common cause."""
+"""Maximum number of starts in a row, per process, that draw nothing. More failures indicate a common cause."""
 
 
 class Runner(Protocol):
@@ -42,17 +42,17 @@ class LocalPool:
     A process that dies or hangs is replaced. Its task then ends with a ``TaskFailure`` of the kind ``died``.
     """
 
-    def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
-        self._environment, self._start_limit_s = thread_environment(max(usable_cores() // workers, 1)), start_limit_s
+    def __init__(self, workers: int, start_timeout_s: float = START_TIMEOUT_S) -> None:
+        self._environment, self._start_timeout_s = thread_environment(max(usable_cores() // workers, 1)), start_timeout_s
         self._failed_starts = 0
         self._run: tuple[str, str] | None = None
         self._processes = [self._start_process(number) for number in range(workers)]
 
-    def begin(self, spec: RunSpec, shards: str) -> LocalPool:
+    def prepare_run(self, spec: RunSpec, store_address: str) -> LocalPool:
         """Prepare the processes for a run, and return this pool."""
-        self._run = spec.model_dump_json(), shards
+        self._run = spec.model_dump_json(), store_address
         for process in self._processes:
-            process.begin(*self._run)
+            process.prepare_run(*self._run)
         return self
 
     def free_lanes(self) -> Sequence[int]:
@@ -97,7 +97,7 @@ class LocalPool:
         return [process.pid for process in self._processes]
 
     def _start_process(self, number: int) -> RenderProcess:
-        return RenderProcess(self._environment, self._start_limit_s, number)
+        return RenderProcess(self._environment, self._start_timeout_s, number)
 
     def _replace(self, process: RenderProcess, reason: str) -> list[TaskFailure]:
         lost_task = process.task
@@ -110,5 +110,5 @@ class LocalPool:
         number = self._processes.index(process)
         replacement = self._processes[number] = self._start_process(number)
         assert self._run is not None
-        replacement.begin(*self._run)
+        replacement.prepare_run(*self._run)
         return [] if lost_task is None else [TaskFailure(lost_task.id, reason, "died")]

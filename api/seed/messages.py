@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-MIN_LIMIT_S = 600.0
+MIN_TASK_TIMEOUT_S = 600.0
 """Minimum timeout of a task in seconds. A task whose loops are not compiled yet takes minutes."""
 
 
@@ -25,8 +25,8 @@ class Task(NamedTuple):
         The block.
     shard : str
         Name of the shard for its tiles.
-    limit_s : float
-        Timeout in seconds. After it the process that draws the task counts as hung.
+    timeout_s : float
+        Timeout in seconds, after which the process that draws the task counts as hung.
     """
 
     id: int
@@ -35,7 +35,7 @@ class Task(NamedTuple):
     x: int
     y: int
     shard: str
-    limit_s: float
+    timeout_s: float
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,18 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class StartRun:
-    """Request to a process to prepare for the tasks of a run: the ``RunSpec`` as JSON, and the place of the shards."""
+    """Request to a process to prepare for the tasks of a run.
 
-    spec: str
-    shards: str
+    Attributes
+    ----------
+    spec_json : str
+        The ``RunSpec`` as JSON.
+    store_address : str
+        Folder or address of the shard store.
+    """
+
+    spec_json: str
+    store_address: str
 
 
 @dataclass(frozen=True)

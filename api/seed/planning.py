@@ -12,11 +12,11 @@ from pmtiles.tile import zxy_to_tileid
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from skugga.api.matrices import (
-    OVERZOOMS,
+    MAX_OVERZOOM,
     LonLatBounds,
     ZoomRange,
     detail_m,
-    extent_shows_no_data,
+    is_extent_without_data,
     matrix_set_of,
     tile_limits,
     zoom_range,
@@ -25,14 +25,14 @@ from skugga.api.products.product import MapFormat
 from skugga.api.request import PictureRequest, ProductRequest
 from skugga.api.seed.archive import first_tile_id
 from skugga.api.seed.ground_dependencies import GroundDependencies
-from skugga.api.seed.identity import digest_of_json, ground_chunks_of, level_digest, plan_digest
+from skugga.api.seed.identity import cached_ground_chunks, digest_of_json, level_digest, plan_digest
 from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
-from skugga.api.seed.task_table import KeyParts, PlannedTask, TaskTable
+from skugga.api.seed.task_table import InputDigests, PlannedTask, TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
 from skugga.api.workers.block_views import block_of_grid
-from skugga.api.workers.jobs import LevelKey, Tiles
-from skugga.api.workers.map_plans import plan_in_service
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.jobs import LevelKey, ZoomTiles
+from skugga.api.workers.map_plans import select_view_plan
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan
@@ -53,8 +53,8 @@ DEFAULT_TASK_S = 0.25
 SHADING_OVERHEAD_S = 0.15
 """Seconds that ground, shading and files add to the predicted duration of a task whose block is full of data."""
 
-MIN_TASK_SHARE = 0.05
-"""Duration of a task that shows hardly any data, relative to a task whose block is full of data."""
+MIN_TASK_COST_RATIO = 0.05
+"""Minimum duration of a task, relative to a task whose block is full of data."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _make_spec(
 ) -> RunSpec:
     table.put(asked=b"")  # an interrupted planning is repeated
     on_status("Reading the ground")
-    ground = GroundDependencies(scene, ground_chunks_of(loaded, scene, table))
+    ground = GroundDependencies(scene, cached_ground_chunks(loaded, scene, table))
     product, overrides = request.product_request.product_record, request.product_request.overrides
     request_values = [level_digest(loaded, scene, table), request.format, request.product_request.model_dump(mode="json")]
     # The range of heights scales colours, and its middle places lines towards the sun.
@@ -186,10 +186,10 @@ def _make_spec(
                 plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
             digests = ground_under_sun.digests(grid, blocks, plan, product.is_display)
-            shares = ground_under_sun.data_shares(grid, blocks)
-            whole_s, planned = _full_task_s(plan, zoom, measured_costs), plan_digest(plan)
+            shares = ground_under_sun.data_fractions(grid, blocks)
+            whole_s, planned = _full_block_task_s(plan, zoom, measured_costs), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
-                parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, MIN_TASK_SHARE)
+                parts, share = InputDigests(drawn_by, settings, planned, heights, digest.hex()), max(on_data, MIN_TASK_COST_RATIO)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
     table.set_tasks(tasks)
     return RunSpec(
@@ -205,17 +205,17 @@ class _Planner:
         self._table, self._level, self._overrides = table, level, overrides
         settings = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
         self._request_digest = digest_of_json([settings, repr(sorted(overrides.items()))])
-        self._plan_basis: PlanBasis | None = None
+        self._plan_measurements: PlanMeasurements | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
         """Return the plan of a zoom under a scene's sun. ``sun`` is the sun's name in the table. Raises ``SkuggaError``."""
         stored_plan = self._table.plan(sun, zoom, self._request_digest)
         if stored_plan is not None:
             return Plan.model_validate_json(stored_plan)
-        if self._plan_basis is None:
-            self._plan_basis = _plan_basis(self._level)
-        view = representative_block(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
-        plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._plan_basis)
+        if self._plan_measurements is None:
+            self._plan_measurements = _plan_measurements(self._level)
+        view = representative_block(scene, ZoomTiles(matrix_set=MATRIX_SET, zoom=zoom))
+        plan = select_view_plan(scene, view, "map", self._overrides, self._level, self._plan_measurements)
         self._table.put_plan(sun, zoom, self._request_digest, plan.model_dump_json())
         return plan
 
@@ -226,12 +226,12 @@ def _level_sun_values(scene: Scene) -> Any:
     return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
-def _plan_basis(level: LevelKey) -> PlanBasis:
-    """Return the inputs from which a service on this machine would plan: the calibration and the saved probes of the level."""
+def _plan_measurements(level: LevelKey) -> PlanMeasurements:
+    """Return the measurements of a service on this machine: the calibration and the saved probes of the level."""
     if local_renderer() == NO_OPENGL:
-        return PlanBasis()
+        return PlanMeasurements()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
-    return PlanBasis(calibration(), {level.version: probes.model_dump_json()})
+    return PlanMeasurements(calibration(), {level.version: probes.model_dump_json()})
 
 
 def _renderer_of(table: TaskTable) -> str:
@@ -259,7 +259,7 @@ def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLat
     served_zooms, ground_zooms = (zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (detail_m(scene), cell_m))
     if served_zooms is None or ground_zooms is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
-    native_zoom = max(ground_zooms.last - OVERZOOMS, served_zooms.first)
+    native_zoom = max(ground_zooms.last - MAX_OVERZOOM, served_zooms.first)
     if requested is not None and not 0 <= requested.first <= requested.last <= served_zooms.last:
         allowed = f"zooms 0 to {served_zooms.last} in ascending order (full resolution at zoom {native_zoom})"
         raise InputError("--zooms", f"{requested.first}-{requested.last}", allowed)
@@ -282,7 +282,7 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
     if (left, right) != (0, side - 1):
         return blocks
     grid = tile_grid(matrix_set, zoom)  # all longitudes, or across the antimeridian
-    return [(x, y) for x, y in blocks if not extent_shows_no_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
+    return [(x, y) for x, y in blocks if not is_extent_without_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
 
 
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
@@ -294,7 +294,7 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
 
 
-def _full_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:
+def _full_block_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:
     """Return the expected seconds of a task whose block is full of data: measured at its zoom, or predicted by the plan."""
     if zoom in measured_costs:
         return measured_costs[zoom][0]

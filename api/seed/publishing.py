@@ -17,7 +17,7 @@ from pmtiles.tile import tileid_to_zxy
 from skugga.api.catalogue import ARCHIVE_SUFFIX
 from skugga.api.errors import BrokenShardError
 from skugga.api.file_stamps import file_stamps
-from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.seed.archive import ArchiveMetadata, ShardIndex, write_archive
 from skugga.api.seed.planning import PlannedRun
 from skugga.api.seed.run_spec import MATRIX_SET
 from skugga.api.seed.running import shard_name
@@ -73,7 +73,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
         try:
             if is_archive(output):
                 remove_partial_files(output)
-                write_archive(output, indexes, read, _archive_facts(run, sun))
+                write_archive(output, indexes, read, _archive_metadata(run, sun))
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
@@ -87,7 +87,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
 def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, str, bytes]]) -> str:
     """Return a digest of all that determines the content of an output."""
-    digest = hashlib.blake2b(repr(_archive_facts(run, sun)).encode(), digest_size=16)
+    digest = hashlib.blake2b(repr(_archive_metadata(run, sun)).encode(), digest_size=16)
     for _, key, tiles in finished_tasks:
         digest.update(key.encode() + tiles)
     return digest.hexdigest()
@@ -97,7 +97,7 @@ def _stamp(output: Path) -> str:
     return repr(file_stamps([output if is_archive(output) else output / MANIFEST_NAME]))
 
 
-def _archive_facts(run: PlannedRun, sun: str) -> ArchiveFacts:
+def _archive_metadata(run: PlannedRun, sun: str) -> ArchiveMetadata:
     spec, level = run.spec, run.loaded.level
     title = level.title or run.loaded.name
     query = spec.request(run.sun_names.index(sun)).product_query()
@@ -107,7 +107,7 @@ def _archive_facts(run: PlannedRun, sun: str) -> ArchiveFacts:
         "skugga": {"level": run.loaded.name, "layer": spec.layer, "format": spec.format, "tms": MATRIX_SET, "query": query},
     }  # fmt: skip
     format = cast(Literal["png", "webp", "jpg"], spec.format)
-    return ArchiveFacts(format, run.bounds, run.zooms.first, run.zooms.last, metadata)
+    return ArchiveMetadata(format, run.bounds, run.zooms.first, run.zooms.last, metadata)
 
 
 def _write_folder(
@@ -156,7 +156,7 @@ def _delete_tiles(output: Path, index: ShardIndex, format: str) -> None:
 
 def _tile_json(run: PlannedRun, sun: str) -> str:
     """Return the TileJSON 3.0.0: https://github.com/mapbox/tilejson-spec/tree/master/3.0.0."""
-    facts = _archive_facts(run, sun)
+    facts = _archive_metadata(run, sun)
     west, south, east, north = facts.bounds
     fields = {
         "tilejson": "3.0.0", "tiles": [f"{{z}}/{{x}}/{{y}}.{facts.format}"],

@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from skugga.api.seed.messages import RunReady, RunRefused, StartRun, Task, TaskFailure, TaskResult
-from skugga.api.seed.storage import store_at
+from skugga.api.seed.storage import open_store
 from skugga.terrain.compiling.ahead_of_time import compile_ahead
 from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.cores import usable_cores
@@ -28,13 +28,13 @@ from skugga.terrain.gl.egl_devices import set_process_number
 from skugga.terrain.level.gdal_guard import forbid_code
 
 if TYPE_CHECKING:
-    from skugga.api.seed.drawing import Drawer
+    from skugga.api.seed.drawing import TaskDrawer
     from skugga.api.seed.run_spec import RunSpec
 
-START_LIMIT_S = 600.0
+START_TIMEOUT_S = 600.0
 """Timeout of a process's readiness for a run. Compiling missing loops takes minutes."""
 
-DRAW_TASKS = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
+DRAW_TASKS_CODE = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
 DIED_REASON = "its render process ended while drawing it"
 
@@ -45,30 +45,30 @@ log = logging.getLogger("skugga.worker")
 
 
 class RenderProcess:
-    """A child process that draws one task at a time. It warms up, then waits for ``begin``. Use it from one thread.
+    """A child process that draws one task at a time. It warms up, then waits for ``prepare_run``. Use it from one thread.
 
-    Every request has a timeout: ``start_limit_s``, or the limit of a task. After it the process counts as hung. ``number``
+    Every request has a timeout: ``start_timeout_s``, or the limit of a task. After it the process counts as hung. ``number``
     distinguishes the processes of a machine.
     """
 
-    def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S, number: int = 0) -> None:
+    def __init__(self, environment: Mapping[str, str], start_timeout_s: float = START_TIMEOUT_S, number: int = 0) -> None:
         parent_end, child_end = socket.socketpair()
         with child_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", DRAW_TASKS, str(child_end.fileno()), str(number)],
+                [sys.executable, "-c", DRAW_TASKS_CODE, str(child_end.fileno()), str(number)],
                 pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
         self.connection = Connection(parent_end.detach())
         self.is_ready = False
         self.task: Task | None = None
-        self._start_limit_s = start_limit_s
+        self._start_timeout_s = start_timeout_s
         self._set_deadline(None)
 
-    def begin(self, spec: str, shards: str) -> None:
+    def prepare_run(self, spec_json: str, store_address: str) -> None:
         """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness."""
-        self._set_deadline(self._start_limit_s)
+        self._set_deadline(self._start_timeout_s)
         try:
-            self.connection.send(StartRun(spec, shards))
+            self.connection.send(StartRun(spec_json, store_address))
         except OSError:
             pass  # it has ended: ``receive`` reports that
 
@@ -94,7 +94,7 @@ class RenderProcess:
         except (EOFError, OSError):
             raise EOFError(DIED_REASON) from None
         if timed_out:
-            raise EOFError(f"its render process did not answer within {self._limit_s:g} s")
+            raise EOFError(f"its render process did not answer within {self._timeout_s:g} s")
         if isinstance(message, RunRefused):
             raise GraphicsError(message.error)
         if isinstance(message, RunReady):
@@ -107,7 +107,7 @@ class RenderProcess:
     def draw(self, task: Task) -> None:
         """Start to draw a task. ``receive`` returns its result, and also reports if the process has ended."""
         self.task = task
-        self._set_deadline(task.limit_s)
+        self._set_deadline(task.timeout_s)
         try:
             self.connection.send(task)
         except OSError:
@@ -120,8 +120,8 @@ class RenderProcess:
             self._process.wait(EXIT_TIMEOUT_S)
         self.connection.close()
 
-    def _set_deadline(self, limit_s: float | None) -> None:
-        self._limit_s, self._deadline = limit_s, None if limit_s is None else clock.monotonic() + limit_s
+    def _set_deadline(self, timeout_s: float | None) -> None:
+        self._timeout_s, self._deadline = timeout_s, None if timeout_s is None else clock.monotonic() + timeout_s
 
 
 def thread_environment(threads: int) -> dict[str, str]:
@@ -142,17 +142,17 @@ def draw_tasks(descriptor: int, number: int = 0) -> None:
 
 
 def _draw_until_closed(connection: Connection) -> None:
-    from skugga.api.seed.drawing import Drawer  # imports of drawing code: only in this process, before a run begins
+    from skugga.api.seed.drawing import TaskDrawer  # imports of drawing code: only in this process, before a run begins
     from skugga.api.seed.run_spec import RunSpec
     from skugga.api.workers.warm_up import warm_up
 
     try:
         try:
             renderer = warm_up()
-            begin = connection.recv()
-            spec = RunSpec.model_validate_json(begin.spec)
+            start = connection.recv()
+            spec = RunSpec.model_validate_json(start.spec_json)
             check_renderer(renderer, spec)
-            drawer = Drawer(spec, store_at(begin.shards))
+            drawer = TaskDrawer(spec, open_store(start.store_address))
         except SkuggaError as error:
             connection.send(RunRefused(str(error)))
             return
@@ -170,7 +170,7 @@ def check_renderer(renderer: str, spec: RunSpec) -> None:
         raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}', but this worker draws with '{renderer}'")
 
 
-def draw(drawer: Drawer, task: Task) -> TaskResult | TaskFailure:
+def draw(drawer: TaskDrawer, task: Task) -> TaskResult | TaskFailure:
     """Draw a task, and return its result or the reason of its failure."""
     try:
         return drawer.draw(task)

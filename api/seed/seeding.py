@@ -10,10 +10,10 @@ from pathlib import Path
 from skugga.api.errors import BrokenShardError
 from skugga.api.picture_cost import check_cost, limit_or_default_ms
 from skugga.api.seed.local_pool import Runner
-from skugga.api.seed.messages import MIN_LIMIT_S
+from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S
 from skugga.api.seed.planning import PlannedRun
 from skugga.api.seed.publishing import publish
-from skugga.api.seed.running import TaskEnd, run_tasks, shard_name
+from skugga.api.seed.running import TaskCompletion, run_tasks, shard_name
 from skugga.api.seed.storage import ShardStore, check_writable
 from skugga.api.seed.task_table import SHARD_LOST_REASON, TaskTable
 from skugga.terrain.atomic_files import write_atomically
@@ -55,16 +55,16 @@ def draw_and_publish(
     table: TaskTable,
     run: PlannedRun,
     store: ShardStore,
-    shards: str,
+    store_address: str,
     outputs: Mapping[str, Path],
     start: Callable[[], Runner],
-    on_progress: Callable[[TaskEnd], None],
+    on_progress: Callable[[TaskCompletion], None],
     max_tasks: int | None = None,
     retry_failed: bool = False,
-    min_limit_s: float = MIN_LIMIT_S,
+    min_timeout_s: float = MIN_TASK_TIMEOUT_S,
     max_ms: float | None = None,
 ) -> SeedResult:
-    """Draw all waiting tasks, and write the outputs if none failed. ``min_limit_s`` is that of ``run_tasks``.
+    """Draw all waiting tasks, and write the outputs if none failed. ``min_timeout_s`` is that of ``run_tasks``.
 
     Raises ``InputError`` if more than ``max_tasks`` would run, ``TooCostlyError`` if a block is expected to take longer than
     ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of
@@ -80,11 +80,11 @@ def draw_and_publish(
         )
     _check_costs(table, run, max_ms)
     if waiting_count:
-        check_writable(store, shards)
+        check_writable(store, store_address)
     drawn_count, drawing_s = 0, 0.0
     for _ in range(MAX_PUBLISH_ATTEMPTS):
         begin = clock.perf_counter()
-        drawn_count += _draw(table, run, start, on_progress, min_limit_s)
+        drawn_count += _draw(table, run, start, on_progress, min_timeout_s)
         _report_failed_tasks(table)
         drawn_at = clock.perf_counter()
         drawing_s += drawn_at - begin
@@ -94,12 +94,12 @@ def draw_and_publish(
             continue
         delete_unused_shards(table, store)
         return SeedResult(drawn_count, written_outputs, drawing_s, clock.perf_counter() - drawn_at)
-    raise RenderError(f"{shards}: shards are missing or corrupt right after they are written. Check the store.")
+    raise RenderError(f"{store_address}: shards are missing or corrupt right after they are written. Check the store.")
 
 
 def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> None:
     """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take too long."""
-    zooms_with_tasks = {(sun, zoom) for sun, zoom, *_ in table.forecast()}
+    zooms_with_tasks = {(sun, zoom) for sun, zoom, *_ in table.waiting_totals()}
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
             check_cost(planned.parsed_plan, f"a block of zoom {planned.zoom}", limit_or_default_ms(max_ms), "--max-ms")
@@ -111,13 +111,17 @@ def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
 
 
 def _draw(
-    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None], min_limit_s: float
-) -> int:  # fmt: skip
+    table: TaskTable,
+    run: PlannedRun,
+    start: Callable[[], Runner],
+    on_progress: Callable[[TaskCompletion], None],
+    min_timeout_s: float,
+) -> int:
     waiting_count = len(table.waiting_tasks())
     if waiting_count:
         runner = start()
         try:
-            run_tasks(table, run, runner, on_progress, min_limit_s)
+            run_tasks(table, run, runner, on_progress, min_timeout_s)
         finally:
             runner.close()
     return waiting_count

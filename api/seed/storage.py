@@ -120,7 +120,7 @@ class RemoteStore:
                 self._system.rm(paths)
 
 
-def store_at(place: str) -> ShardStore:
+def open_store(place: str) -> ShardStore:
     """Return the store at a folder or an address. Raises ``InputError`` for an unsupported address."""
     return RemoteStore(place) if "://" in place else FolderStore(Path(place))
 

@@ -1,4 +1,4 @@
-"""The task table of a run: an SQLite file with the tasks to do, the reasons for them, and the finished tasks."""
+"""The task table of a run: an SQLite file with the waiting tasks, the reasons for them, and the finished tasks."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PlannedTask(NamedTuple):
         The block.
     first_tile : int
         Smallest tile id of the block.
-    parts : KeyParts
+    parts : InputDigests
         Digests of the inputs of its tiles.
     data_share : float
         Share of the block that shows data.
@@ -64,27 +64,27 @@ class PlannedTask(NamedTuple):
     x: int
     y: int
     first_tile: int
-    parts: KeyParts
+    parts: InputDigests
     data_share: float
     expected_s: float
 
 
-class KeyParts(NamedTuple):
-    """Digests of the inputs of a task's tiles, apart from block and sun. A change of one is the reason to draw the task again."""
+class InputDigests(NamedTuple):
+    """Digests of the inputs of a task's tiles, except block and sun. A task is drawn again if one of them changes."""
 
     renderer: str
     settings: str
     plan: str
-    range: str
+    height_range: str
     ground: str
 
 
 REASONS = {
     "renderer": "the renderer has changed", "settings": "the level or the request has changed",
-    "plan": "the plan has changed", "range": "the level's lowest or highest ground has changed",
+    "plan": "the plan has changed", "height_range": "the level's lowest or highest ground has changed",
     "ground": "ground that affects the tiles has changed",
 }  # fmt: skip
-"""Reasons to draw finished tasks again, by the changed part of their key."""
+"""Reasons to draw finished tasks again, by the changed input."""
 
 NEW_REASON, SHARD_LOST_REASON = "not drawn yet", "the shard is missing or corrupt"
 
@@ -241,7 +241,7 @@ class TaskTable:
         with self._transaction():
             self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task))
 
-    def count_death(self, task: int) -> int:
+    def record_worker_death(self, task: int) -> int:
         """Record that a worker died while it drew a task, and return how often this has happened to the task."""
         with self._transaction():
             self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
@@ -296,7 +296,7 @@ class TaskTable:
         """Return the number of the run's tasks by state."""
         return dict(self._db.execute("SELECT state, count(*) FROM tasks WHERE wanted GROUP BY state").fetchall())
 
-    def forecast(self) -> list[tuple[str, int, str, int, float, float]]:
+    def waiting_totals(self) -> list[tuple[str, int, str, int, float, float]]:
         """Return a summary of the waiting tasks by sun, zoom and reason.
 
         Each row holds sun, zoom, reason, number of tasks, the sum of their shares with data, and expected seconds.
@@ -334,7 +334,7 @@ def task_key(task: PlannedTask) -> str:
 
 
 def _reason_of_change(old_parts: str, new_parts: str) -> str:
-    pairs = zip(KeyParts._fields, old_parts.split(":"), new_parts.split(":"), strict=True)
+    pairs = zip(InputDigests._fields, old_parts.split(":"), new_parts.split(":"), strict=True)
     return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 
 

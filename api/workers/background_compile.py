@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from skugga.api.resource_exhaustion import run_in_pool
-from skugga.api.workers.jobs import Preparing
+from skugga.api.workers.jobs import PreparationProgress
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, Progress, compile_ahead
 
 RETRY_DELAY_S = 60.0
@@ -35,7 +35,7 @@ class BackgroundCompile:
         Called in the event loop with the progress, and with ``None`` when the compilation has ended.
     """
 
-    def __init__(self, processes: int, on_progress: Callable[[Preparing | None], None]) -> None:
+    def __init__(self, processes: int, on_progress: Callable[[PreparationProgress | None], None]) -> None:
         self._processes, self._on_progress = processes, on_progress
         self._thread = ThreadPoolExecutor(1, "skugga-compile")
         self._compile_process: subprocess.Popen[str] | None = None
@@ -56,7 +56,7 @@ class BackgroundCompile:
         if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
             return
         if missing_loops:
-            self._on_progress(Preparing("compiling loops for everything else", 0, missing_loops))
+            self._on_progress(PreparationProgress("compiling loops for other products", 0, missing_loops))
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:
@@ -70,21 +70,21 @@ class BackgroundCompile:
 
     async def _run(self, loop: asyncio.AbstractEventLoop) -> None:
         def report(task: str, done: int, total: int) -> None:
-            loop.call_soon_threadsafe(self._on_progress, Preparing(task, done, total))
+            loop.call_soon_threadsafe(self._on_progress, PreparationProgress(task, done, total))
 
         try:
             await run_in_pool(self._thread, self._compile, report)
             self._is_done = True
-        except Exception as error:  # out of processes or memory: missing loops are compiled when they are called
+        except Exception as error:
             self._not_before_s = loop.time() + RETRY_DELAY_S
-            log.warning("loops cannot be compiled in the background: %s", error)
+            log.warning("background compilation of numba functions failed: %s. They are compiled on first use.", error)
         finally:
             self._on_progress(None)
 
     def _compile(self, report: Progress) -> None:
         compile_ahead(PRODUCTS, self._processes, report, background=True, on_start=self._note_start)
 
-    def _note_start(self, farm: subprocess.Popen[str]) -> None:
-        self._compile_process = farm
+    def _note_start(self, process: subprocess.Popen[str]) -> None:
+        self._compile_process = process
         if self._closed:
-            farm.kill()
+            process.kill()

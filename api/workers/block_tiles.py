@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from skugga.api.encoding import ARRAY_FORMATS, colored, encode
+from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, encode
 from skugga.api.products.product import MapFormat, Part
 from skugga.api.request import ProductRequest
 from skugga.shadows.picture import Picture
@@ -24,23 +24,23 @@ TilePosition = tuple[int, int]
 """Row and column of a tile in its block, from the north-west, in units of the tile's own size."""
 
 
-def block_and_position(x: int, y: int, tiles: int) -> tuple[TilePosition, TilePosition]:
+def block_and_position(x: int, y: int, tiles_per_side: int) -> tuple[TilePosition, TilePosition]:
     """Return the column and row of the block that holds tile (``x``, ``y``) of a zoom, and the tile's position in the block.
 
-    The position is that of the file with the tile, if each file covers ``tiles`` x ``tiles`` tiles.
+    The position is that of the file with the tile, if each file covers ``tiles_per_side`` x ``tiles_per_side`` tiles.
     """
-    return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles, x % BLOCK_TILES // tiles)
+    return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles_per_side, x % BLOCK_TILES // tiles_per_side)
 
 
 def tiles_of_picture(
-    picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles: int = 1
+    picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles_per_side: int = 1
 ) -> dict[TilePosition, bytes | None]:
-    """Return the encoded files of a drawn block by position, one for each part of ``tiles`` x ``tiles`` tiles.
+    """Return the encoded files of a drawn block by position. Each file covers ``tiles_per_side`` squared tiles.
 
     ``view`` is the view of the block. A part without data is ``None``, except in array formats, where every part has a file.
     """
     files: dict[TilePosition, bytes | None] = {}
-    for position, part_view, window in _tiles_of(view, tiles):
+    for position, part_view, window in _tiles_of(view, tiles_per_side):
         part = picture.part(window)
         has_data = format in ARRAY_FORMATS or bool(part.valid.any())
         files[position] = tile_of_picture(part, request, scene, part_view, format) if has_data else None
@@ -54,33 +54,33 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
         array = product.compute(Part(scene, view, request.options, picture))
-    return encode(colored(array, product, request.options, scene.world, format), product, format, view)
+    return encode(apply_color_scale(array, product, request.options, scene.world, format), product, format, view)
 
 
 def tiles_of_array(
-    array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles: int = 1
+    array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles_per_side: int = 1
 ) -> dict[TilePosition, bytes]:
-    """Return the encoded files of a block's array by position, one for each part of ``tiles`` x ``tiles`` tiles."""
-    colored_array = colored(array, request.product_record, request.options, world, format)
+    """Return the encoded files of a block's array by position. Each file covers ``tiles_per_side`` squared tiles."""
+    colored_array = apply_color_scale(array, request.product_record, request.options, world, format)
     return {
         position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
-        for position, part_view, window in _tiles_of(view, tiles)
+        for position, part_view, window in _tiles_of(view, tiles_per_side)
     }
 
 
-def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
-    """Yield the position, the view, and the rows and columns in pixels of each part of ``tiles`` x ``tiles`` tiles of a block."""
-    side = tiles * TILE_PX
-    for row in range(BLOCK_TILES // tiles):
-        for col in range(BLOCK_TILES // tiles):
+def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
+    """Yield the position, the view, and the rows and columns of pixels of each file of ``tiles_per_side`` squared tiles."""
+    side = tiles_per_side * TILE_PX
+    for row in range(BLOCK_TILES // tiles_per_side):
+        for col in range(BLOCK_TILES // tiles_per_side):
             window = slice(row * side, (row + 1) * side), slice(col * side, (col + 1) * side)
             yield (row, col), view.part(row * side, col * side, side, side), window
 
 
 @cached("process", 4 * MIB)
-def empty_tile(request: ProductRequest, format: MapFormat, tiles: int = 1, lowest_m: float = 0.0) -> bytes:
+def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_m: float = 0.0) -> bytes:
     """Return the file of a tile without data. ``lowest_m`` is as in ``empty_file``."""
-    return empty_file(request, (tiles * TILE_PX, tiles * TILE_PX), format, lowest_m)
+    return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_m)
 
 
 def empty_file(

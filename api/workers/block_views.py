@@ -10,7 +10,7 @@ from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 
 @cached("process", MIB, size_of=lambda _: 512)
 def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
-    """Return the pixel grid of a zoom of a tile matrix set, which is given by its name.
+    """Return the pixel grid of a zoom of a tile matrix set. ``matrix_set`` is its name.
 
     The result is cached, since constructing a tile matrix set takes milliseconds.
     """

@@ -20,7 +20,7 @@ log = logging.getLogger("skugga")
 class ChildProcess:
     """A child process with a pipe, and the thread that reads from the pipe.
 
-    Call ``start``, then ``in_new_thread`` with functions that use ``pipe``, then ``end``. Cancelling a wait does not stop its
+    Call ``start``, then ``run_in_thread`` with functions that use ``pipe``, then ``end``. Cancelling a wait does not stop its
     thread. The thread ends when the process ends. Use it from one event loop.
     """
 
@@ -46,9 +46,9 @@ class ChildProcess:
 
     async def start(self) -> None:
         """Start the process. Raises ``ExhaustedError`` or ``OSError``."""
-        await asyncio.shield(self.in_new_thread(self._piped.start))
+        await asyncio.shield(self.run_in_thread(self._piped.start))
 
-    def in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
+    def run_in_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run a function in a thread. Call it for one function at a time. Raises ``ExhaustedError`` if no thread is available."""
         running = run_in_pool(self._threads, function)
         running.add_done_callback(lambda future: future.cancelled() or future.exception())

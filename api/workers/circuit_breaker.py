@@ -1,6 +1,6 @@
 """A circuit breaker for each kind of job.
 
-After several failures in a row the circuit of a kind opens. Jobs of the kind are then refused for a while, so that they do not
+After several failures in a row the circuit of a kind opens. Jobs of the kind are then rejected for a while. Otherwise they would
 end one render process after another.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 
 from skugga.api.workers.expected_times import kind_of_job
-from skugga.api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, Job, PlanJob
+from skugga.api.workers.jobs import BlockJob, DescriptorJob, DescriptorPlanJob, Job, PlanJob
 from skugga.terrain.cache import MIB, Cache, Missing
 
 FAILURE_THRESHOLD = 2
@@ -68,7 +68,7 @@ class CircuitBreaker:
 
 def _keys(job: Job) -> list[Hashable]:
     keys = [kind_of_job(job)]
-    return keys if isinstance(job, DescribedPlanJob) else [*keys, ("level", str(job.level.path), job.level.version)]
+    return keys if isinstance(job, DescriptorPlanJob) else [*keys, ("level", str(job.level.path), job.level.version)]
 
 
 def _affected_keys(job: Job) -> list[Hashable]:

@@ -7,8 +7,8 @@ from collections.abc import Hashable
 from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import (
     BlockJob,
-    DescribedPlanJob,
     DescriptorJob,
+    DescriptorPlanJob,
     FilmCheckJob,
     FrameJob,
     Job,
@@ -21,7 +21,7 @@ from skugga.api.workers.jobs import (
 from skugga.terrain.cache import MIB, Cache, Missing
 
 INITIAL_ESTIMATE_S: dict[type, float] = {
-    BlockJob: 0.5, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
+    BlockJob: 0.5, PlanJob: 0.5, DescriptorPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
     PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
 """Expected seconds of a job whose kind was not measured yet, by type. Those of snapshots, maps and frames are for ``REFERENCE_PX``.
@@ -37,8 +37,8 @@ REFERENCE_PX = 1280 * 1024
 SMOOTHING_FACTOR = 0.3
 """Weight of the newest duration in the exponential moving average."""
 
-MAX_LIGHT_S = 3.0
-"""Expected seconds up to which a measured kind of job counts as light."""
+MAX_LIGHT_JOB_S = 3.0
+"""Expected seconds up to which a job counts as light (``ExpectedTimes.is_light``). Light jobs have a reserved process."""
 
 
 class ExpectedTimes:
@@ -55,16 +55,16 @@ class ExpectedTimes:
     def expected_s(self, job: Job) -> float:
         """Return the expected duration of a job in seconds."""
         average_s = self._average_s(job)
-        return (_initial_estimate_s(job) if average_s is None else average_s) * _size_of(job)
+        return (_initial_estimate_s(job) if average_s is None else average_s) * _relative_size_of(job)
 
     def is_light(self, job: Job) -> bool:
-        """Return whether a job is light: its kind was measured, and it is expected to take at most ``MAX_LIGHT_S``."""
+        """Return whether a job is light: its kind was measured, and it is expected to take at most ``MAX_LIGHT_JOB_S``."""
         average_s = self._average_s(job)
-        return average_s is not None and average_s * _size_of(job) <= MAX_LIGHT_S
+        return average_s is not None and average_s * _relative_size_of(job) <= MAX_LIGHT_JOB_S
 
     def add_duration(self, job: Job, seconds: float) -> None:
         """Update the averages with the measured duration of a job in seconds."""
-        unit_seconds = seconds / _size_of(job)
+        unit_seconds = seconds / _relative_size_of(job)
         for key in _keys_of(job):
             average_s = self._seconds.get(key)
             self._seconds.put(
@@ -81,10 +81,10 @@ class ExpectedTimes:
 
 
 def _initial_estimate_s(job: Job) -> float:
-    return INITIAL_ESTIMATE_OF_DATES_S if isinstance(job, BlockJob) and _is_of_days(job) else INITIAL_ESTIMATE_S[type(job)]
+    return INITIAL_ESTIMATE_OF_DATES_S if isinstance(job, BlockJob) and _has_whole_dates(job) else INITIAL_ESTIMATE_S[type(job)]
 
 
-def _is_of_days(job: Job) -> bool:
+def _has_whole_dates(job: Job) -> bool:
     """Return whether a job computes a product of whole dates."""
     return isinstance(job.request, ProductRequest) and job.request.product_record.when == "days"
 
@@ -98,7 +98,7 @@ def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
 def _variant_of(job: Job) -> Hashable:
     """Return the variant of a job within its kind, as a key.
 
-    A variant consists of what else affects the duration: the product, tile matrix set and zoom, and the format and size of tiles.
+    A variant consists of the product, the tile matrix set and zoom, and the format and size of tiles.
     """
     product = job.request.product if isinstance(job.request, ProductRequest) else None
     return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles"))
@@ -110,11 +110,11 @@ def kind_of_job(job: Job) -> Hashable:
     A kind consists of the type of job, the level and its version, the request's shadow settings, the view, and whether the product
     is of whole dates.
     """
-    level = None if isinstance(job, DescribedPlanJob) else (str(job.level.path), job.level.version)
-    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), _is_of_days(job)
+    level = None if isinstance(job, DescriptorPlanJob) else (str(job.level.path), job.level.version)
+    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), _has_whole_dates(job)
 
 
-def _size_of(job: Job) -> float:
+def _relative_size_of(job: Job) -> float:
     """Return the pixels of a snapshot, map or frame as a multiple of ``REFERENCE_PX``, at least 0.01; 1 for other jobs."""
     size = job.size if isinstance(job, SnapshotJob | MapJob | FrameJob) else None
     return 1.0 if size is None else max(size[0] * size[1] / REFERENCE_PX, 0.01)

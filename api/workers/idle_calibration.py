@@ -19,7 +19,7 @@ from skugga.selector.cost.device_profile import load_profile, profile_digest, pr
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-CHECK_EVERY_S = 2.0
+CHECK_INTERVAL_S = 2.0
 """Seconds between two checks of the calibration's file for changes."""
 
 CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
@@ -29,7 +29,7 @@ ProfileStamp = tuple[int, int, int]
 log = logging.getLogger("skugga")
 
 
-def measured_profile() -> DeviceProfile:
+def measure_profile() -> DeviceProfile:
     """Measure and return the calibration of this process's device. Raises ``GraphicsError``."""
     from skugga.selector.cost.calibration import calibrate
 
@@ -59,7 +59,7 @@ class IdleCalibration:
         idle: IdleWork,
         device: Callable[[], DeviceProfile | None],
         set_profile: Callable[[DeviceProfile], None],
-        measure: Callable[[], DeviceProfile] = measured_profile,
+        measure: Callable[[], DeviceProfile] = measure_profile,
     ) -> None:
         self._enabled, self._idle, self._device, self._set_profile, self._measure = enabled, idle, device, set_profile, measure
         self._renderer, self._version = "", ""
@@ -152,13 +152,13 @@ class IdleCalibration:
         if not self._is_calibrated:
             self._request_calibration()
         while True:
-            await asyncio.sleep(CHECK_EVERY_S)
+            await asyncio.sleep(CHECK_INTERVAL_S)
             try:
                 last_stamp = await self._read(path, last_stamp)
             except (OSError, RuntimeError, MemoryError) as error:
                 if exhausted_error(error) is None:
                     raise
-                log.warning("the calibration's file is read later: %s", exhausted_error(error))
+                log.warning("the calibration file could not be read: %s. It is read again later.", exhausted_error(error))
 
     async def _read(self, path: Path, last_stamp: ProfileStamp | None) -> ProfileStamp | None:
         """Load the file if its stamp (time, inode, size) differs from ``last_stamp``.

@@ -24,10 +24,10 @@ from skugga.terrain.scene import build_scene
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-BUDGET_S = 10.0
+PROBE_BUDGET_S = 10.0
 """Seconds that a probe may spend on one scale. No request waits for it."""
 
-READ_EVERY_S = 2.0
+READ_INTERVAL_S = 2.0
 """Seconds between two checks for new probes in the user's cache folder."""
 
 Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
@@ -36,13 +36,13 @@ Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
 log = logging.getLogger("skugga")
 
 
-def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
+def probe_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
     """Probe a level's maps at all scales under a representative sun of the class ``sun``. Raises ``SkuggaError``."""
-    from skugga.api.map_probing import probe_maps, under_class_sun
+    from skugga.api.map_probing import probe_maps, with_class_sun
 
     scene = build_scene(load_level(level))
     try:
-        return probe_maps(under_class_sun(scene, sun), device, budget_s=BUDGET_S)
+        return probe_maps(with_class_sun(scene, sun), device, budget_s=PROBE_BUDGET_S)
     finally:
         scene.close()
 
@@ -73,7 +73,7 @@ class IdleProbes:
         device: Callable[[], DeviceProfile | None],
         probes_in_use: Callable[[], Mapping[str, str]],
         add_probes: Callable[[Mapping[str, str]], None],
-        probe: Probe = probed_level,
+        probe: Probe = probe_level,
     ) -> None:
         self._enabled, self._idle, self._device, self._probes_in_use, self._add_probes = (
             enabled,
@@ -159,13 +159,13 @@ class IdleProbes:
 
     async def _watch(self) -> None:
         while True:
-            await asyncio.sleep(READ_EVERY_S)
+            await asyncio.sleep(READ_INTERVAL_S)
             try:
                 self._add_new_probes(await asyncio.to_thread(self._read_changed_files))
             except (OSError, RuntimeError, MemoryError) as error:
                 if exhausted_error(error) is None:
                     raise
-                log.warning("stored probes are read later: %s", exhausted_error(error))
+                log.warning("stored probes could not be read: %s. They are read again later.", exhausted_error(error))
 
     def _read_changed_files(self) -> dict[str, MapProbes]:
         """Return the probes in files that were written since they were last read, by the version of their level."""

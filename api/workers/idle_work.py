@@ -23,14 +23,14 @@ from skugga.api.workers.process_life import set_idle_priority
 from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.errors import SkuggaError
 
-QUIET_S = 5.0
-"""Seconds without a waiting or running request before idle work starts or resumes."""
+IDLE_DELAY_S = 5.0
+"""Seconds without requests after which idle work starts or resumes."""
 
-QUIET_CHECK_S = 0.25
+IDLE_CHECK_INTERVAL_S = 0.25
 """Seconds between two checks whether the service is idle."""
 
 JOB_TIMEOUT_S = 900.0
-"""Seconds after which a job is given up, not counting its pauses."""
+"""Timeout of a job in seconds, without its pauses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class IdleJob:
     on_failure
         Called in the event loop with the reason if the job fails.
     is_wanted
-        Returns whether the result is still needed. The job is dropped, or its process killed, if not.
+        Returns whether the result is still needed. If not, a queued job is dropped, and the process of a running job is killed.
     """
 
     function: Callable[..., Any]
@@ -58,7 +58,7 @@ class IdleJob:
     is_wanted: Callable[[], bool] = lambda: True
 
 
-class _FailedError(Exception):
+class _JobFailedError(Exception):
     """The job has failed. The message is the reason."""
 
 
@@ -93,17 +93,17 @@ class IdleWork:
         return None if self._child is None else self._child.pid
 
     def add(self, job: IdleJob) -> None:
-        """Queue a job. It starts after ``QUIET_S`` seconds without requests, counted from now at the earliest."""
+        """Queue a job. It starts after ``IDLE_DELAY_S`` seconds without requests, counted from now at the earliest."""
         self._last_activity_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
     def pause_for_requests(self) -> None:
         """Stop the process of the running job, because a request has arrived.
 
-        The process resumes after ``QUIET_S`` seconds without requests.
+        The process resumes after ``IDLE_DELAY_S`` seconds without requests.
         """
         self._last_activity_s = asyncio.get_running_loop().time()
-        self._pause(True)
+        self._set_paused(True)
 
     def start(self) -> None:
         """Start a task that runs the queued jobs. Return at once."""
@@ -120,7 +120,7 @@ class IdleWork:
         while True:
             job = await self._jobs.get()
             while job.is_wanted() and not self._is_idle():
-                await asyncio.sleep(QUIET_CHECK_S)
+                await asyncio.sleep(IDLE_CHECK_INTERVAL_S)
             if not job.is_wanted():
                 continue
             try:
@@ -133,12 +133,12 @@ class IdleWork:
     def _is_idle(self) -> bool:
         if self._is_busy():
             self.pause_for_requests()
-        return asyncio.get_running_loop().time() - self._last_activity_s >= QUIET_S
+        return asyncio.get_running_loop().time() - self._last_activity_s >= IDLE_DELAY_S
 
     async def _run_job(self, job: IdleJob) -> Any:
         """Run a job and return its result. The process never outlives this call.
 
-        Raises ``_FailedError``, ``_ObsoleteJobError`` or ``OSError``.
+        Raises ``_JobFailedError``, ``_ObsoleteJobError`` or ``OSError``.
         """
         # Files that a killed process leaves behind are deleted with its temporary folder.
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
@@ -147,15 +147,15 @@ class IdleWork:
             try:
                 await child.start()
                 self._child, self.paused = child, False
-                answer = child.in_new_thread(child.pipe.recv)
+                answer = child.run_in_thread(child.pipe.recv)
                 await self._watch(job, answer)
                 try:
                     is_success, result = answer.result()
                 except (EOFError, OSError):
                     await child.wait_for_end()
-                    raise _FailedError(f"its process ended with exit status {child.exitcode}") from None
+                    raise _JobFailedError(f"its process ended with exit status {child.exitcode}") from None
                 if not is_success:
-                    raise _FailedError(result)
+                    raise _JobFailedError(result)
                 return result
             finally:
                 self._child, self.paused = None, False
@@ -164,25 +164,25 @@ class IdleWork:
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
         """Wait for the answer of a job's process. Stop the process while requests wait or run, and resume it when they are done.
 
-        Raises ``_FailedError`` after ``JOB_TIMEOUT_S``, and ``_ObsoleteJobError`` if the result is no longer needed.
+        Raises ``_JobFailedError`` after ``JOB_TIMEOUT_S``, and ``_ObsoleteJobError`` if the result is no longer needed.
         """
         left_s = JOB_TIMEOUT_S
         while not answer.done():
-            await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
+            await asyncio.wait({answer}, timeout=IDLE_CHECK_INTERVAL_S)
             if not job.is_wanted():
                 raise _ObsoleteJobError
             if self._is_idle():
-                self._pause(False)
+                self._set_paused(False)
             if not self.paused:
-                left_s -= QUIET_CHECK_S
+                left_s -= IDLE_CHECK_INTERVAL_S
                 if left_s <= 0.0:
-                    raise _FailedError(f"it took longer than {JOB_TIMEOUT_S:g} s")
+                    raise _JobFailedError(f"it took longer than {JOB_TIMEOUT_S:g} s")
 
-    def _pause(self, pause: bool) -> None:
-        if self.pid is not None and pause != self.paused:
+    def _set_paused(self, paused: bool) -> None:
+        if self.pid is not None and paused != self.paused:
             with suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGSTOP if pause else signal.SIGCONT)
-            self.paused = pause
+                os.kill(self.pid, signal.SIGSTOP if paused else signal.SIGCONT)
+            self.paused = paused
 
 
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
@@ -192,7 +192,7 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    # The service sends nothing, so a readable pipe is a closed one: the service ended before ``end_with_parent`` was called.
+    # The service sends nothing, so a readable pipe has been closed: the service ended before ``end_with_parent`` was called.
     if pipe.poll(0):
         return
     set_idle_priority()
@@ -207,5 +207,5 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
 
 
 def _failure_reason(error: Exception) -> str:
-    has_message = isinstance(error, SkuggaError | OSError | _FailedError)
+    has_message = isinstance(error, SkuggaError | OSError | _JobFailedError)
     return str(error) if has_message else f"{type(error).__name__}: {error}"

@@ -40,7 +40,7 @@ class PendingJob:
     start_count : int
         Number of times the job was started.
     plan_version : str
-        Version of the plans (``PlanBasis.version_of``) at the job's last start.
+        Version of the plans (``PlanMeasurements.version_of``) at the job's last start.
     is_background : bool
         Whether the job is a part of longer work, such as a frame of a film, so that no request waits for it.
     """

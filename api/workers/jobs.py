@@ -1,6 +1,6 @@
 """Messages between the service and its render processes, which are picklable values: jobs, answers and heartbeats.
 
-A plan, in all of them, is a choice of shadow algorithms and settings for a view.
+A plan is a choice of shadow algorithms and settings for a view.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class BlockJob(_Value):
     request: ProductRequest = ProductRequest()
 
 
-class Tiles(_Value):
+class ZoomTiles(_Value):
     """All tiles of a level at a zoom of a tile matrix set. They share one plan."""
 
     matrix_set: str
@@ -70,7 +70,7 @@ class PlanJob(_Value):
     """Make the plan of a level's view, or of the tiles of a zoom, without drawing."""
 
     level: LevelKey
-    view: str | Tiles
+    view: str | ZoomTiles
     policy: ServedPolicy = "predict"
     request: PictureRequest = PictureRequest()
 
@@ -79,11 +79,11 @@ class DescriptorJob(_Value):
     """Make the descriptor of a level's view, or of the tiles of a zoom: the facts from which plans are made."""
 
     level: LevelKey
-    view: str | Tiles
+    view: str | ZoomTiles
     request: PictureRequest = PictureRequest()
 
 
-class DescribedPlanJob(_Value):
+class DescriptorPlanJob(_Value):
     """Make the plan for a client's descriptor, given as JSON. No level is needed."""
 
     descriptor_json: str
@@ -157,7 +157,7 @@ class PointsJob(_Value):
 
 
 class Film(_Value):
-    """The content of a film: its time span, and one of the level's views or the path of a moving camera.
+    """The content of a film: its time span, and a view of the level or the path of a moving camera.
 
     ``size`` is (width, height) in pixels; ``None`` means that of the view or path. A film whose span has no date keeps the sun of
     ``request`` fixed.
@@ -201,21 +201,21 @@ class FrameJob(Film):
 
 
 Job = (
-    BlockJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+    BlockJob | MapJob | PlanJob | DescriptorPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
     | FilmCheckJob | FrameJob
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Ping:
-    """Heartbeat request to an idle render process. It also names blocks whose levels the process opens while it is idle."""
+class HeartbeatRequest:
+    """Heartbeat request to an idle render process. While idle, the process opens the levels of ``preload_blocks``."""
 
-    first_blocks: tuple[BlockJob, ...] = ()
+    preload_blocks: tuple[BlockJob, ...] = ()
 
 
 @dataclass(frozen=True)
-class Pong:
-    """Heartbeat answer.
+class HeartbeatAnswer:
+    """Answer to a ``HeartbeatRequest``.
 
     ``missing_loops`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0 until the
     process has counted them.
@@ -225,7 +225,7 @@ class Pong:
 
 
 @dataclass(frozen=True)
-class Preparing:
+class PreparationProgress:
     """Progress of a preparation that a render process makes before it is ready, or before it can start a job.
 
     Attributes
@@ -242,8 +242,8 @@ class Preparing:
 
 
 @dataclass(frozen=True)
-class Ready:
-    """Message that a render process has warmed up and waits for jobs.
+class WorkerReady:
+    """Message of a render process that it has warmed up and waits for jobs.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ class Ready:
     egl_device : str
         Name of its EGL device.
     missing_loops : int
-        As in ``Pong``.
+        As in ``HeartbeatAnswer``.
     """
 
     renderer: str
@@ -288,7 +288,7 @@ class BlockTiles:
     renderer : str
         OpenGL's name of the renderer that drew the block.
     plan_version : str
-        Version of the level's plans (``PlanBasis.version_of``).
+        Version of the level's plans (``PlanMeasurements.version_of``).
     is_newly_drawn : bool
         Whether the block was drawn for this answer, and did not come from the process's cache.
     unprobed_class : MapClass or None
@@ -381,7 +381,7 @@ class Failure:
         The error's message.
     name, value, allowed : optional
         Arguments of an ``InputError``: the parameter, its value, and what is allowed.
-    fatal : bool
+    is_fatal : bool
         Whether the render process ends after this answer.
     """
 
@@ -390,18 +390,18 @@ class Failure:
     name: str | None = None
     value: Any = None
     allowed: str | None = None
-    fatal: bool = False
+    is_fatal: bool = False
 
     @classmethod
-    def of(cls, error: SkuggaError, fatal: bool = False) -> Failure:
+    def from_error(cls, error: SkuggaError, is_fatal: bool = False) -> Failure:
         """Return an error as data."""
         kind = type(error).__name__
         if isinstance(error, InputError):
             value = error.value if isinstance(error.value, str | int | float | None) else repr(error.value)
-            return cls(kind, str(error), error.name, value, error.allowed, fatal)
-        return cls(kind, str(error), fatal=fatal)
+            return cls(kind, str(error), error.name, value, error.allowed, is_fatal)
+        return cls(kind, str(error), is_fatal=is_fatal)
 
-    def error(self) -> SkuggaError:
+    def to_error(self) -> SkuggaError:
         """Return the error that the data describes. Errors of unknown classes become ``RenderError``."""
         kind = {error_class.__name__: error_class for error_class in ERROR_REPORTS}.get(self.kind, RenderError)
         if issubclass(kind, InputError):

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.api.compute import compute
-from skugga.api.encoding import ARRAY_FORMATS, colored, composite_over, encode
+from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, composite_over, encode
 from skugga.api.workers.jobs import MapJob
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
@@ -20,10 +20,10 @@ from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.scene import Scene
 
-STEP_DIGITS = 9
+PIXEL_STEP_DIGITS = 9
 """Significant digits of a map's pixel steps in the key of its plan.
 
-Maps of one scale have equal steps except for rounding errors, and share a plan."""
+Maps of one scale share a plan, although their steps differ by rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]
 
     All maps of the level with this key share the plan of this block, as the tiles of a zoom share one plan.
     """
-    row_step, col_step = (float(f"{step:.{STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
+    row_step, col_step = (float(f"{step:.{PIXEL_STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
     rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
     row0, col0 = (
         float(sum(ends) / 2 // (BLOCK_PX * step)) * BLOCK_PX * step for ends, step in ((rows, row_step), (cols, col_step))
@@ -92,7 +92,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
     product.check(scene)
     plan = plan_of(*representative_part(scene, view)) if product.needs else None
     computed = compute(scene, view, request, plan)
-    array = colored(computed.array, product, request.options, scene.world, job.format)
+    array = apply_color_scale(computed.array, product, request.options, scene.world, job.format)
     if plan is None:
         return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
     return _map_file(job, array, view, plan.headline, computed.passes, computed.reach)

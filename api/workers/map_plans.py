@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from skugga.api.workers.jobs import LevelKey
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.selector.map_probes import PROBE_SETTINGS, MapClass, map_class
 from skugga.selector.select import plan_of_view, select
 from skugga.terrain.geo.camera import PerspectiveView
@@ -26,40 +26,50 @@ if TYPE_CHECKING:
     from skugga.terrain.scene import Scene
 
 
-def plan_in_service(
+def select_view_plan(
     scene: Scene,
     view: MapView | PerspectiveView,
     name: str,
     overrides: dict[str, Any],
     level: LevelKey,
-    basis: PlanBasis,
+    measurements: PlanMeasurements,
     policy: PolicyName = "predict",
 ) -> Plan:
     """Return the plan of a view of a level. Raises ``SkuggaError``.
 
-    ``name`` is the view's name in the plan. ``overrides`` are the request's shadow settings. ``basis`` has the calibration and the
-    probes.
+    ``name`` is the view's name in the plan. ``overrides`` are the request's shadow settings. ``measurements`` has the calibration
+    and the probes.
     """
     return plan_of_view(
-        scene, view, name, overrides, policy, basis.device, observations=_observations(scene, view, overrides, level, basis)
+        scene,
+        view,
+        name,
+        overrides,
+        policy,
+        measurements.device,
+        observations=_observations(scene, view, overrides, level, measurements),
     )
 
 
-def plan_function_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
-    """Return a function that makes plans of a view of a level.
+def view_plan_selector(
+    scene: Scene, view: MapView | PerspectiveView, level: LevelKey, measurements: PlanMeasurements
+) -> PlanFunction:
+    """Return a function that plans a view of a level for changing descriptors, such as those of the frames of a film.
 
     The function's arguments are a descriptor, the level's plan request and shadow settings. It uses the calibration and the probes
-    of ``basis``, as ``plan_in_service`` does.
+    of ``measurements``, as ``select_view_plan`` does.
     """
 
     def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
-        observations = _observations(scene, view, overrides or {}, level, basis)
-        return select(descriptor, plan_request, overrides, "predict", basis.device, observations)
+        observations = _observations(scene, view, overrides or {}, level, measurements)
+        return select(descriptor, plan_request, overrides, "predict", measurements.device, observations)
 
     return plan
 
 
-def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:
+def unprobed_class(
+    scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, measurements: PlanMeasurements
+) -> MapClass | None:
     """Return the class (scale and sun) of a map if a probe of this class would improve its plan.
 
     The result is ``None`` if the class is probed already, or if a probe cannot help. It cannot without a calibration, without a sun
@@ -68,17 +78,21 @@ def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], le
     probe_class = _map_class(scene, view, overrides)
     return (
         probe_class
-        if basis.device is not None
+        if measurements.device is not None
         and probe_class is not None
-        and basis.probes_of(level).observations_of_class(probe_class) is None
+        and measurements.probes_of(level).observations_of_class(probe_class) is None
         else None
     )
 
 
 def _observations(
-    scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
+    scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, measurements: PlanMeasurements
 ) -> Mapping[str, tuple[Observation, ...]] | None:
-    return basis.probes_of(level).observations_of_class(_map_class(scene, view, overrides)) if isinstance(view, MapView) else None
+    return (
+        measurements.probes_of(level).observations_of_class(_map_class(scene, view, overrides))
+        if isinstance(view, MapView)
+        else None
+    )
 
 
 def _map_class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PlanBasis:
-    """The measurements that plans use. It is immutable: a change makes a new ``PlanBasis``.
+class PlanMeasurements:
+    """The measurements that plans use. Immutable: a change creates a new object.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class PlanBasis:
         """Return the probes of a level; they are empty if it was not probed."""
         return _parse_probes(self.probes_json_by_version.get(level.version, "{}"))
 
-    def with_probed(self, probes_by_version: Mapping[str, str]) -> PlanBasis:
+    def with_probes(self, probes_by_version: Mapping[str, str]) -> PlanMeasurements:
         """Return a copy with further probes, as JSON by the version of their level."""
         return replace(self, probes_json_by_version={**self.probes_json_by_version, **probes_by_version})
 

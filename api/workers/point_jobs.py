@@ -7,7 +7,7 @@ from typing import Any
 
 from skugga.api.point.horizon_formats import directions_for, horizon_file
 from skugga.api.point.polar_picture import sky_picture
-from skugga.api.point.report import point_surroundings, report_or_null, requested_clock, requested_day
+from skugga.api.point.report import point_surroundings, report_with_remark, requested_clock, requested_day
 from skugga.api.point.sky_figures import sky_figures
 from skugga.api.point.track import sun_at_points
 from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
@@ -21,7 +21,7 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
     A report has nulls for a point without data. Raises ``InputError``.
     """
     if job.product == "report":
-        return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
+        return PointAnswer(report_with_remark(scene, job.query).model_dump_json().encode())
     surroundings = point_surroundings(scene, job.query)
     if job.product == "horizon":
         return PointAnswer(

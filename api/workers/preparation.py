@@ -18,8 +18,8 @@ log = logging.getLogger("skugga.worker")
 def prepare_level(block: BlockJob, state: WorkerState) -> None:
     """Open the level of a block, and compute the level's sky view factors if the block's plan needs them.
 
-    Both stay in the caches of ``state``'s process. If the level cannot be opened, the reason is only logged: the first request for
-    the level raises it again.
+    The process caches both. If the level cannot be opened, the reason is logged. The first request for the level raises the error
+    again.
     """
     name = block.level.path.stem
     try:
@@ -28,7 +28,7 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
             sky_view(scene.elevation, scene.world)
     except SkuggaError as error:
         log.warning("level %s cannot be drawn yet: %s", name, error)
-    except Exception:  # a bug with one level must not block the others
+    except Exception:  # a bug with one level must not block other levels
         log.exception("level %s cannot be prepared", name)
 
 

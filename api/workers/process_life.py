@@ -1,6 +1,6 @@
 """Priorities of processes, and facts about them from ``/proc``: memory, open files, and whether they are stopped.
 
-Systems without ``/proc`` (other than Linux) do not tell these facts.
+On systems without ``/proc`` (other than Linux) these facts are unknown.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ IDLE_NICENESS = 19
 EXIT_TIMEOUT_S = 5.0
 """Maximum seconds to wait for the exit of a killed process."""
 
-EXIT_CHECK_S = 0.005
+EXIT_POLL_INTERVAL_S = 0.005
 """Seconds between two checks whether a killed process has ended."""
 
 STOPPED_STATES = "Tt"
@@ -46,11 +46,11 @@ def set_idle_priority() -> None:
 async def wait_for_exit(process: BaseProcess) -> None:
     """Wait until a killed process has ended, for at most ``EXIT_TIMEOUT_S``.
 
-    It polls instead of waiting in a thread, since a machine under load may have no thread left.
+    The function polls and needs no thread, since a machine under load may have no thread left.
     """
     until_s = asyncio.get_running_loop().time() + EXIT_TIMEOUT_S
     while process.exitcode is None and asyncio.get_running_loop().time() < until_s:
-        await asyncio.sleep(EXIT_CHECK_S)
+        await asyncio.sleep(EXIT_POLL_INTERVAL_S)
 
 
 def is_stopped(pid: int) -> bool:

@@ -24,37 +24,37 @@ from skugga.api.picture_cost import check_cost
 from skugga.api.products.visibility import VISIBILITY
 from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.block_tiles import TilePosition, empty_tile, tiles_of_array, tiles_of_picture
-from skugga.api.workers.film_jobs import film_picture, first_plan
+from skugga.api.workers.film_jobs import draw_film_frame, plan_first_frame
 from skugga.api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
-    DescribedPlanJob,
     DescriptorAnswer,
     DescriptorJob,
+    DescriptorPlanJob,
     Failure,
     FilmCheckJob,
     FilmCheckResult,
     FrameJob,
+    HeartbeatAnswer,
+    HeartbeatRequest,
     Job,
     LevelKey,
     MapJob,
-    Ping,
     PlanAnswer,
     PlanJob,
     PointJob,
     PointsJob,
-    Pong,
-    Preparing,
-    Ready,
+    PreparationProgress,
     Result,
     Snapshot,
     SnapshotJob,
-    Tiles,
+    WorkerReady,
+    ZoomTiles,
 )
 from skugga.api.workers.map_jobs import map_file
-from skugga.api.workers.map_plans import plan_in_service, unprobed_class
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.map_plans import select_view_plan, unprobed_class
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.point_jobs import point_answer, points_answer
 from skugga.api.workers.preparation import import_pvlib, prepare_level
 from skugga.api.workers.process_life import lower_priority
@@ -93,15 +93,15 @@ from skugga.terrain.gl.egl_devices import set_process_number
 from skugga.terrain.level.level import SUN, Shadows
 from skugga.terrain.scene import Scene
 
-IDLE_S = 1.0
-"""Idle seconds after which a ready process does the next step of its preparation for later jobs."""
+IDLE_STEP_DELAY_S = 1.0
+"""Idle seconds before the next step of preparation for later jobs, such as opening a level."""
 
 log = logging.getLogger("skugga.worker")
 
 
 def run_job(job: Job, state: WorkerState) -> Result:
     """Run a job and return its result. Raises ``SkuggaError``."""
-    if isinstance(job, DescribedPlanJob):
+    if isinstance(job, DescriptorPlanJob):
         return _plan_of_descriptor(job, state)
     scene = job.request.applied_to(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
@@ -110,7 +110,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_view_with_name(scene, job.view)).model_dump_json())
         case PlanJob():
-            plan = plan_in_service(scene, *_view_with_name(scene, job.view), overrides, job.level, state.basis, job.policy)
+            plan = select_view_plan(scene, *_view_with_name(scene, job.view), overrides, job.level, state.measurements, job.policy)
             return PlanAnswer(plan.model_dump_json())
         case PointJob():
             return point_answer(job, scene)
@@ -121,15 +121,15 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case MapJob():
             return _map_snapshot(job, scene, state)
         case FilmCheckJob():
-            plan, moment = first_plan(job, scene, state.basis)
+            plan, moment = plan_first_frame(job, scene, state.measurements)
             _check_cost(plan, f"{moment.view.cols}x{moment.view.rows}", state)
             return FilmCheckResult(None if plan.predicted is None else plan.predicted.ms)
         case FrameJob():
-            return film_picture(job, scene, state.basis)
+            return draw_film_frame(job, scene, state.measurements)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size) if job.camera is None else scene.view_from(job.camera, job.size)
-            plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
+            plan = select_view_plan(scene, view, job.view, overrides, job.level, state.measurements)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
             computed = compute(scene, view, job.request, plan, job.light)
             start = time.perf_counter()
@@ -166,7 +166,7 @@ def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) ->
     return job.view != "map" if view_spec is None else view_spec.kind == "perspective"
 
 
-def _plan_of_descriptor(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
+def _plan_of_descriptor(job: DescriptorPlanJob, state: WorkerState) -> PlanAnswer:
     descriptor = Descriptor.model_validate_json(job.descriptor_json)
     plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in descriptor.light_kinds if lamp != SUN)))
     plan = select(descriptor, plan_request, job.request.overrides.for_selector(), job.policy, state.device)
@@ -176,16 +176,16 @@ def _plan_of_descriptor(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
     """Raise ``TooCostlyError`` if a picture by ``plan`` is expected to exceed the time limit of pictures.
 
-    ``subject`` names the picture in the message. Where fixed rules choose no time is expected, and nothing is raised.
+    ``subject`` names the picture in the message. A plan by fixed rules has no expected time, so nothing is raised.
     """
-    check_cost(plan, subject, state.limit_ms, "SKUGGA_RENDER_TIMEOUT_S")
+    check_cost(plan, subject, state.max_picture_ms, "SKUGGA_RENDER_TIMEOUT_S")
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     product = job.request.product_record
     if not product.needs or product.reach_px:
         return _tiles_of_array(job, scene, state)
-    version = state.basis.version_of(job.level)
+    version = state.measurements.version_of(job.level)
     key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request.picture, product.needs
     cached = state.blocks.get(*key)
     is_new = isinstance(cached, Missing)
@@ -230,7 +230,7 @@ def _block_record(
     job: BlockJob, plan: Plan, passes: Sequence[PassRecord], reach: Reach | None, scene: Scene, state: WorkerState
 ) -> dict[str, Any]:
     """Return the fields of ``BlockTiles`` on how a block was drawn: those of ``_picture_record``, and ``unprobed_class``."""
-    map_class = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
+    map_class = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.measurements)
     return {**_picture_record(plan.headline, passes, reach, state, job.level), "unprobed_class": map_class}
 
 
@@ -238,17 +238,17 @@ def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
     overrides = job.request.overrides.for_selector()
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
-        key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request.picture
-        return state.plans.get(key, lambda: plan_in_service(scene, part, "map", overrides, job.level, state.basis))
+        key = job.level, state.measurements.version_of(job.level), job.crs, scale, job.request.picture
+        return state.plans.get(key, lambda: select_view_plan(scene, part, "map", overrides, job.level, state.measurements))
 
     encoded_map = map_file(scene, job, plan_of)
     facts = _picture_record(encoded_map.headline, encoded_map.passes, encoded_map.reach, state, job.level)
     return Snapshot(body=encoded_map.body, encode_ms=encoded_map.encode_ms, **facts)
 
 
-def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
+def _view_with_name(scene: Scene, view: str | ZoomTiles) -> tuple[MapView | PerspectiveView, str]:
     """Return the view that stands for a request (a view's name, or the tiles of a zoom), and the view's name in its plan."""
-    return (representative_block(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
+    return (representative_block(scene, view), "map") if isinstance(view, ZoomTiles) else (scene.view(view), view)
 
 
 def _picture_record(
@@ -260,20 +260,20 @@ def _picture_record(
     """
     return {
         "headline": headline, "passes": tuple((pass_record.name, pass_record.ms) for pass_record in passes),
-        "renderer": state.renderer, "plan_version": state.basis.version_of(level),
+        "renderer": state.renderer, "plan_version": state.measurements.version_of(level),
         "reach_used_m": None if reach is None else reach.used_m, "reach_needed_m": None if reach is None else reach.needed_m,
         "reach_clipped": reach is not None and bool(reach.clipped),
     }  # fmt: skip
 
 
 def run_worker(pipe: Connection, config: WorkerConfig) -> None:
-    """Warm up, send ``Ready``, then answer jobs from the pipe.
+    """Warm up, send ``WorkerReady``, then answer jobs from the pipe.
 
-    The function returns when the pipe is closed, or after a fatal ``Failure``, which may have spoilt the OpenGL context.
+    The function returns when the pipe is closed, or after a fatal ``Failure``, which may have corrupted the OpenGL context.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    # The service has sent nothing yet, so a readable pipe is a closed one: it ended before ``end_with_parent`` was called.
+    # The service has sent nothing yet, so a readable pipe has been closed: the service ended before ``end_with_parent`` was called.
     if pipe.poll(0):
         return
     lower_priority()
@@ -282,7 +282,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     from skugga.api.workers.warm_up import warm_up
 
     def report(task: str, done: int = 0, total: int = 0) -> None:
-        pipe.send(Preparing(task, done, total))
+        pipe.send(PreparationProgress(task, done, total))
 
     compiled: list[str] = []
 
@@ -296,14 +296,14 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
             renderer = warm_up(config.expect_renderer, config.needs_opengl, report)
             if problem := loop_store().problem:
                 report(problem)
-            state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.limit_ms)
-            if compiled:  # at a first start further loops are missing, too; later starts count missing loops in idle time
+            state = WorkerState(renderer, config.measurements or PlanMeasurements(calibration()), config.max_picture_ms)
+            if compiled:  # a first start; later starts count missing loops in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
-            pipe.send(Ready(state.renderer, state.device, version, egl_device, state.missing_loops))
+            pipe.send(WorkerReady(state.renderer, state.device, version, egl_device, state.missing_loops))
             _answer_jobs(pipe, state, [partial(count_missing_loops, state), import_pvlib])
     except SkuggaError as error:
-        pipe.send(Failure.of(error, fatal=True))
+        pipe.send(Failure.from_error(error, is_fatal=True))
     except (EOFError, OSError):
         return
 
@@ -311,34 +311,34 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
 def count_missing_loops(state: WorkerState) -> None:
     """Set ``state.missing_loops`` to the number of loops without machine code in the cache on disk.
 
-    It imports the modules of all loops, which takes time.
+    Importing the modules of all loops takes time.
     """
     state.missing_loops = len(missing_tasks(PRODUCTS))
 
 
 def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
-    """Answer jobs, heartbeats and new plan inputs from the pipe, until a job fails fatally.
+    """Answer jobs, heartbeat requests and new ``PlanMeasurements`` from the pipe, until a job fails fatally.
 
     While nothing arrives, run the functions ``idle_steps`` one after another. Raises ``EOFError`` or ``OSError`` when the pipe is
     closed.
     """
     steps = deque(idle_steps)
     while True:
-        while steps and not pipe.poll(IDLE_S):
+        while steps and not pipe.poll(IDLE_STEP_DELAY_S):
             steps.popleft()()
         job = pipe.recv()
-        if isinstance(job, Ping):
-            pipe.send(Pong(state.missing_loops))
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer(state.missing_loops))
             # Missing loops are being compiled in the background on all cores, so this time is not idle.
-            blocks = () if state.missing_loops else job.first_blocks[:MAX_SCENES]
+            blocks = () if state.missing_loops else job.preload_blocks[:MAX_SCENES]
             steps.extend(partial(prepare_level, block, state) for block in blocks)
             continue
-        if isinstance(job, PlanBasis):
-            state.basis = job
+        if isinstance(job, PlanMeasurements):
+            state.measurements = job
             continue
         answer = _try_job(job, state)
         pipe.send(answer)
-        if isinstance(answer, Failure) and answer.fatal:
+        if isinstance(answer, Failure) and answer.is_fatal:
             return
 
 
@@ -347,8 +347,8 @@ def _try_job(job: Job, state: WorkerState) -> Answer:
         return run_job(job, state)
     except SkuggaError as error:
         is_fatal = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
-        return Failure.of(exhausted_error(error) or error, fatal=is_fatal)
+        return Failure.from_error(exhausted_error(error) or error, is_fatal=is_fatal)
     except Exception as error:  # a bug or an exception of a driver: the job fails and the process ends
         log.exception("a job failed unexpectedly")
-        fatal = not isinstance(job, DescribedPlanJob)  # these jobs do not touch OpenGL
-        return Failure.of(exhausted_error(error) or RenderError(f"{type(error).__name__}: {error}"), fatal=fatal)
+        is_fatal = not isinstance(job, DescriptorPlanJob)  # these jobs do not touch OpenGL
+        return Failure.from_error(exhausted_error(error) or RenderError(f"{type(error).__name__}: {error}"), is_fatal=is_fatal)

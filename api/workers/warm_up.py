@@ -24,10 +24,10 @@ from skugga.terrain.gl.egl_devices import NO_OPENGL
 from skugga.terrain.level.level import Level, LoadedLevel
 from skugga.terrain.scene import Scene, build_scene
 
-WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
+WARM_UP_CELL_M, PLAIN_CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """Terrain of the test picture: a plain of 64 x 64 cells of 30 m. In its middle a wall, 300 m high, runs from north to south."""
 
-ZOOM = 12
+TEST_ZOOM = 12
 """Zoom of the test picture. At the equator its pixels are 38 m wide, so the plain is 50 pixels wide.
 
 The wall's shadow is 520 m long, since the sun stands 30 degrees high."""
@@ -44,7 +44,7 @@ log = logging.getLogger("skugga.worker")
 def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
     """Draw a first picture, check that its shadow is in the right place, and return the renderer's name.
 
-    This pays the one-time costs (imports, compilation, the OpenGL context) before the first request.
+    Imports, compilation and the creation of the OpenGL context are then done before the first request.
 
     Parameters
     ----------
@@ -86,17 +86,17 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
 
     The sun is in the west, so the shadow lies east of the wall.
     """
-    heights = np.zeros((CELLS, CELLS), np.float32)
-    heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
+    heights = np.zeros((PLAIN_CELLS, PLAIN_CELLS), np.float32)
+    heights[:, PLAIN_CELLS // 2 - 1 : PLAIN_CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
     with MemoryFile(ext=".tif") as memory:
         with memory.open(
-            driver="GTiff", width=CELLS, height=CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
+            driver="GTiff", width=PLAIN_CELLS, height=PLAIN_CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
         scene = _wall_scene(memory.name, algorithm)
-        grid, center = _grid_and_middle(scene, ZOOM)
+        grid, center = _grid_and_wall_center(scene, TEST_ZOOM)
         view = _view_around(grid, center)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.close()
@@ -118,7 +118,7 @@ def _wall_scene(source: str, algorithm: str) -> Scene:
     return build_scene(LoadedLevel(name="warm-up", path=Path("warm-up"), level=level, digest=""))
 
 
-def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]]:
+def _grid_and_wall_center(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]]:
     """Return the pixel grid of a zoom, and the row and column of the wall's middle on it."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     x, y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)

@@ -9,7 +9,7 @@ from skugga.api.settings import Settings
 from skugga.terrain.cores import usable_cores
 
 if TYPE_CHECKING:
-    from skugga.api.workers.plan_basis import PlanBasis
+    from skugga.api.workers.plan_basis import PlanMeasurements
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class WorkerConfig:
         Text that the renderer's name must contain.
     needs_opengl : bool
         Whether the process must fail to start if there is no OpenGL.
-    limit_ms : float or None
-        Limit of a picture's expected time in milliseconds. The process refuses pictures that are expected to take longer.
-    basis : PlanBasis or None
-        The measurements that plans use. ``None``: the calibration in the user's cache, until the service sends a basis.
+    max_picture_ms : float or None
+        Maximum expected time of a picture in milliseconds. The process rejects pictures that are expected to take longer.
+    measurements : PlanMeasurements or None
+        The measurements that plans use. ``None``: the calibration in the user's cache, until the service sends others.
     number : int
         Number of the process, counted from 0. Processes with successive numbers use the OpenGL devices in turn.
     """
@@ -35,8 +35,8 @@ class WorkerConfig:
     gl_threads: int
     expect_renderer: str | None = None
     needs_opengl: bool = False
-    limit_ms: float | None = None
-    basis: PlanBasis | None = None
+    max_picture_ms: float | None = None
+    measurements: PlanMeasurements | None = None
     number: int = 0
 
 
@@ -45,5 +45,5 @@ def first_config(settings: Settings) -> WorkerConfig:
     return WorkerConfig(
         gl_threads=max(usable_cores() // settings.workers, 1),
         expect_renderer=settings.expect_renderer,
-        limit_ms=settings.render_timeout_s * 1000.0,
+        max_picture_ms=settings.render_timeout_s * 1000.0,
     )

@@ -1,4 +1,4 @@
-"""A render process as the service sees it: the service sends jobs, waits for answers, and notices if the process hangs or dies."""
+"""The service's side of a render process: send jobs, wait for answers, and detect a process that hangs or dies."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any, TypeVar
 from skugga.api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
 from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.child_process import ChildProcess
-from skugga.api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
+from skugga.api.workers.jobs import Answer, BlockJob, Failure, HeartbeatRequest, Job, PreparationProgress, WorkerReady
 from skugga.api.workers.piped_process import SpawnedWorker
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
 
 MAX_LOGGED_CHARACTERS = 300
 """Maximum characters of a job in the log, since descriptors are long."""
 
-STOPPED_CHECK_S = 1.0
+STOP_POLL_INTERVAL_S = 1.0
 """Seconds between two checks whether a process that works on a job was stopped (SIGSTOP)."""
 
 T = TypeVar("T")
@@ -39,15 +39,15 @@ class WorkerProcess:
         Threads that wait for the pipe.
     on_death
         Called in the event loop when the process ends by itself.
-    on_preparing
+    on_preparation_progress
         Called in the event loop with the progress of preparations, before the process is ready or before it starts a job.
 
     Attributes
     ----------
-    basis : PlanBasis or None
+    measurements : PlanMeasurements or None
         The measurements that its plans use, as last sent to it.
-    first_blocks : tuple
-        Blocks that the next heartbeat sends, so that the process opens their levels while it is idle; empty after that.
+    preload_blocks : tuple
+        Blocks that the next heartbeat request names. The process opens their levels while it is idle. Empty after that request.
     has_ended : bool
         Whether the process ended by itself.
     has_prepared : bool
@@ -61,14 +61,14 @@ class WorkerProcess:
         spawned_worker: SpawnedWorker,
         threads: Executor,
         on_death: Callable[[], None],
-        on_preparing: Callable[[Preparing], None] = lambda preparing: None,
+        on_preparation_progress: Callable[[PreparationProgress], None] = lambda preparing: None,
     ) -> None:
         self._child, self._pipe = ChildProcess(spawned_worker, threads), spawned_worker.pipe
-        self._on_death, self._on_preparing = on_death, on_preparing
+        self._on_death, self._on_preparing = on_death, on_preparation_progress
         self._task = ""
         self._watched_sentinel: int | None = None
-        self.basis = spawned_worker.config.basis
-        self.first_blocks: tuple[BlockJob, ...] = ()
+        self.measurements = spawned_worker.config.measurements
+        self.preload_blocks: tuple[BlockJob, ...] = ()
         self.has_ended = False
         self.has_prepared = False
         self.is_preparing = False
@@ -78,7 +78,7 @@ class WorkerProcess:
         """Process id; ``None`` before the start."""
         return self._child.pid
 
-    async def start(self, timeout_s: float) -> Ready:
+    async def start(self, timeout_s: float) -> WorkerReady:
         """Start the process if necessary, and wait until it has warmed up.
 
         Raises
@@ -104,11 +104,13 @@ class WorkerProcess:
         except (EOFError, OSError):
             raise WorkerStartError(f"render process {self.pid} ended while it warmed up") from None
         if isinstance(answer, Failure):
-            raise answer.error()
-        self.basis = self.basis or PlanBasis(answer.device)
+            raise answer.to_error()
+        self.measurements = self.measurements or PlanMeasurements(answer.device)
         return answer
 
-    async def send_and_receive(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
+    async def send_and_receive(
+        self, job: Job | HeartbeatRequest, timeout_s: float, measurements: PlanMeasurements | None = None
+    ) -> Answer:
         """Send a job or a heartbeat and return the answer.
 
         Parameters
@@ -117,7 +119,7 @@ class WorkerProcess:
             The job or heartbeat.
         timeout_s
             Maximum seconds until the next message of the process.
-        basis
+        measurements
             The measurements that plans use, which are sent before the job if they changed; ``None`` leaves them unchanged.
 
         Raises
@@ -129,12 +131,12 @@ class WorkerProcess:
         ExhaustedError
             No thread is available. Nothing was sent.
         """
-        previous_basis, self.basis = self.basis, basis or self.basis
+        previous_measurements, self.measurements = self.measurements, measurements or self.measurements
         self.has_prepared = False
 
         def send_and_receive() -> Answer:
-            if self.basis is not previous_basis:
-                self._pipe.send(self.basis)
+            if self.measurements is not previous_measurements:
+                self._pipe.send(self.measurements)
             self._pipe.send(job)  # in a thread: sending a long job blocks while the process does not read
             return self._pipe.recv()
 
@@ -155,13 +157,13 @@ class WorkerProcess:
         await self._child.end()
 
     async def _answer(self, receive: Callable[[], Any], timeout_s: float) -> Any:
-        """Return the first message that is no progress message (``Preparing``). Each message may take ``timeout_s`` seconds.
+        """Return the first message that is no ``PreparationProgress``. Each message may take ``timeout_s`` seconds.
 
         ``receive`` waits for the first message of all and returns it. Raises the errors of ``_receive``.
         """
         message = await self._receive(receive, timeout_s)
         try:
-            while isinstance(message, Preparing):
+            while isinstance(message, PreparationProgress):
                 self.has_prepared = self.is_preparing = True
                 if message.task != self._task:
                     log.info("render process %s: %s", self.pid, message.task)
@@ -178,9 +180,9 @@ class WorkerProcess:
         Raises ``TimeoutError`` after ``timeout_s`` seconds, ``EOFError`` if the process was stopped, and the function's errors.
         """
         loop = asyncio.get_running_loop()
-        deadline, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
+        deadline, answer = loop.time() + timeout_s, self._child.run_in_thread(function)
         while True:
-            completed, _ = await asyncio.wait({answer}, timeout=max(min(STOPPED_CHECK_S, deadline - loop.time()), 0.0))
+            completed, _ = await asyncio.wait({answer}, timeout=max(min(STOP_POLL_INTERVAL_S, deadline - loop.time()), 0.0))
             if completed:
                 return answer.result()
             if self.pid is not None and is_stopped(self.pid):

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
-from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
-from skugga.api.workers.map_plans import plan_in_service
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
+from skugga.api.workers.map_plans import select_view_plan
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.process_life import resident_bytes
 from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
@@ -107,10 +107,10 @@ class WorkerState:
     ----------
     renderer : str
         OpenGL's name of the renderer.
-    basis : PlanBasis
+    measurements : PlanMeasurements
         The measurements that plans use.
-    limit_ms : float or None
-        Limit of a picture's expected time in milliseconds.
+    max_picture_ms : float or None
+        Maximum expected time of a picture in milliseconds.
     missing_loops : int
         Number of loops (functions that numba compiles) without machine code in the cache on disk, as last counted.
     scenes, plans, blocks
@@ -118,8 +118,8 @@ class WorkerState:
     """
 
     renderer: str
-    basis: PlanBasis = field(default_factory=PlanBasis)
-    limit_ms: float | None = None
+    measurements: PlanMeasurements = field(default_factory=PlanMeasurements)
+    max_picture_ms: float | None = None
     missing_loops: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
@@ -128,7 +128,7 @@ class WorkerState:
     @property
     def device(self) -> DeviceProfile | None:
         """The device's calibration (measured costs of algorithms); ``None`` without one."""
-        return self.basis.device
+        return self.measurements.device
 
 
 def block_view(job: BlockJob) -> MapView:
@@ -136,7 +136,7 @@ def block_view(job: BlockJob) -> MapView:
     return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
 
-def representative_block(scene: Scene, tiles: Tiles) -> MapView:
+def representative_block(scene: Scene, tiles: ZoomTiles) -> MapView:
     """Return the map view of the block at the level's middle, whose plan all tiles of the zoom share."""
     grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
@@ -145,10 +145,10 @@ def representative_block(scene: Scene, tiles: Tiles) -> MapView:
 
 def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     """Return the plan that all tiles of a block's zoom share, from the cache or newly made."""
-    tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
+    tiles = ZoomTiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
         overrides = job.request.overrides.for_selector()
-        return plan_in_service(scene, representative_block(scene, tiles), "map", overrides, job.level, state.basis)
+        return select_view_plan(scene, representative_block(scene, tiles), "map", overrides, job.level, state.measurements)
 
-    return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request.picture), make)
+    return state.plans.get((job.level, state.measurements.version_of(job.level), tiles, job.request.picture), make)

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.selection.views import RASTERS, scene_of
 from skugga.api.map_probing import map_block, probe_blocks
-from skugga.api.workers.idle_probes import BUDGET_S
+from skugga.api.workers.idle_probes import PROBE_BUDGET_S
 from skugga.selector.cost.device_profile import DeviceProfile, load_profile
 from skugga.selector.cost.error_model import log_error
 from skugga.selector.map_probes import MapClass, MapProbes, ProbedClass
@@ -83,10 +83,10 @@ def _compare_block(
     differences: dict[str, list[tuple[float, float]]],
     outcomes: dict[tuple[str, float], list[tuple[bool, float]]],
 ) -> None:
-    probed = probe_blocks(scene, pixel_m, profile, budget_s=BUDGET_S)
+    probed = probe_blocks(scene, pixel_m, profile, budget_s=PROBE_BUDGET_S)
     observed_options = probed.observations.get(SUN, ())
     origin_class = MapClass(0, 0)
-    middle = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
+    middle = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=PROBE_BUDGET_S)
     elsewhere, of_middle = (
         MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probe.observations),)).observations_of_class(origin_class) or {}
         for probe in (probed, middle)

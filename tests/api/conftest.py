@@ -20,11 +20,11 @@ from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
 from skugga.api.http.server.app import create_app
-from skugga.api.http.server.bounded_headers import BoundedHeaders
+from skugga.api.http.server.bounded_headers import HeaderLimitProtocol
 from skugga.api.http.server.server import Server, log_config
 from skugga.api.http.state.service import Service
 from skugga.api.request import ProductRequest
-from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.seed.archive import ArchiveMetadata, ShardIndex, write_archive
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import empty_tile
 from skugga.api.workers.piped_process import WorkerTarget
@@ -81,7 +81,7 @@ def write_tiles(
     skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | skugga_overrides
     zooms = [zoom for zoom, _, _ in tiles]
     metadata = {"name": "Hills", "attribution": "nobody", "skugga": skugga}
-    facts = ArchiveFacts(format, bounds, min(zooms), max(zooms), metadata)  # type: ignore[arg-type]
+    facts = ArchiveMetadata(format, bounds, min(zooms), max(zooms), metadata)  # type: ignore[arg-type]
     write_archive(path, [index], lambda _: shard, facts)
     return path
 
@@ -111,7 +111,7 @@ def running(app: FastAPI) -> Iterator[Client]:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
         log = log_config(app.state.service.settings)
-        config = uvicorn.Config(app, log_config=log, http=BoundedHeaders, access_log=False, timeout_graceful_shutdown=3)
+        config = uvicorn.Config(app, log_config=log, http=HeaderLimitProtocol, access_log=False, timeout_graceful_shutdown=3)
         server = Server(config, app.state.service)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()

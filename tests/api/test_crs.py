@@ -309,67 +309,69 @@ def asymmetric_heights() -> np.ndarray:
 
 @pytest.fixture(params=FLIPS)
 def flipped(request, tmp_path) -> tuple[Path, Path, object]:
-    """Return a raster, its upright twin, and the function that turns the twin's cells into the raster's."""
+    """Return a flipped raster, the same raster north up, and the function that flips cells of the latter."""
     heights = asymmetric_heights()
-    upright = write_geotiff(tmp_path / "upright.tif", heights, "EPSG:32632", 5e5, 5.3e6 + 1010.0, 10.0)
+    north_up_raster = write_geotiff(tmp_path / "north_up_raster.tif", heights, "EPSG:32632", 5e5, 5.3e6 + 1010.0, 10.0)
     cells, transform = FLIPS[request.param](heights)
-    turned = write_geotiff(tmp_path / "turned.tif", np.ascontiguousarray(cells), "EPSG:32632", 0, 0, 1.0, transform=transform)
-    return turned, upright, lambda array: FLIPS[request.param](array)[0]
+    flipped_raster = write_geotiff(
+        tmp_path / "flipped_raster.tif", np.ascontiguousarray(cells), "EPSG:32632", 0, 0, 1.0, transform=transform
+    )
+    return flipped_raster, north_up_raster, lambda array: FLIPS[request.param](array)[0]
 
 
-def test_masks_lie_on_turned_cells(tmp_path, flipped):
-    turned, upright, flip = flipped
-    masks = {path: mask_of(path, tmp_path / "mask.tif", 200.0) for path in (turned, upright)}
-    assert 0.05 < (masks[upright] == MASK_SHADOW).mean() < 0.9
-    np.testing.assert_array_equal(masks[turned], flip(masks[upright]))
-    assert not (masks[turned] == MASK_NO_SURFACE).any()
+def test_masks_lie_on_flipped_cells(tmp_path, flipped):
+    flipped_raster, north_up_raster, flip = flipped
+    masks = {path: mask_of(path, tmp_path / "mask.tif", 200.0) for path in (flipped_raster, north_up_raster)}
+    assert 0.05 < (masks[north_up_raster] == MASK_SHADOW).mean() < 0.9
+    np.testing.assert_array_equal(masks[flipped_raster], flip(masks[north_up_raster]))
+    assert not (masks[flipped_raster] == MASK_NO_SURFACE).any()
 
 
-def test_like_accepts_turned_cells(tmp_path, flipped):
-    turned, upright, flip = flipped
-    scene, sun = open_scene(upright), SunSpec(azimuth=200.0, altitude=15.0)
-    write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"])
-    with rasterio.open(tmp_path / "like.tif") as output_dataset, rasterio.open(turned) as source_dataset:
+def test_like_accepts_flipped_cells(tmp_path, flipped):
+    flipped_raster, north_up_raster, flip = flipped
+    scene, sun = open_scene(north_up_raster), SunSpec(azimuth=200.0, altitude=15.0)
+    write_shade(scene, raster_view(scene, like=flipped_raster), "mask", [sun], [tmp_path / "like.tif"])
+    with rasterio.open(tmp_path / "like.tif") as output_dataset, rasterio.open(flipped_raster) as source_dataset:
         assert (output_dataset.transform, output_dataset.shape, output_dataset.crs) == (
             source_dataset.transform,
             source_dataset.shape,
             source_dataset.crs,
         )
-        np.testing.assert_array_equal(output_dataset.read(1), flip(mask_of(upright, tmp_path / "mask.tif", 200.0)))
+        np.testing.assert_array_equal(output_dataset.read(1), flip(mask_of(north_up_raster, tmp_path / "mask.tif", 200.0)))
 
 
-def test_sun_hours_lie_on_turned_cells(tmp_path, flipped):
-    turned, upright, flip = flipped
+def test_sun_hours_lie_on_flipped_cells(tmp_path, flipped):
+    flipped_raster, north_up_raster, flip = flipped
     hours_by_path = {}
-    for path in (turned, upright):
+    for path in (flipped_raster, north_up_raster):
         scene = open_scene(path)
         hours = sun_hours_of(date=DAY, window="10:00-12:00", step_min=60.0)
         write_rasters(scene, raster_view(scene), [hours], [tmp_path / "hours.tif"])
         with rasterio.open(tmp_path / "hours.tif") as output_dataset, rasterio.open(path) as source_dataset:
             assert (output_dataset.transform, output_dataset.shape) == (source_dataset.transform, source_dataset.shape)
             hours_by_path[path] = output_dataset.read(1)
-    assert 0.1 < hours_by_path[upright].mean() < 1.95
-    np.testing.assert_allclose(hours_by_path[turned], flip(hours_by_path[upright]), atol=0.02)
+    assert 0.1 < hours_by_path[north_up_raster].mean() < 1.95
+    np.testing.assert_allclose(hours_by_path[flipped_raster], flip(hours_by_path[north_up_raster]), atol=0.02)
 
 
-def test_the_library_returns_turned_cells(tmp_path, flipped):
-    turned, upright, flip = flipped
+def test_the_library_returns_flipped_cells(tmp_path, flipped):
+    flipped_raster, north_up_raster, flip = flipped
     answers = {}
-    for path in (turned, upright):
+    for path in (flipped_raster, north_up_raster):
         with skugga.open_level(path) as level, rasterio.open(path) as source_dataset:
             assert (level.transform, level.shape) == (source_dataset.transform, source_dataset.shape)
             answers[path] = level.shade(azimuth=200.0, altitude=15.0), level.sun_hours("2024-10-21", step_min=60.0)
-    for turned_array, upright_array in zip(answers[turned], answers[upright], strict=True):
-        np.testing.assert_allclose(turned_array, flip(upright_array), atol=0.02)
+    for flipped_array, north_up_array in zip(answers[flipped_raster], answers[north_up_raster], strict=True):
+        np.testing.assert_allclose(flipped_array, flip(north_up_array), atol=0.02)
 
 
-def test_a_part_of_turned_cells_equals_the_whole(tmp_path, flipped):
-    turned, _, _ = flipped
-    scene, sun = open_scene(turned), SunSpec(azimuth=200.0, altitude=15.0)
-    full_mask = mask_of(turned, tmp_path / "mask.tif", 200.0)
+def test_a_part_of_flipped_cells_equals_the_whole(tmp_path, flipped):
+    flipped_raster, _, _ = flipped
+    scene, sun = open_scene(flipped_raster), SunSpec(azimuth=200.0, altitude=15.0)
+    full_mask = mask_of(flipped_raster, tmp_path / "mask.tif", 200.0)
     bounds = 5e5 + 200.0, 5.3e6 + 300.0, 5e5 + 600.0, 5.3e6 + 900.0
     write_shade(scene, raster_view(scene, bounds=bounds), "mask", [sun], [tmp_path / "part.tif"])
-    with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(turned) as source_dataset:
+    with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(flipped_raster) as source_dataset:
         offset = ~source_dataset.transform @ part.transform
         col, row = round(offset.c), round(offset.f)
         corners = np.array([[part.transform.c, part.transform.f]]) + np.array([[0, 0], [part.width, part.height]]) @ (

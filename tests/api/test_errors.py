@@ -6,10 +6,10 @@ import pytest
 
 from skugga import api, selector, shadows, terrain
 from skugga.api.errors import (
-    DONE,
     ERROR_REPORTS,
-    FAILED,
-    WRONG_INPUT,
+    EXIT_FAILURE,
+    EXIT_SUCCESS,
+    EXIT_WRONG_INPUT,
     NotServedError,
     RetryLaterError,
     error_report_of,
@@ -48,10 +48,10 @@ def test_the_table_has_every_error_and_no_other():
 def test_http_statuses_agree_with_exit_statuses():
     for kind, report in ERROR_REPORTS.items():
         assert 400 <= report.status < 600
-        assert report.exit_status in (FAILED, WRONG_INPUT)
+        assert report.exit_status in (EXIT_FAILURE, EXIT_WRONG_INPUT)
         if report.status < 500:
-            assert report.exit_status == WRONG_INPUT, kind
-    assert DONE == 0
+            assert report.exit_status == EXIT_WRONG_INPUT, kind
+    assert EXIT_SUCCESS == 0
 
 
 def test_error_codes_are_unique():
@@ -83,7 +83,7 @@ def test_errors_have_their_documented_statuses(kind: type[SkuggaError], status: 
 @pytest.mark.parametrize("kind", [kind for kind in every_error() if kind is not NotServedError])
 def test_errors_cross_the_pipe(kind: type[SkuggaError]):
     error = make(kind)
-    received = pickle.loads(pickle.dumps(Failure.of(error))).error()
+    received = pickle.loads(pickle.dumps(Failure.from_error(error))).to_error()
     assert type(received) is kind
     assert str(received) == str(error)
     assert getattr(received, "name", None) == getattr(error, "name", None)

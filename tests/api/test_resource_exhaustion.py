@@ -65,7 +65,7 @@ def test_other_errors_are_no_exhaustion(error: Exception):
     assert exhausted_error(error) is None
 
 
-def test_routes_start_without_a_thread():
+def test_routes_are_coroutines():
     """The framework calls plain functions in threads. With them even the health check would fail on a machine without
     threads.
     """
@@ -81,7 +81,7 @@ def test_routes_start_without_a_thread():
     assert not [part for part in functions if not inspect.iscoroutinefunction(part)]
 
 
-def test_work_without_a_thread_is_never_run(monkeypatch: pytest.MonkeyPatch):
+def test_work_rejected_for_lack_of_threads_never_runs(monkeypatch: pytest.MonkeyPatch):
     """An executor puts the work into its queue even if it cannot start a thread."""
     calls: list[str] = []
 
@@ -99,11 +99,11 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         pids = set(pool.ready_pids)
-        pool._threads.shutdown(wait=False)
+        pool.supervisor._threads.shutdown(wait=False)
         with monkeypatch.context() as patch:
-            patch.setattr(pool, "_threads", ThreadPoolExecutor(2))
-            for worker in pool._workers:
-                patch.setattr(worker._child, "_threads", pool._threads)
+            patch.setattr(pool.supervisor, "_threads", ThreadPoolExecutor(2))
+            for worker in pool.supervisor.workers:
+                patch.setattr(worker._child, "_threads", pool.supervisor._threads)
             for number in range(3):
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))
@@ -189,5 +189,5 @@ def test_exhausted_jobs_are_retried_later(monkeypatch: pytest.MonkeyPatch, error
 
     monkeypatch.setattr(render_worker, "run_job", run_out)
     answer = render_worker._try_job(block(0), WorkerState("a device"))
-    assert isinstance(answer, Failure) and isinstance(answer.error(), ExhaustedError)
-    assert error_report_of(answer.error()).status == 503
+    assert isinstance(answer, Failure) and isinstance(answer.to_error(), ExhaustedError)
+    assert error_report_of(answer.to_error()).status == 503

@@ -19,7 +19,7 @@ from skugga.api.cli.common_options import (
     read_bounds,
     read_size,
 )
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.repeated_command import command_line_without
 from skugga.terrain.atomic_files import write_atomically
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def compare(
     level: LevelSource,
     context: typer.Context,
@@ -53,7 +53,7 @@ def compare(
     ] = None,
 ) -> None:
     """Compare algorithms and settings with ray-traced truth: error against time."""
-    from skugga.api.cli.outputs import check_targets
+    from skugga.api.cli.outputs import check_output_files
     from skugga.api.cli.snapshot import scene_and_view
     from skugga.api.cli.times import sun_from_options
     from skugga.api.report.comparison import check_outputs, print_comparison, write_comparison
@@ -63,7 +63,7 @@ def compare(
     sun, shape = sun_from_options(time, azimuth, altitude), read_size(size)
     check_outputs(output, json_file)
     pictures = [] if output is None else sorted(output.glob("*.png"))
-    check_targets(level, [("--json", json_file), *(("--output", picture) for picture in pictures)])
+    check_output_files(level, [("--json", json_file), *(("--output", picture) for picture in pictures)])
     scene, view_value = scene_and_view(level, view, sun, shape, read_bounds(bounds), crs)
     with ProgressBar("Comparing") as advance:
         limit_s = TIME_LIMIT_S if time_limit is None else time_limit

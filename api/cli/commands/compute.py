@@ -9,7 +9,7 @@ import typer
 
 from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
@@ -18,7 +18,7 @@ from skugga.api.products import RASTER_PRODUCTS, product_named
 from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 @with_product_options(RASTER_PRODUCTS, after="product")
 @with_shadow_options("render")
 def compute_raster(

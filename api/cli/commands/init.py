@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.terrain.errors import printable
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def init(
     level: LevelSource,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Level file to write; default: NAME.yaml.")] = None,

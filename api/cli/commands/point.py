@@ -9,14 +9,14 @@ import typer
 
 from skugga.api.cli.common_options import JsonOption, TimeOption
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.point.horizon_formats import HORIZON_FORMATS
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def sun_at_point(
     level: LevelSource,
     at: Annotated[str | None, typer.Option(metavar="LON,LAT", help="The point in degrees, or x,y in --crs.")] = None,

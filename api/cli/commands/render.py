@@ -21,9 +21,9 @@ from skugga.api.cli.common_options import (
     read_size,
 )
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import overrides_of, with_shadow_options
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.times import sun_from_options
@@ -52,7 +52,7 @@ _SlopeExaggerationOption = Annotated[
 ]
 
 
-@takes_level
+@with_level_argument
 @with_product_options(_LAYERS, after="layer")
 @with_shadow_options("render")
 def render(
@@ -121,7 +121,7 @@ def render(
         )
         return
     check_output(product, output)
-    check_targets(level, [("--output", output), ("--stats", stats)])
+    check_output_files(level, [("--output", output), ("--stats", stats)])
     overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
         request = ProductRequest(product=layer, options=options, sun=sun_from_options(time, azimuth, altitude))

@@ -8,16 +8,16 @@ from typing import Annotated, Any
 import typer
 
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import with_shadow_options
 from skugga.api.cli.product_parameters import with_product_options
-from skugga.api.products import SEEDED_PRODUCTS
-from skugga.api.seed.messages import MIN_LIMIT_S
+from skugga.api.products import SEED_PRODUCTS
+from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S
 from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
-@with_product_options(SEEDED_PRODUCTS, after="format")
+@with_level_argument
+@with_product_options(SEED_PRODUCTS, after="format")
 @with_shadow_options("pictures", after="altitude")
 def seed(
     level: LevelSource,
@@ -31,13 +31,16 @@ def seed(
     ],
     zooms: Annotated[
         str | None,
-        typer.Option(metavar="A-B", help="First and last zoom; default: from one tile of all to the cells' resolution."),
+        typer.Option(
+            metavar="A-B",
+            help="First and last zoom; default: from the zoom at which one tile shows the level to the cells' resolution.",
+        ),
     ] = None,
     layer: Annotated[
         str,
         typer.Option(
-            help=f"Layer of the tiles: {', '.join(SEEDED_PRODUCTS)}.",
-            autocompletion=complete_words(SEEDED_PRODUCTS),
+            help=f"Layer of the tiles: {', '.join(SEED_PRODUCTS)}.",
+            autocompletion=complete_words(SEED_PRODUCTS),
         ),
     ] = "color",
     format: Annotated[str, typer.Option(help="png, webp or jpg.", autocompletion=complete_words(["png", "webp", "jpg"]))] = "png",
@@ -75,7 +78,7 @@ def seed(
             help="Seconds after which a render process is ended if it has not finished its task; another process then retries. The "
             "limit is at least a hundred times the expected time of the task.",
         ),
-    ] = MIN_LIMIT_S,
+    ] = MIN_TASK_TIMEOUT_S,
     max_ms: Annotated[
         float | None,
         typer.Option(help="Longest expected time of a block, ms; default: the limit of a service (60 s).", min=0.0),

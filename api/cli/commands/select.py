@@ -23,9 +23,9 @@ from skugga.api.cli.common_options import (
     read_size,
 )
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import overrides_of, with_shadow_options
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import spinner
 from skugga.api.cli.times import sun_from_options
 from skugga.selector.choices import PolicyName
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from skugga.terrain.level.parts import SunSpec
 
 
-@takes_level
+@with_level_argument
 @with_shadow_options("select")
 def select(
     level: LevelSource,
@@ -82,7 +82,7 @@ def select(
     from skugga.api.cli.planning import pin_plan, plan_level_view, write_descriptor
     from skugga.api.report.plan_text import format_plan
 
-    check_targets(level, [("--descriptor", descriptor)])
+    check_output_files(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", declared_options)
     if all_views or all_scales:
         from skugga.api.cli.all_views import check_conflicts

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.gdal_guard import forbid_remote_reads
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def serve(
     levels: list[LevelSource],
     folder: Annotated[

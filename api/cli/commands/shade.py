@@ -9,9 +9,9 @@ import typer
 
 from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import overrides_of, with_shadow_options
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.times import sun_from_options, suns_from_options
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
@@ -24,7 +24,7 @@ SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when 
 """Products of the sun at a moment."""
 
 
-@takes_level
+@with_level_argument
 @with_shadow_options("render")
 def shade_raster(
     level: LevelSource,
@@ -61,7 +61,7 @@ def shade_raster(
     cells: Path | RasterCells | None = like
     suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)
     if stac is not None:
-        check_targets(level, [("--output", output)], stac)
+        check_output_files(level, [("--output", output)], stac)
         suns, cells = sun_and_grid_of_item(stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None)
     with ProgressBar("Shading") as advance:
         requests = [ProductRequest(product=layer, sun=sun) for sun in suns]

@@ -9,7 +9,7 @@ import typer
 
 from skugga.api.cli.common_options import BoundsOption, CrsOption, read_bounds
 from skugga.api.cli.completion import complete_words
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.products.sun_hours import QUANTITIES
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def sun_hours_raster(
     level: LevelSource,
     output: Annotated[Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF to write.")],

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.errors import with_option_names
 from skugga.terrain.errors import printable
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
 
-@takes_level
+@with_level_argument
 def validate(level: LevelSource) -> None:
     """Check a level file and the data it names."""
     from skugga.api.level_summary import remarks

@@ -47,15 +47,15 @@ h2 {{ margin-top: 2rem; }}
 def level_page(level: ServedLevel, base: str) -> str:
     """Return the HTML page of a level. Its links are relative to ``/levels/``; ``base`` is the service's public URL."""
     name = quote(level.name)
-    off_earth_reason = level.world.off_earth_reason is not None
+    is_off_earth = level.world.off_earth_reason is not None
     return _PAGE.format(
         title=escape(level.loaded.level.title or level.name),
         name=name,
-        picture=f"{name}/snapshot.webp?view=map" if off_earth_reason else f"{name}/map.webp",
+        picture=f"{name}/snapshot.webp?view=map" if is_off_earth else f"{name}/map.webp",
         facts="\n".join(f"<tr><th>{escape(key)}</th><td>{value}</td></tr>" for key, value in _facts(level)),
         snippets="\n".join(
             f"<h2>{escape(title)}</h2>\n<pre>{escape(text)}</pre>"
-            for title, text in (() if off_earth_reason else snippets(level, base))
+            for title, text in (() if is_off_earth else snippets(level, base))
         ),
     )
 
@@ -136,7 +136,7 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
     views = [view for view, size in level.view_sizes.items() if size is not None]
     yield "Views", ", ".join(f'<a href="{name}/snapshot.png?view={quote(view)}">{escape(view)}</a>' for view in views)
     if level.world.off_earth_reason is None:
-        yield "For QGIS", f'<a href="{name}.qlr">{escape(level.name)}.qlr</a>, to be dragged into its window'
+        yield "For QGIS", f'<a href="{name}.qlr">{escape(level.name)}.qlr</a>, to drag into its window'
     if level_file.attribution:
         yield "Attribution", escape(level_file.attribution)
     for warning in level.warnings:

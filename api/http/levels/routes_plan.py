@@ -22,7 +22,7 @@ from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.matrices import matrix_set_of
 from skugga.api.request import PictureRequest
-from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
+from skugga.api.workers.jobs import DescriptorAnswer, DescriptorJob, DescriptorPlanJob, PlanAnswer, PlanJob, ZoomTiles
 from skugga.terrain.errors import InputError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.parts import SunSpec
@@ -129,7 +129,7 @@ async def plan_of_descriptor(
     The facts do not include a level's settings of shadows and effects: all settings are automatic here, unless the query sets them.
     Predictions are for the service's own device.
     """
-    job = DescribedPlanJob(
+    job = DescriptorPlanJob(
         descriptor_json=sent_descriptor.as_descriptor_json(),
         policy=plan_request.policy,
         request=PictureRequest(overrides=plan_request.overrides),
@@ -139,7 +139,7 @@ async def plan_of_descriptor(
     return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 
 
-def _view_or_tiles(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
+def _view_or_tiles(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | ZoomTiles:
     """Return the checked name of a view, or the tiles of a zoom if the query has ``zoom``.
 
     Raises ``InputError`` for an unknown view, for ``view`` together with ``zoom``, and for ``tms`` without ``zoom``. Raises
@@ -154,4 +154,4 @@ def _view_or_tiles(level: ServedLevel, view: str | None, zoom: int | None, tms: 
     zooms = level.zooms_in(matrix_set)
     if not zooms.first <= zoom <= zooms.last:
         raise NotServedError("zoom", f"zoom: {zoom} is not served. Use {zooms.first} to {zooms.last}.")
-    return Tiles(matrix_set=matrix_set, zoom=zoom)
+    return ZoomTiles(matrix_set=matrix_set, zoom=zoom)

@@ -31,7 +31,7 @@ MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-12, 1e15
 
 Other numbers under- or overflow to 0 or infinity in calculations."""
 
-MAX_NAME = 200
+MAX_NAME_CHARACTERS = 200
 """Maximum number of characters of a name or a reason."""
 
 
@@ -52,8 +52,8 @@ def _numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
 FactNumber = Annotated[float, BeforeValidator(_parse_infinity), Field(strict=True, ge=-np.inf)]
 """Type of a number or an infinity. NaN and booleans are rejected."""
 
-FactShare = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
-FactText = Annotated[str, Field(max_length=MAX_NAME)]
+FactFraction = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
+FactText = Annotated[str, Field(max_length=MAX_NAME_CHARACTERS)]
 
 
 class _Facts(BaseModel):
@@ -88,14 +88,14 @@ class WaterFacts(_Facts):
 class CloudFacts(_Facts):
     """Facts of ``skugga.terrain.effects.clouds``, as shares of 0 to 1."""
 
-    cover: FactShare
-    taken: FactShare | None
+    cover: FactFraction
+    taken: FactFraction | None
 
 
 class SkyViewFacts(_Facts):
     """Facts of ``skugga.terrain.effects.sky_view``: a share of 0 to 1, and steps of 255."""
 
-    hidden: FactShare
+    hidden: FactFraction
     steps: FactNumber
 
 
@@ -162,14 +162,14 @@ class FactsByEffect(_Facts):
     def _check_no_nulls(cls, data: object) -> object:
         for name, facts in data.items() if isinstance(data, dict) else ():
             if facts is None:
-                raise PydanticCustomError("null", "an object for {name}, or no such key", {"name": str(name)[:MAX_NAME]})
+                raise PydanticCustomError("null", "an object for {name}, or no such key", {"name": str(name)[:MAX_NAME_CHARACTERS]})
         return data
 
 
 class SentDescriptor(Descriptor):
     """The facts of a scene and a view, as clients send them."""
 
-    view: Annotated[str, Field(max_length=MAX_NAME)]
+    view: Annotated[str, Field(max_length=MAX_NAME_CHARACTERS)]
     lamps: Annotated[tuple[LampFacts, ...], Field(max_length=MAX_LAMPS)] = ()
     lights: Annotated[dict[str, LightFacts], Field(max_length=MAX_LAMPS + 1)] = {}
     bands: Annotated[tuple[Band, ...], Field(max_length=MAX_BANDS)] = ()
@@ -180,7 +180,7 @@ class SentDescriptor(Descriptor):
     def _check_magnitudes(cls, data: object) -> object:
         for path, number in _numbers(data):
             if number and number == number and abs(number) != np.inf and not MIN_MAGNITUDE <= abs(number) <= MAX_MAGNITUDE:
-                context = {"place": path[:MAX_NAME], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
+                context = {"place": path[:MAX_NAME_CHARACTERS], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
                 raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", context)
         return data
 
@@ -189,10 +189,10 @@ class SentDescriptor(Descriptor):
         for name, light in self.lights.items():
             for kind, casting in light.casts.items():
                 if len(casting.bands) > MAX_BANDS:
-                    context = {"place": f"lights.{name[:MAX_NAME]}.casts.{kind}.bands", "most": MAX_BANDS}
+                    context = {"place": f"lights.{name[:MAX_NAME_CHARACTERS]}.casts.{kind}.bands", "most": MAX_BANDS}
                     raise PydanticCustomError("many", "at most {most} bands in {place}", context)
-        if any(len(lamp.name) > MAX_NAME for lamp in self.lamps):
-            raise PydanticCustomError("long", "at most {most} characters in lamps.name", {"most": MAX_NAME})
+        if any(len(lamp.name) > MAX_NAME_CHARACTERS for lamp in self.lamps):
+            raise PydanticCustomError("long", "at most {most} characters in lamps.name", {"most": MAX_NAME_CHARACTERS})
         return self
 
     @model_validator(mode="after")

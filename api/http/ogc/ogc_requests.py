@@ -29,7 +29,7 @@ GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """File formats that map clients know, in order of preference."""
 
 RESERVED_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
-"""Keys that WMS and WMTS define. A product option with such a name cannot be set by its key."""
+"""Keys that WMS and WMTS define. They do not set a product option of the same name."""
 
 
 class KeyValuePairs:

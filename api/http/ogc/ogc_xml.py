@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 XLINK = "http://www.w3.org/1999/xlink"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 
-WEST_180, EAST_180 = -180.0, 180.0
+MIN_LON_DEG, MAX_LON_DEG = -180.0, 180.0
 
 
 def add(parent: Element, tag: str, text: object = None, **attributes: str) -> Element:
@@ -38,7 +38,7 @@ def lon_lat_box(bounds: tuple[float, float, float, float]) -> tuple[float, float
     Bounds that cross the antimeridian become the full range of longitudes, since boxes in capabilities may not cross it.
     """
     west, south, east, north = bounds
-    return bounds if west >= WEST_180 and east <= EAST_180 else (WEST_180, south, EAST_180, north)
+    return bounds if west >= MIN_LON_DEG and east <= MAX_LON_DEG else (MIN_LON_DEG, south, MAX_LON_DEG, north)
 
 
 def ows_exception(code: str, locator: str | None, text: str) -> bytes:

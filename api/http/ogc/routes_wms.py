@@ -88,7 +88,7 @@ WMS_KEYS = ogc_parameters(
 )
 WMS_EXAMPLE = example_query("REQUEST", "LAYERS", "CRS", "BBOX", "WIDTH", "HEIGHT", "FORMAT")
 WMS_DOCS = file_docs(
-    "The document, the map, what is there, or the legend.",
+    "The capabilities, the map, the feature info, or the legend.",
     dict.fromkeys([*MAP_MEDIA, "text/xml", *INFO_MEDIA, *LEGEND_MEDIA]),
 ) | exception_docs(*WORK_ERRORS)
 

@@ -50,12 +50,14 @@ WMTS_CODES = {
 They come from OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
 
-DEFAULT_TIME_PARAMETER = ogc_parameters(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
+DEFAULT_TIME_PARAMETER = ogc_parameters(
+    TIME=("Default time of all layers; by default each layer has the time of its level.", "2024-10-21T16:30:00Z")
+)
 
 
 @router.get(
     "/wmts/1.0.0/WMTSCapabilities.xml",
-    summary="WMTS: what is served",
+    summary="WMTS capabilities",
     responses=file_docs("The document.", ["text/xml"]) | exception_docs(422, 500),
     openapi_extra=DEFAULT_TIME_PARAMETER,
 )
@@ -69,7 +71,7 @@ async def wmts_of_all(request: Request, service: ServiceDep) -> Response:
 
 @router.get(
     "/levels/{level}/WMTSCapabilities.xml",
-    summary="WMTS: what is served of a level",
+    summary="WMTS capabilities of a level",
     responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERRORS),
     openapi_extra=DEFAULT_TIME_PARAMETER,
 )

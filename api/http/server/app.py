@@ -19,9 +19,9 @@ from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point
 from skugga.api.http.server import routes_docs, routes_health, routes_viewer
-from skugga.api.http.server.bearer_token import BearerToken
-from skugga.api.http.server.cross_origin import CrossOrigin
-from skugga.api.http.server.first_blocks import first_blocks
+from skugga.api.http.server.bearer_token import BearerTokenMiddleware
+from skugga.api.http.server.cross_origin import SharedCacheCorsMiddleware
+from skugga.api.http.server.first_blocks import central_blocks
 from skugga.api.http.server.openapi import install_openapi
 from skugga.api.http.server.problem_handlers import install_problem_handlers
 from skugga.api.http.server.request_middleware import CACHED_ROUTE_KEY, CLIENT_CLOSED_REQUEST, RequestMiddleware
@@ -31,12 +31,12 @@ from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.http.state.rate_limiter import RateLimiter
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevels
-from skugga.api.http.state.service import ClientGoneError, Service
+from skugga.api.http.state.service import ClientDisconnectedError, Service
 from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
 from skugga.api.http.views import routes_animations, routes_snapshot
 from skugga.api.settings import Settings
-from skugga.api.workers.idle_calibration import measured_profile
-from skugga.api.workers.idle_probes import Probe, probed_level
+from skugga.api.workers.idle_calibration import measure_profile
+from skugga.api.workers.idle_probes import Probe, probe_level
 from skugga.api.workers.jobs import LevelKey
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
 from skugga.api.workers.pool import Pool
@@ -50,8 +50,8 @@ def create_app(
     settings: Settings,
     levels: Sequence[Path | LevelSource],
     worker_target: WorkerTarget = worker_main,
-    measure: Callable[[], DeviceProfile] = measured_profile,
-    probe: Probe = probed_level,
+    measure: Callable[[], DeviceProfile] = measure_profile,
+    probe: Probe = probe_level,
     archives: Sequence[Path] = (),
     spawned_worker: SpawnedWorker | None = None,
 ) -> FastAPI:
@@ -96,7 +96,7 @@ def create_app(
     served_archives = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
     for level in source_levels:
         served_archives.open_level_archives(level)
-    pool = Pool(settings, worker_target, lambda: first_blocks(served_levels), measure, probe, spawned_worker)
+    pool = Pool(settings, worker_target, lambda: central_blocks(served_levels), measure, probe, spawned_worker)
     tiles = EncodedTiles(settings.tile_cache_bytes)
 
     async def current_level_key(name: str) -> LevelKey:
@@ -123,19 +123,19 @@ def create_app(
     )  # fmt: skip
     app.state.service = service
     app.add_middleware(TileCacheMiddleware, service=service)
-    app.add_middleware(HeadAsGet)
-    app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
+    app.add_middleware(HeadAsGetMiddleware)
+    app.add_middleware(BodyLimitMiddleware, max_bytes=settings.max_body_bytes)
     if settings.api_token is not None:
-        app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
+        app.add_middleware(BearerTokenMiddleware, token=settings.api_token.get_secret_value())
     # CORS wraps the middleware that rejects requests, so pages of other origins can read the reason. Requests carry no credentials
     # such as cookies, so all request headers are allowed.
     app.add_middleware(
-        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
+        SharedCacheCorsMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
         allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(RequestMiddleware, metrics=metrics, access_log=settings.access_log)
     install_problem_handlers(app)
-    app.add_exception_handler(ClientGoneError, _client_gone)
+    app.add_exception_handler(ClientDisconnectedError, _client_disconnected)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
         routes_snapshot, routes_animations, routes_archives, routes_health,
@@ -147,7 +147,7 @@ def create_app(
     return app
 
 
-class HeadAsGet:
+class HeadAsGetMiddleware:
     """Middleware that answers HEAD like GET, without the body."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -167,7 +167,7 @@ class HeadAsGet:
         scope.update({key: get_scope[key] for key in (CACHED_ROUTE_KEY, "route") if key in get_scope})
 
 
-class BoundedBody:
+class BodyLimitMiddleware:
     """Middleware that rejects request bodies of more than ``max_bytes`` bytes.
 
     A body with a Content-Length is rejected before it is read.
@@ -203,5 +203,5 @@ class BoundedBody:
         await self.app(scope, receive_some, send)
 
 
-async def _client_gone(request: Request, error: Exception) -> Response:
+async def _client_disconnected(request: Request, error: Exception) -> Response:
     return Response(status_code=CLIENT_CLOSED_REQUEST)

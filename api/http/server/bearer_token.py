@@ -14,7 +14,7 @@ PUBLIC_PATHS = {"/healthz", "/readyz"}
 """Paths that need no token, since health checks of load balancers and orchestrators send none."""
 
 
-class BearerToken:
+class BearerTokenMiddleware:
     """Middleware that rejects requests without ``Authorization: Bearer TOKEN`` (RFC 6750), except for health checks.
 
     It marks answers as ``private`` in ``Cache-Control``: a shared cache would also send public answers to clients without a token.

@@ -17,7 +17,7 @@ MAX_HEAD_BYTES = 64 * 1024
 The last received piece of data, which completes the headers, is not counted."""
 
 
-class BoundedHeaders(HttpToolsProtocol):
+class HeaderLimitProtocol(HttpToolsProtocol):
     """Protocol that closes a connection whose request line and headers exceed ``MAX_HEAD_BYTES``."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:

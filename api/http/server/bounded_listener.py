@@ -17,19 +17,19 @@ from typing import Any, Protocol
 
 log = logging.getLogger("skugga")
 
-ACCEPTED_AT_ONCE = 64
+MAX_ACCEPTS_PER_STEP = 64
 """Maximum number of connections that are accepted in one step of the event loop."""
 
 REAP_INTERVAL_S = 0.25
 """Seconds between two searches for stalled connections (those whose client neither sends nor reads in time)."""
 
-PAUSE_S = 0.5
-"""Seconds without accepting connections after ``accept`` has failed, for example for want of file descriptors."""
+ACCEPT_RETRY_DELAY_S = 0.5
+"""Seconds before connections are accepted again after ``accept`` has failed, for example without file descriptors."""
 
 LOG_INTERVAL_S = 60.0
 """Minimum seconds between two log messages about a lack of file descriptors or memory."""
 
-OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+EXHAUSTION_ERRNOS = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 
 class HttpConnection(Protocol):
@@ -49,14 +49,14 @@ class HttpConnection(Protocol):
 
 @dataclass
 class _WaitState:
-    """What a connection waits for, and since when.
+    """The state of a connection, and the time of its last change.
 
     Attributes
     ----------
     progress : tuple
         The value of ``_client_progress``, which changes as the client makes progress.
     since_s : float
-        Time of its last change in seconds, by the event loop's clock.
+        Time of the last change in seconds, by the event loop's clock.
     """
 
     progress: tuple[object, ...]
@@ -131,7 +131,7 @@ class BoundedListener:
             self._loop.remove_reader(self._listening_socket)
 
     def _accept(self) -> None:
-        for _ in range(ACCEPTED_AT_ONCE):
+        for _ in range(MAX_ACCEPTS_PER_STEP):
             if len(self._connections) + len(self._connecting) >= self._limit and not self._evict_idle():
                 self._pause()
                 return
@@ -141,10 +141,10 @@ class BoundedListener:
                 return
             except OSError as error:
                 self._pause()
-                self._paused_until_s = self._loop.time() + PAUSE_S
-                if error.errno not in OUT_OF_RESOURCES or self._loop.time() - self._logged_s >= LOG_INTERVAL_S:
+                self._paused_until_s = self._loop.time() + ACCEPT_RETRY_DELAY_S
+                if error.errno not in EXHAUSTION_ERRNOS or self._loop.time() - self._logged_s >= LOG_INTERVAL_S:
                     self._logged_s = self._loop.time()
-                    log.error("connections cannot be accepted: %s; retrying every %g s", error.strerror, PAUSE_S)
+                    log.error("connections cannot be accepted: %s; retrying every %g s", error.strerror, ACCEPT_RETRY_DELAY_S)
                 return
             client.setblocking(False)
             task = self._loop.create_task(self._connect(client))

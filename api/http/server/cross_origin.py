@@ -7,7 +7,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import Message, Receive, Scope, Send
 
 
-class CrossOrigin(CORSMiddleware):
+class SharedCacheCorsMiddleware(CORSMiddleware):
     """Starlette's CORS middleware with headers that are safe for shared caches.
 
     With all origins allowed, answers have the same headers for every request, even without ``Origin``. Otherwise every answer has

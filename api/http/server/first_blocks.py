@@ -1,4 +1,4 @@
-"""The first block of each level, for which idle render processes prepare.
+"""The central block of each level. Idle render processes open the levels of these blocks.
 
 A block is a square of 4 x 4 tiles that are rendered together.
 """
@@ -11,13 +11,13 @@ from skugga.api.workers.block_tiles import block_and_position
 from skugga.api.workers.jobs import BlockJob
 
 
-def first_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:
+def central_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:
     """Return the central block of each level with tiles, at its first zoom."""
-    blocks = (first_block(level) for level in levels.cached_levels())
+    blocks = (central_block(level) for level in levels.cached_levels())
     return tuple(block for block in blocks if block is not None)
 
 
-def first_block(level: ServedLevel, zoom: int | None = None) -> BlockJob | None:
+def central_block(level: ServedLevel, zoom: int | None = None) -> BlockJob | None:
     """Return the central block of a level at a zoom, by default its first zoom; ``None`` for a level without tiles."""
     zooms = level.zooms.get(DEFAULT_MATRIX_SET)
     if zooms is None or level.bounds is None:

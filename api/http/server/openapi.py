@@ -8,7 +8,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_bounds
+from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_standard_bounds
 from skugga.api.http.problems import Problem
 from skugga.api.http.server.bearer_token import PUBLIC_PATHS
 from skugga.api.http.state.archive_file import ArchiveFile
@@ -34,7 +34,7 @@ def install_openapi(app: FastAPI, service: Service) -> None:
 
 def _complete_document(document: dict[str, Any], service: Service) -> dict[str, Any]:
     has_token, location_examples = service.settings.api_token is not None, level_examples(service.levels.cached_levels())
-    document = with_bounds(document)
+    document = with_standard_bounds(document)
     schemas = document["components"]["schemas"]
     schemas[Problem.__name__] = Problem.model_json_schema(mode="serialization")
     schemas |= _plan_schemas()

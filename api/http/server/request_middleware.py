@@ -19,7 +19,7 @@ from skugga.api.http.request_times import TIME_HEADER
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.resource_exhaustion import exhausted_error
 
-REQUEST_ID = "X-Request-ID"
+REQUEST_ID_HEADER = "X-Request-ID"
 REQUEST_ID_PATTERN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 """Accepted request ids of clients: without characters that are special in logs, headers or HTML."""
 
@@ -138,13 +138,13 @@ class LogFormatter(logging.Formatter):
 
 
 def _request_id_of(scope: Scope) -> str:
-    sent_id = dict(scope["headers"]).get(REQUEST_ID.lower().encode(), b"").decode("latin-1")
+    sent_id = dict(scope["headers"]).get(REQUEST_ID_HEADER.lower().encode(), b"").decode("latin-1")
     return sent_id if REQUEST_ID_PATTERN.fullmatch(sent_id) else secrets.token_hex(8)
 
 
 def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duration_ms: float) -> None:
     """Add the headers that all answers have. ``duration_ms`` is the time since the request arrived."""
-    headers[REQUEST_ID] = id_
+    headers[REQUEST_ID_HEADER] = id_
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
     headers["Server-Timing"] = f"{timings}, total;dur={duration_ms:.1f}" if timings else f"total;dur={duration_ms:.1f}"

@@ -12,12 +12,12 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from skugga.api.errors import NotReadyError, UnhealthyError
 from skugga.api.http.openapi_parts import problem_docs
 from skugga.api.http.parameters import allow_only
-from skugga.api.http.state.metrics import MEDIA_TYPE_OF_METRICS
+from skugga.api.http.state.metrics import METRICS_MEDIA_TYPE
 from skugga.api.http.state.service import ServiceDep
 
 router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
 
-_UNCACHED = {"Cache-Control": "no-store"}
+NO_STORE_HEADERS = {"Cache-Control": "no-store"}
 
 
 @router.get("/healthz", summary="Whether the service is alive", responses=problem_docs(503), response_model=dict[str, str])
@@ -25,7 +25,7 @@ async def healthz(service: ServiceDep) -> JSONResponse:
     """Return 200 while the service runs, even if it cannot render yet; 503 if it must be restarted."""
     if not service.pool.is_healthy:
         raise UnhealthyError("the supervisor of a render process has ended")
-    return JSONResponse({"status": "ok"}, headers=_UNCACHED)
+    return JSONResponse({"status": "ok"}, headers=NO_STORE_HEADERS)
 
 
 @router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503), response_model=dict[str, Any])
@@ -34,13 +34,13 @@ async def readyz(service: ServiceDep) -> JSONResponse:
 
     A service of archives only renders nothing and is ready at once.
 
-    `calibration` is the state of the device's calibration, which plans by prediction need: `calibrated`; `waiting` (for an idle
+    `calibration` is the state of the device's calibration, which predictions of plans need: `calibrated`; `waiting` (for an idle
     service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate). `probes_waiting` is the number of pending
     probes: one for each level and class of suns, run while the service is idle.
 
     `preparing` describes the compilation of loops: the numbers `done` and `total` (0 while unknown), and `elapsed_s`, the seconds
-    since its start; `null` when it is complete. Tiles wait for loops that are compiled before the service is ready. Loops that are
-    compiled later are those that no request has needed yet.
+    since its start; `null` when it is complete. Tiles wait for loops that are compiled before the service is ready. No request has
+    needed the loops that are compiled later.
     """
     pool = service.pool
     preparing: dict[str, Any] | None = None
@@ -58,11 +58,11 @@ async def readyz(service: ServiceDep) -> JSONResponse:
             "probes_waiting": pool.idle_probes.requested_count,
             "preparing": preparing,
         },
-        headers=_UNCACHED,
+        headers=NO_STORE_HEADERS,
     )
 
 
 @router.get("/metrics", summary="Metrics", response_class=PlainTextResponse, response_model=str)
 async def metrics(service: ServiceDep) -> Response:
     """Return the metrics in Prometheus' text format."""
-    return Response(service.metrics.text(), headers=_UNCACHED, media_type=MEDIA_TYPE_OF_METRICS)
+    return Response(service.metrics.text(), headers=NO_STORE_HEADERS, media_type=METRICS_MEDIA_TYPE)

@@ -17,7 +17,7 @@ from typing import Any
 import uvicorn
 
 from skugga.api.http.server.app import create_app
-from skugga.api.http.server.bounded_headers import BoundedHeaders
+from skugga.api.http.server.bounded_headers import HeaderLimitProtocol
 from skugga.api.http.server.bounded_listener import BoundedListener
 from skugga.api.http.server.request_middleware import LogFormatter
 from skugga.api.http.state.service import Service
@@ -38,7 +38,7 @@ DESCRIPTORS_PER_FILM = 4
 RESERVED_DESCRIPTORS = 16
 """File descriptors reserved for files of levels and the viewer, and for logs."""
 
-FOLDER_RETRY_S = 5.0
+FOLDER_RETRY_DELAY_S = 5.0
 """Seconds until the next attempt to read the folder of levels, if no thread can be started for it."""
 
 MIN_CONNECTIONS = 8
@@ -126,10 +126,10 @@ class Server(uvicorn.Server):
     def _read_folder(self) -> None:
         """Read the folder of levels in its own thread, without a time limit. Retry later if no thread can be started."""
         try:
-            threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
+            threading.Thread(target=self._service.levels.reload_folder, name="read the folder of levels", daemon=True).start()
         except (RuntimeError, MemoryError) as error:
-            log.error("the folder of levels cannot be read: %s; retrying in %g s", error, FOLDER_RETRY_S)
-            asyncio.get_running_loop().call_later(FOLDER_RETRY_S, self._read_folder)
+            log.error("the folder of levels cannot be read: %s; retrying in %g s", error, FOLDER_RETRY_DELAY_S)
+            asyncio.get_running_loop().call_later(FOLDER_RETRY_DELAY_S, self._read_folder)
 
     def _log_status(self) -> None:
         pool = self._service.pool
@@ -148,7 +148,11 @@ def connection_limit(settings: Settings) -> int:
     film_descriptors = settings.animations_kept + DESCRIPTORS_PER_FILM * settings.animations_at_a_time
     available = soft - open_descriptors() - DESCRIPTORS_PER_WORKER * settings.workers - film_descriptors - RESERVED_DESCRIPTORS
     if available < settings.max_connections:
-        log.warning("at most %d connections at a time: the limit of open files is %d", max(available, MIN_CONNECTIONS), soft)
+        log.warning(
+            "the limit of connections is reduced to %d, because the limit of open files is %d",
+            max(available, MIN_CONNECTIONS),
+            soft,
+        )
     return min(settings.max_connections, max(available, MIN_CONNECTIONS))
 
 
@@ -164,7 +168,7 @@ def serve(
     """
     app = create_app(settings, levels, archives=archives, spawned_worker=spawned_worker)
     config = uvicorn.Config(
-        app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
+        app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=HeaderLimitProtocol,
         ws="none", server_header=False, timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):

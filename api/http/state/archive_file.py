@@ -27,14 +27,14 @@ from skugga.api.file_stamps import Stamp, file_stamps
 from skugga.terrain.cache import MIB, Cache, Missing
 from skugga.terrain.errors import Problem
 
-DIRECTORY_DEPTH = 3
+MAX_DIRECTORY_DEPTH = 3
 """Maximum number of nested directories, including the root."""
 
 MAX_DECOMPRESSED_BYTES = 64 * MIB
 """Maximum bytes of a decompressed directory or metadata document. A leaf directory of 4096 entries has some 40 KB."""
 
-CHECKED_LEAF_BYTES = 64 * MIB
-"""Compressed bytes of leaf directories that are validated when an archive is opened, which takes a second or two.
+MAX_VALIDATED_LEAF_BYTES = 64 * MIB
+"""Maximum compressed bytes of leaf directories that are validated when an archive is opened. It takes a second or two.
 
 Leaf directories beyond this limit are validated when they are first used."""
 
@@ -54,7 +54,7 @@ class _Directory:
     lengths
         Lengths of the tiles or leaf directories in bytes.
     offsets
-        Their offsets in bytes from the begin of the file's section of tiles or of leaf directories.
+        Their offsets in bytes, from the begin of the section of tiles or of leaf directories.
     """
 
     ids: NDArray[np.uint64]
@@ -119,7 +119,7 @@ class ArchiveFile:
             return None
         tile_id = zxy_to_tileid(zoom, x, y)
         directory = self._root
-        for _ in range(DIRECTORY_DEPTH):
+        for _ in range(MAX_DIRECTORY_DEPTH):
             row = int(np.searchsorted(directory.ids, np.uint64(tile_id), side="right")) - 1
             if row < 0:
                 return None
@@ -128,16 +128,16 @@ class ArchiveFile:
                 is_in_run = tile_id < int(directory.ids[row]) + run
                 return self._read(self.header["tile_data_offset"] + offset, length) if is_in_run else None
             directory = self._leaf(offset, length)
-        raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
+        raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
     def _first_tile(self) -> tuple[int, int, int]:
         """Return zoom, column and row of the tile with the lowest tile id."""
         directory = self._root
-        for _ in range(DIRECTORY_DEPTH):
+        for _ in range(MAX_DIRECTORY_DEPTH):
             if directory.runs[0]:
                 return tileid_to_zxy(int(directory.ids[0]))
             directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
-        raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
+        raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
     def _header(self) -> HeaderDict:
         raw = os.pread(self._file, HEADER_BYTES, 0)
@@ -146,7 +146,7 @@ class ArchiveFile:
         if raw[7:8] not in (b"", b"\x03"):
             raise self._error(f"a PMTiles archive of version {raw[7]}")
         if len(raw) < HEADER_BYTES:
-            raise self._error("cut short: it ends in its header")
+            raise self._error("truncated: it ends in its header")
         try:
             header = deserialize_header(raw)
         except ValueError as error:
@@ -170,7 +170,7 @@ class ArchiveFile:
         }
         part, end = max(ends.items(), key=lambda item: item[1])
         if end > size:
-            raise self._error(f"cut short: its {part} end at byte {end}, but the file has {size} bytes")
+            raise self._error(f"truncated: its {part} end at byte {end}, but the file has {size} bytes")
         if not header["min_zoom"] <= header["max_zoom"] <= 31:
             raise self._error(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
         return header
@@ -191,7 +191,7 @@ class ArchiveFile:
 
     def _checked_root(self) -> _Directory:
         root = self._directory(self.header["root_offset"], self.header["root_length"])
-        bytes_left = CHECKED_LEAF_BYTES
+        bytes_left = MAX_VALIDATED_LEAF_BYTES
         for length, offset in _leaves(root):
             bytes_left -= length
             if bytes_left < 0:
@@ -213,10 +213,10 @@ class ArchiveFile:
         numbers = _varints(self._decompress(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
-            raise self._error("broken directories: one is cut short or empty")
+            raise self._error("broken directories: one is truncated or empty")
         deltas, runs, lengths, codes = numbers[1:].reshape(4, count)
         ids = np.cumsum(deltas, dtype=np.uint64)
-        # A code of 0 means: directly after the previous entry. Such offsets are the last explicit offset plus the lengths since.
+        # A code of 0 means that the entry follows the previous one. Its offset is the last explicit offset plus the lengths since.
         is_explicit = codes > 0
         if not is_explicit[0]:
             raise self._error("broken directories: the first entry has no offset")
@@ -246,7 +246,7 @@ class ArchiveFile:
         except zlib.error:
             raise self._error(f"broken {part}: not gzip") from None
         if not decompressor.eof:
-            raise self._error(f"broken {part}: gzip that is cut short or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
+            raise self._error(f"broken {part}: gzip that is truncated or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
         return decompressed
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -255,7 +255,7 @@ class ArchiveFile:
         except (OSError, OverflowError) as error:
             raise self._error(f"cannot be read: {error}") from None
         if len(raw) < length:
-            raise self._error("cut short since it was opened")
+            raise self._error("truncated since it was opened")
         return raw
 
     def _error(self, fault: str) -> ArchiveError:

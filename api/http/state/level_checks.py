@@ -2,7 +2,7 @@
 
 A check runs in its own thread and reads the files if they have changed. A level has one check at a time, which all of its requests
 wait for. A request that has waited for the maximum time uses the last version that was read. A check that hangs is abandoned: its
-thread runs on, and another check starts.
+thread continues, and another check starts.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from skugga.terrain.errors import SkuggaError
 
 Value = TypeVar("Value")
 
-ABANDON_CHECK_AFTER_S = 30.0
-"""Seconds after which a running check is abandoned: its thread runs on, and another check may start."""
+CHECK_ABANDON_DELAY_S = 30.0
+"""Seconds after which a running check is abandoned. Its thread continues, and another check may start."""
 
-MAX_ABANDONED = 4
+MAX_ABANDONED_CHECKS = 4
 """Maximum number of abandoned checks of one level. Each occupies a thread."""
 
 log = logging.getLogger("skugga")
@@ -50,9 +50,9 @@ class FileCheck(Generic[Value]):
         Result of the last check that raised no error.
     check : callable
         Function without arguments that reads the files. It returns the present value, or raises ``SkuggaError``.
-    fresh_s : float
-        Seconds after a check in which its result is used without another check.
-    wait_s : float
+    ttl_s : float
+        Time to live of a result: seconds after a check without another check.
+    max_wait_s : float
         Maximum seconds that a request waits for a check.
     kind : str
         Word for the kind of value in logs, such as ``level``.
@@ -63,8 +63,8 @@ class FileCheck(Generic[Value]):
     name: str
     value: Value
     check: Callable[[], Value]
-    fresh_s: float
-    wait_s: float
+    ttl_s: float
+    max_wait_s: float
     kind: str = "level"
     error: SkuggaError | None = None
     _is_exhausted: bool = False
@@ -75,8 +75,8 @@ class FileCheck(Generic[Value]):
     def fresh_value(self) -> Value | None:
         """Return the value if it can be used without waiting, else ``None``.
 
-        The last finished check must have succeeded. Also, it must be recent (``fresh_s``), or the present check must hang, which
-        means that it runs for longer than ``wait_s``.
+        The last finished check must have succeeded. Also, it must be recent (``ttl_s``), or the present check must hang, which
+        means that it runs for longer than ``max_wait_s``.
         """
         return self.value if self.error is None and (self._is_fresh() or self._is_overdue()) else None
 
@@ -89,7 +89,7 @@ class FileCheck(Generic[Value]):
         return self._store(self._run_check(self.check))
 
     async def current(self) -> Value:
-        """Return the present value, or the last one if the check takes longer than ``wait_s``. Raises the check's error."""
+        """Return the present value, or the last one if the check takes longer than ``max_wait_s``. Raises the check's error."""
         if not self._is_fresh():
             running = self._start_check()
             if running is not None:
@@ -99,12 +99,14 @@ class FileCheck(Generic[Value]):
         return self.value
 
     async def _wait(self, running: _Check[Value]) -> None:
-        left_s = running.began_s + self.wait_s - time.monotonic()
+        left_s = running.began_s + self.max_wait_s - time.monotonic()
         if left_s > 0.0:
             await asyncio.wait({asyncio.wrap_future(running.future)}, timeout=left_s)
         if not running.future.done() and not running.is_logged:
             running.is_logged = True
-            log.error("%s %s: its files were not read within %g s. The last version is served.", self.kind, self.name, self.wait_s)
+            log.error(
+                "%s %s: its files were not read within %g s. The last version is served.", self.kind, self.name, self.max_wait_s
+            )
 
     def _start_check(self) -> _Check[Value] | None:
         """Return the running check or a new one; ``None`` if no thread can be started."""
@@ -112,7 +114,7 @@ class FileCheck(Generic[Value]):
         running = self._running
         if running is not None and not running.future.done():
             self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.future.done()]
-            if now_s - running.began_s < ABANDON_CHECK_AFTER_S or len(self._abandoned) >= MAX_ABANDONED:
+            if now_s - running.began_s < CHECK_ABANDON_DELAY_S or len(self._abandoned) >= MAX_ABANDONED_CHECKS:
                 return running
         started: _Check[Value] = _Check(now_s, Future())
         self._running = started
@@ -168,8 +170,8 @@ class FileCheck(Generic[Value]):
         return outcome
 
     def _is_fresh(self) -> bool:
-        return time.monotonic() - self._checked_s < self.fresh_s
+        return time.monotonic() - self._checked_s < self.ttl_s
 
     def _is_overdue(self) -> bool:
         running = self._running
-        return running is not None and not running.future.done() and time.monotonic() - running.began_s > self.wait_s
+        return running is not None and not running.future.done() and time.monotonic() - running.began_s > self.max_wait_s

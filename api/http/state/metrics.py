@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from skugga.api.http.state.encoded_tiles import EncodedTiles
     from skugga.api.workers.pool import Pool
 
-MEDIA_TYPE_OF_METRICS = "text/plain; version=0.0.4; charset=utf-8"
+METRICS_MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
-MAX_PASSES = 200
+MAX_PASS_LABELS = 200
 """Maximum number of label pairs of algorithms and render pass in metrics. Further pairs are counted as ``other``.
 
 Without a limit, requests could create any number of pairs by combining algorithms."""
@@ -57,7 +57,7 @@ class ServiceMetrics:
         """Record the milliseconds of each render pass of a block or snapshot, and whether its caster reach was clipped."""
         for name, ms in (*picture.passes, ("encode", picture.encode_ms)):
             pair = picture.headline, name
-            if pair not in self._known_passes and len(self._known_passes) >= MAX_PASSES:
+            if pair not in self._known_passes and len(self._known_passes) >= MAX_PASS_LABELS:
                 pair = "other", "other"
             self._known_passes.add(pair)
             self.pass_seconds.labels(*pair).observe(ms / 1000.0)

@@ -1,4 +1,4 @@
-"""Rate limit of new suns for each client.
+"""Rate limit of new sun positions for each client.
 
 A new sun is a pair of a level and a sun (time or angles) that the client has not requested lately. Every new sun needs rendering.
 """
@@ -14,7 +14,7 @@ from skugga.api.errors import RateLimitError
 from skugga.terrain.cache import MIB, Cache, Missing
 
 MAX_RECENT_SUNS = 256
-"""Number of recent suns of a client that are remembered and not counted again.
+"""Maximum number of recent suns of a client that are stored and not counted again.
 
 All tiles of one map have the same sun, and count once."""
 
@@ -47,7 +47,7 @@ class RateLimiter:
         """
         if not self._per_minute:
             return
-        key, now_s = network_of(address), self._clock()
+        key, now_s = client_key(address), self._clock()
         cached = self._clients.get(key)
         client = _Client(float(self._per_minute), now_s) if isinstance(cached, Missing) else cached
         client.tokens = min(client.tokens + (now_s - client.refilled_s) * self._per_minute / 60.0, float(self._per_minute))
@@ -59,14 +59,14 @@ class RateLimiter:
             return
         if client.tokens < 1.0:
             wait_s = int((1.0 - client.tokens) * 60.0 / self._per_minute) + 1
-            raise RateLimitError(f"Too many new suns. The limit is {self._per_minute} a minute for one client.", wait_s)
+            raise RateLimitError(f"Too many new sun positions. The limit is {self._per_minute} per minute for each client.", wait_s)
         client.tokens -= 1.0
         client.recent_suns[sun] = None
         while len(client.recent_suns) > MAX_RECENT_SUNS:
             client.recent_suns.pop(next(iter(client.recent_suns)))
 
 
-def network_of(address: str) -> str:
+def client_key(address: str) -> str:
     """Return the key of the client at an IP address: an IPv4 address, or the /64 network of an IPv6 address.
 
     One customer usually has a whole /64 network.

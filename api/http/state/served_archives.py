@@ -24,7 +24,7 @@ from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
 log = logging.getLogger("skugga")
 
 TileKind = tuple[str, str, str, str]
-"""What the tiles of an archive show: layer, format, tile matrix set, and canonical query string with times in UTC."""
+"""Kind of an archive's tiles: layer, format, tile matrix set, and canonical query string with times in UTC."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,13 @@ NO_ARCHIVES = LevelArchives.of({})
 class ServedArchives:
     """The archives with their own addresses, by name, and the archives of levels.
 
-    An archive that changes on disk is reopened at its next use. ``fresh_s`` and ``wait_s`` are those of ``FileCheck``. The
+    An archive that changes on disk is reopened at its next use. ``ttl_s`` and ``max_wait_s`` are those of ``FileCheck``. The
     constructor opens the archives of ``paths``, so it must not run in the thread of the event loop. It raises ``ArchiveError`` for
     an unusable archive, and ``InputError`` for two archives of one name.
     """
 
-    def __init__(self, paths: Sequence[Path], fresh_s: float = 0.0, wait_s: float = 60.0) -> None:
-        self._fresh_s, self._wait_s = fresh_s, wait_s
+    def __init__(self, paths: Sequence[Path], ttl_s: float = 0.0, max_wait_s: float = 60.0) -> None:
+        self._ttl_s, self._max_wait_s = ttl_s, max_wait_s
         self._named: dict[str, FileCheck[ArchiveFile]] = {}
         self._level_entries: dict[str, tuple[tuple[Path, ...], FileCheck[LevelArchives]]] = {}
         self._logged_errors: dict[Path, str] = {}
@@ -98,7 +98,7 @@ class ServedArchives:
             if name in self._named:
                 raise InputError("LEVEL", Problem(f"'{path}' and another file are both an archive '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
-            self._named[name] = FileCheck(name, archive, partial(self._check_file, name), fresh_s, wait_s, "archive")
+            self._named[name] = FileCheck(name, archive, partial(self._check_file, name), ttl_s, max_wait_s, "archive")
 
     def names(self) -> list[str]:
         """Return the names of the archives with their own addresses."""
@@ -142,7 +142,7 @@ class ServedArchives:
         entry = self._level_entries.get(level.name)
         if entry is None or entry[0] != paths:
             check = partial(self._check_level_archives, level.name)
-            entry = paths, FileCheck(level.name, NO_ARCHIVES, check, self._fresh_s, self._wait_s, "archives of level")
+            entry = paths, FileCheck(level.name, NO_ARCHIVES, check, self._ttl_s, self._max_wait_s, "archives of level")
             self._level_entries[level.name] = entry
         return entry[1]
 

@@ -191,7 +191,7 @@ class ServedLevel:
 class ServedLevels:
     """The levels of ``sources`` and of all level files of a ``folder``, by name.
 
-    A level whose files change on disk is reloaded at its next use (``fresh_s`` and ``wait_s``: as in ``FileCheck``).
+    A level whose files change on disk is reloaded at its next use (``ttl_s`` and ``max_wait_s``: as in ``FileCheck``).
     ``read_folder`` adds and removes levels of the folder. The data of a level must lie in the folder, in the folder of its source,
     or in one of ``data_roots``. Remote data (URLs) are allowed if ``remote_sources`` is set. Methods that read files must not run
     in the thread of the event loop.
@@ -208,12 +208,12 @@ class ServedLevels:
         self,
         sources: Sequence[Path | LevelSource],
         remote_sources: bool = False,
-        fresh_s: float = 0.0,
-        wait_s: float = 60.0,
+        ttl_s: float = 0.0,
+        max_wait_s: float = 60.0,
         folder: Path | None = None,
         data_roots: Sequence[Path] = (),
     ) -> None:
-        self._remote_sources, self._fresh_s, self._wait_s = remote_sources, fresh_s, wait_s
+        self._remote_sources, self._ttl_s, self._max_wait_s = remote_sources, ttl_s, max_wait_s
         self._folder, self._data_roots = folder, tuple(data_roots)
         self._checks: dict[str, FileCheck[ServedLevel]] = {}
         self._reading = threading.Lock()
@@ -252,7 +252,7 @@ class ServedLevels:
         new, removed = ([name for name in names if name not in other] for names, other in ((checks, before), (before, checks)))
         log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(removed) or "none")
 
-    def read_folder_again(self) -> None:
+    def reload_folder(self) -> None:
         """Run ``read_folder``, and log its error instead of raising it: a running service keeps its levels."""
         try:
             self.read_folder()
@@ -265,7 +265,7 @@ class ServedLevels:
 
     def _make_check(self, source: LevelSource, roots: Iterable[Path]) -> FileCheck[ServedLevel]:
         level = self._read(source.model_copy(update={"roots": (*roots, *self._data_roots)}))
-        return FileCheck(level.name, level, partial(self._check_files, level.name), self._fresh_s, self._wait_s)
+        return FileCheck(level.name, level, partial(self._check_files, level.name), self._ttl_s, self._max_wait_s)
 
     async def current(self, name: str) -> ServedLevel:
         """Return the present version of a level, or its last one if reading takes too long. Files are read in another thread.

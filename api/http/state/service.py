@@ -18,11 +18,11 @@ from skugga.api.http.answers import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.request_times import freshness_s
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
-from skugga.api.http.state.rate_limiter import RateLimiter, network_of
+from skugga.api.http.state.rate_limiter import RateLimiter, client_key
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevel, ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import DescribedPlanJob, FilmCheckResult, Job, Result
+from skugga.api.workers.jobs import DescriptorPlanJob, FilmCheckResult, Job, Result
 from skugga.api.workers.pool import Pool
 from skugga.terrain.errors import LevelError, SkuggaError, SourceError
 
@@ -63,9 +63,9 @@ class Service:
         is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.requested_count
         return freshness_s(request, min(default_s, METADATA_MAX_AGE_S) if is_plan_pending else default_s)
 
-    def expected_frame_s(self, order: FilmOrder, checked: FilmCheckResult) -> float:
-        """Return the expected seconds of one frame of a film: by its plan if predicted, else as ``ExpectedTimes`` has it."""
-        return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
+    def expected_frame_s(self, order: FilmOrder, check_result: FilmCheckResult) -> float:
+        """Return the expected seconds of one frame of a film: the prediction of its plan, else that of ``ExpectedTimes``."""
+        return self.pool.expected_s(frame_job(order, 0)) if check_result.frame_ms is None else check_result.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
         """Return the present version of a level. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
@@ -88,8 +88,8 @@ class Service:
         Raises
         ------
         RateLimitError
-            The client has requested too many new suns.
-        ClientGoneError
+            The client has requested too many new sun positions.
+        ClientDisconnectedError
             The client has disconnected.
         NotServedError
             The level is no longer served, or the service has archives only and renders nothing.
@@ -98,21 +98,21 @@ class Service:
         """
         if not self.can_render:
             raise NotServedError("level", "level: this service has archives only and renders nothing.")
-        client = network_of(request.client.host if request.client else "")
+        client = client_key(request.client.host if request.client else "")
         if self.pool.cached_picture(job) is None:
             if job.request.sun is not None:
-                level = None if isinstance(job, DescribedPlanJob) else job.level
+                level = None if isinstance(job, DescriptorPlanJob) else job.level
                 self.rate_limiter.acquire(client, (level, job.request.sun))
             request.state.expected_time = ExpectedTime(self.pool.expected_wait_s(job, client), self.pool.expected_s(job))
         try:
             return await cancel_on_disconnect(request, self.pool.run(job, client))
         except (LevelError, SourceError):
-            if isinstance(job, DescribedPlanJob) or self.levels.serves(job.level.path):
+            if isinstance(job, DescriptorPlanJob) or self.levels.serves(job.level.path):
                 raise
             raise NotServedError("level", "level: this level is no longer served.") from None
 
 
-class ClientGoneError(Exception):
+class ClientDisconnectedError(Exception):
     """The client has closed the connection."""
 
 
@@ -133,13 +133,13 @@ ServiceDep = Annotated[Service, Depends(service_dependency)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """Await a coroutine and return its result. If the client disconnects, cancel it and raise ``ClientGoneError``."""
+    """Await a coroutine and return its result. If the client disconnects, cancel it and raise ``ClientDisconnectedError``."""
     task = asyncio.ensure_future(work)
     disconnect = asyncio.ensure_future(_disconnected(request))
     try:
         await asyncio.wait({task, disconnect}, return_when=asyncio.FIRST_COMPLETED)
         if not task.done():
-            raise ClientGoneError
+            raise ClientDisconnectedError
         return task.result()
     finally:
         task.cancel()

@@ -1,4 +1,4 @@
-"""Parse the body of a request for an animation, and make the order of its film (``FilmOrder``)."""
+"""Parse the body of a request for an animation into a ``FilmOrder``."""
 
 from __future__ import annotations
 
@@ -25,27 +25,29 @@ from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
-MAX_TEXT = 60
+MAX_TEXT_CHARACTERS = 60
 """Maximum number of characters of a time or a duration."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
-Text = Annotated[str, Field(max_length=MAX_TEXT)]
+Text = Annotated[str, Field(max_length=MAX_TEXT_CHARACTERS)]
 
 
 _FROM_FIELD = Field(
     default=None, examples=["2024-10-21T08:00:00-04:00"],
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
-    "what has a motion moves, and the sun rests. Default: as the path has it.",
+    "animated objects move, and the sun is fixed. Default: the path's.",
 )  # fmt: skip
 _FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
 _FromModel: Any = create_model("_Named", __base__=Model, **_FROM)
 
 
 class _AnimationFields(_FromModel):
-    to: Text | None = Field(default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, likewise.")
+    to: Text | None = Field(
+        default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, of the same kind."
+    )
     step: Text | None = Field(
         default=None, examples=["10m"],
-        description="From frame to frame: a number and s, m, h or d. Default, for readings of the clock: what `fps` has.",
+        description="Time between frames: a number and s, m, h or d. Default for readings of the clock: 1 / `fps` seconds.",
     )  # fmt: skip
     view: str | None = Field(
         default=None, max_length=100, examples=["ridge"], description="A view of the level; default: `map`, else its first one."
@@ -56,16 +58,16 @@ class _AnimationFields(_FromModel):
     )
     seconds: float | None = Field(
         default=None, ge=-1e9, le=1e9, strict=True, examples=[0],
-        description="What the clock of moving casters shows in the first frame, where `from` is a date; default: the level's.",
+        description="Reading of the level's clock in the first frame, if `from` is a date; default: the level's.",
     )  # fmt: skip
     format: FilmFormat = Field(default="webp", description="`webp`; `mp4` is smaller, if the service makes it.")
     lossless: bool = Field(
         default=False, strict=True, examples=[True], description="Compress `webp` without loss: about six times the size."
     )
     fps: float = Field(default=DEFAULT_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
-    time: Text | None = Field(default=None, description="Of a sun that rests, ISO 8601 with an offset; default: the level's.")
+    time: Text | None = Field(default=None, description="Time of a fixed sun, ISO 8601 with an offset; default: the level's.")
     azimuth: float | None = Field(
-        default=None, strict=True, examples=[235], description="With `altitude`, of a sun that rests: degrees from true north."
+        default=None, strict=True, examples=[235], description="With `altitude`: azimuth of a fixed sun, degrees from true north."
     )
     altitude: float | None = Field(default=None, strict=True, examples=[22], description="Apparent degrees above the horizon.")
     style: str | None = Field(default=None, max_length=100, examples=["swiss"], description="How relief is shaded.")

@@ -24,12 +24,17 @@ EyeQuery = Annotated[
     str | None,
     Query(
         max_length=100,
-        description="With `target`, instead of `view`: from where, as longitude,latitude,metres above the ground.",
+        description="With `target`, instead of `view`: the eye point, as longitude,latitude,metres above the ground.",
         examples=["8.43,47.5,300"],
     ),
 ]
 TargetQuery = Annotated[
-    str | None, Query(max_length=100, description="With `eye`: what is looked at, likewise.", examples=["8.44,47.51,0"])
+    str | None,
+    Query(
+        max_length=100,
+        description="With `eye`: the target point, as longitude,latitude,metres above the ground.",
+        examples=["8.44,47.51,0"],
+    ),
 ]
 FovQuery = Annotated[
     float | None,

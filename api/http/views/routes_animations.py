@@ -27,7 +27,7 @@ RESULT_ERRORS = 404, 409, 422, 500, 503, 504, 507
 """Statuses of the result of an animation that failed or is not finished."""
 
 AnimationPath = Annotated[
-    str, Path(max_length=100, description="An animation by its `jobID`, which nobody guesses.", examples=[EXAMPLE_ID])
+    str, Path(max_length=100, description="An animation by its `jobID`, which cannot be guessed.", examples=[EXAMPLE_ID])
 ]
 
 STATE_DOCS: ResponseDocs = {200: {"description": "Its state.", "model": AnimationState}}
@@ -35,13 +35,13 @@ STATE_DOCS: ResponseDocs = {200: {"description": "Its state.", "model": Animatio
 
 @router.post(
     "/levels/{level}/animations",
-    summary="Ask for an animation",
+    summary="Request an animation",
     status_code=202,
     response_model=AnimationState,
     responses=problem_docs(*WORK_ERRORS, 413)
     | {
         200: {"description": "The same animation was requested before, and its film is ready.", "model": AnimationState},
-        202: {"description": "It is drawn, or waits for its turn. `Location` is its address.", "model": AnimationState},
+        202: {"description": "It is drawn, or waits in the queue. `Location` is its address.", "model": AnimationState},
     },
     dependencies=[Depends(allow_only())],
 )
@@ -49,7 +49,7 @@ async def ask_for_animation(
     request: Request,
     service: ServiceDep,
     level: LevelPath,
-    animation_request: Annotated[AnimationRequest, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
+    animation_request: Annotated[AnimationRequest, Body(description="Its time span, view and settings.", examples=[EXAMPLE])],
 ) -> Response:
     """Create an animation of a level with a moving sun, a moving camera, or both.
 
@@ -74,7 +74,7 @@ async def ask_for_animation(
 
 @router.get(
     "/animations/{animation}",
-    summary="How far an animation is",
+    summary="State of an animation",
     response_model=AnimationState,
     responses=STATE_DOCS | problem_docs(404),
     dependencies=[Depends(allow_only())],

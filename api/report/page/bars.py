@@ -14,7 +14,11 @@ from skugga.api.report.summary import RowFigures
 from skugga.selector.formatting import format_duration
 
 BARS_WIDTH, BAR_STEP, BARS_TOP, BAR_HEIGHT = 1180.0, 21.0, 26.0, 14.0
+"""Layout of the chart in pixels: its width, the distance of two bars, the top of the first bar, and the height of a bar."""
+
 NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
+"""Widths in pixels: of the names at least, of a character of a name, of one in bold, and of a time."""
+
 REST_STAGE = "not in a stage"
 MIN_REST_SHARE = 0.02
 """Minimum share of a row's time outside all stages that is shown."""
@@ -40,7 +44,7 @@ class Axis:
         return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, total_ms)
 
 
-def bars(figures: list[RowFigures]) -> str:
+def bar_chart(figures: list[RowFigures]) -> str:
     """Return an SVG element, 1180 px wide: stacked bars with median times and names, which link to the table."""
     order = sorted(range(len(figures)), key=lambda k: (figures[k]["ms_median"], figures[k]["name"]))
     names_px = [len(f["name"]) * (BOLD_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]

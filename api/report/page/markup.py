@@ -21,7 +21,7 @@ def tag(name: str, *content: str, **attributes: Any) -> str:
     return f"<{name}{attribute_text}>" if name in VOID_ELEMENTS else f"<{name}{attribute_text}>{''.join(content)}</{name}>"
 
 
-def definitions(pairs: dict[str, str], **attributes: Any) -> str:
+def definition_list(pairs: dict[str, str], **attributes: Any) -> str:
     """Return a definition list of plain texts."""
     return tag(
         "dl", *(tag("div", tag("dt", escape(key)), tag("dd", escape(str(value)))) for key, value in pairs.items()), **attributes

@@ -48,7 +48,7 @@ class Pictures:
     levels: int
 
     @property
-    def size(self) -> int:
+    def character_count(self) -> int:
         """Total number of characters of all URIs."""
         return len(self.ground) + sum(map(len, self.row_uris))
 
@@ -80,12 +80,12 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters
     while True:
         for levels in (GRAY_LEVELS, FEW_GRAY_LEVELS):
             result = _encoded_pictures(ground, rows, factor, levels, max_characters)
-            if result.size <= max_characters or factor >= max(ground.shape[:2]):
+            if result.character_count <= max_characters or factor >= max(ground.shape[:2]):
                 return result
         factor += 1
 
 
-def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
+def palette_indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
     """Return the palette indexes, uint8 (rows, cols), of a row's picture that is shrunk by an integer factor."""
     level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
     false, missed = (_blocks(errors, factor).sum(axis=(1, 3)) for errors in (row.false_shadow, row.missed_shadow))
@@ -110,7 +110,7 @@ def _encoded_pictures(ground: np.ndarray, rows: list[ErrorPicture], factor: int,
     ground_uri, row_uris = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
     for row in rows:
-        row_uris.append(_webp(palette(levels)[indexes(row, factor, levels)], lossless=True, quality=25, method=3))
+        row_uris.append(_webp(palette(levels)[palette_indexes(row, factor, levels)], lossless=True, quality=25, method=3))
         size += len(row_uris[-1])
         if size > max_characters:
             break

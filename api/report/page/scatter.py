@@ -104,7 +104,7 @@ def scatter_file(comparison: Comparison, title: list[str], style: str) -> str:
     )
 
 
-def legend(comparison: Comparison) -> str:
+def scatter_legend(comparison: Comparison) -> str:
     """Return the legend: a list of marks and their algorithms."""
     items = (tag("li", swatch(name), escape(name)) for name in _families(comparison))
     return tag("ul", *items, class_="legend")
@@ -143,10 +143,10 @@ def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
     yield tag("text", escape(error), transform=f"translate(13 {middle:g}) rotate(-90)", text_anchor="middle", class_="title")
 
 
-def _noise_band(y: Scale, exact_to: float) -> Iterator[str]:
+def _noise_band(y: Scale, max_exact_error: float) -> Iterator[str]:
     """Yield the band of errors below the noise of the ray-traced truth, if any of it lies on the axis."""
-    top, bottom = y(exact_to), SCATTER_HEIGHT - MARGIN_BOTTOM
-    if exact_to > y.low:
+    top, bottom = y(max_exact_error), SCATTER_HEIGHT - MARGIN_BOTTOM
+    if max_exact_error > y.low:
         yield tag(
             "rect",
             x=MARGIN_LEFT,

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from skugga.api.report.page.bars import stages_of
-from skugga.api.report.page.markup import breakable_text, definitions, tag
+from skugga.api.report.page.markup import breakable_text, definition_list, tag
 from skugga.api.report.page.scatter import swatch
 from skugga.api.report.summary import RowFigures, algorithm_family
 from skugga.selector.formatting import format_duration
@@ -103,15 +103,15 @@ def rows_table(comparison: Comparison) -> str:
     return tag("table", tag("thead", tag("tr", *head)), tag("tbody", *lines))
 
 
-def details(figures: RowFigures, light: str) -> str:
+def row_details(figures: RowFigures, light: str) -> str:
     """Return the settings for a light, the stages, counters and notes of a row."""
-    parts = [(f"Settings: {kinds}", definitions(pairs)) for kinds, pairs in _settings(figures, light).items()]
-    parts.append(("Stages", definitions({name: format_duration(ms) for name, ms in stages_of(figures).items()})))
-    parts.append(("Counters", definitions({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
+    parts = [(f"Settings: {kinds}", definition_list(pairs)) for kinds, pairs in _settings(figures, light).items()]
+    parts.append(("Stages", definition_list({name: format_duration(ms) for name, ms in stages_of(figures).items()})))
+    parts.append(("Counters", definition_list({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
     parts.append(("Notes", "".join(tag("p", escape(note)) for note in figures["notes"])))
     times = "time" if figures["runs"] == 1 else "times"
     runs = f"Timed {figures['runs']} {times}{', in its first run alone' if figures['cold'] else ''}."
-    sections = (tag("div", tag("h4", escape(name)), markup) for name, markup in parts if markup not in ("", definitions({})))
+    sections = (tag("div", tag("h4", escape(name)), markup) for name, markup in parts if markup not in ("", definition_list({})))
     return tag("div", *sections, tag("p", runs), class_="particulars")
 
 
@@ -168,7 +168,7 @@ def _table_row(k: int, figures: RowFigures, light: str) -> str:
             data_value=int(not front),
             aria_label="on the front" if front else None,
         ),
-        tag("th", tag("details", title, details(figures, light)), scope="row", data_value=name),
+        tag("th", tag("details", title, row_details(figures, light)), scope="row", data_value=name),
         *(tag("td", _figure(column, figures), data_value=f"{figures[column.key]:.9g}", class_="number") for column in COLUMNS),
     ]
     return tag("tr", *cells, id=f"row-{k}", data_row=k, class_="front" if front else None)

@@ -1,4 +1,4 @@
-"""Animations as jobs: their states and bounds, and that nothing is left of those that end otherwise than well."""
+"""Animations as jobs: their states, their limits, and the cleanup after every kind of end."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def film_content(animation: Animation) -> bytes:
     return content
 
 
-def test_an_animation_goes_from_accepted_to_successful_and_its_film_is_whole():
+def test_animation_goes_from_accepted_to_successful():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animation = request(animations, order())
         assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
@@ -122,7 +122,7 @@ def test_an_animation_goes_from_accepted_to_successful_and_its_film_is_whole():
     run_with_animations(scenario)
 
 
-def test_one_frame_at_most_is_drawn_ahead():
+def test_at_most_one_frame_is_drawn_ahead():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         release_event = threading.Event()
         original_encode = backend.encode
@@ -143,7 +143,7 @@ def test_one_frame_at_most_is_drawn_ahead():
     run_with_animations(scenario)
 
 
-def test_the_same_order_is_the_same_animation_while_it_is_drawn_and_kept():
+def test_equal_requests_share_an_animation_while_it_exists():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first = request(animations, order())
         assert request(animations, order()) is first and request(animations, order(1)) is not first
@@ -171,7 +171,7 @@ def test_animations_are_drawn_in_order_of_arrival():
     run_with_animations(scenario)
 
 
-def test_seconds_left_count_those_before():
+def test_seconds_left_include_earlier_animations():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first, second = request(animations, order(0)), request(animations, order(1, frames=2))
         assert animations.seconds_left(first) == 8.0
@@ -183,7 +183,7 @@ def test_seconds_left_count_those_before():
     run_with_animations(scenario)
 
 
-def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
+def test_full_queue_rejects_animations_with_retry_after():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first, second = request(animations, order(0)), request(animations, order(1))
         with pytest.raises(RetryLaterError) as error_info:
@@ -196,7 +196,7 @@ def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
     run_with_animations(scenario, animations_waiting=1)
 
 
-def test_a_dismissed_animation_stops_and_gives_its_place_away():
+def test_dismissed_animation_stops_and_frees_its_slot():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first, second = request(animations, order(0)), request(animations, order(1))
         backend.release(1)
@@ -216,7 +216,7 @@ def test_a_dismissed_animation_stops_and_gives_its_place_away():
     run_with_animations(scenario)
 
 
-def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
+def test_dismissed_film_stays_readable_by_open_readers():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animation = request(animations, order())
         backend.release(FRAMES)
@@ -248,7 +248,7 @@ def test_unpolled_animation_is_abandoned():
 
 
 def test_polled_animation_is_kept():
-    """Each question puts off the end: it is the timer of the last one that counts."""
+    """Each poll restarts the timer that abandons the animation."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animation = request(animations, order())
@@ -294,7 +294,7 @@ def test_film_over_the_byte_limit_is_not_kept():
     run_with_animations(scenario, animation_bytes=2**20)
 
 
-def test_the_oldest_films_go_where_there_are_too_many():
+def test_oldest_films_are_evicted_above_the_count_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         film_jobs, films = [], []
         for number in range(3):
@@ -310,7 +310,7 @@ def test_the_oldest_films_go_where_there_are_too_many():
     run_with_animations(scenario, animations_kept=2)
 
 
-def test_the_oldest_films_go_where_they_are_too_large():
+def test_oldest_films_are_evicted_above_the_byte_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
@@ -341,7 +341,7 @@ def test_the_oldest_films_go_where_they_are_too_large():
     ],
 )
 @pytest.mark.parametrize("where", ["drawing", "encoding"])
-def test_one_that_fails_says_why_and_the_next_one_is_drawn(raised: Exception, told: type, where: str):
+def test_failed_animation_has_a_reason_and_the_next_is_drawn(raised: Exception, told: type, where: str):
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         if where == "drawing":
             backend.frame_errors[1] = raised
@@ -360,7 +360,7 @@ def test_one_that_fails_says_why_and_the_next_one_is_drawn(raised: Exception, to
     run_with_animations(scenario)
 
 
-def test_an_encoder_that_stops_early_leaves_nothing_running():
+def test_failed_encoder_leaves_no_task_running():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animations._encode = lambda path, frames, order: path.touch()
         animation = request(animations, order())
@@ -370,8 +370,8 @@ def test_an_encoder_that_stops_early_leaves_nothing_running():
     run_with_animations(scenario)
 
 
-def test_a_service_that_stops_ends_all_of_them():
-    """Also one whose encoder is just at work, and one that waits."""
+def test_shutdown_ends_all_animations():
+    """One animation is being encoded, and one waits in the queue."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         first, second = request(animations, order(0)), request(animations, order(1))
@@ -385,7 +385,7 @@ def test_a_service_that_stops_ends_all_of_them():
     run_with_animations(scenario)
 
 
-def test_names_are_long_and_never_the_same():
+def test_animation_ids_are_long_and_unique():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         names = {request(animations, order(number)).id for number in range(4)}
         assert len(names) == 4 and all(len(name) == 32 for name in names)
@@ -409,8 +409,8 @@ class FlakyPool:
 
 
 @pytest.mark.parametrize(("failures", "drawn"), [(0, FRAMES), (FRAME_TRIES - 1, FRAMES), (FRAME_TRIES, 0)])
-def test_a_frame_waits_for_a_process_that_starts(monkeypatch, failures, drawn):
-    """It is tried a few times, with pauses; an animation fails where that does not help."""
+def test_frame_is_retried_until_a_process_starts(monkeypatch, failures, drawn):
+    """The frame is retried a few times, with pauses. Then the animation fails."""
     pauses = []
 
     async def pause(seconds: float) -> None:

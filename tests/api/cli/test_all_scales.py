@@ -10,9 +10,9 @@ import pytest
 from skugga.api import map_probing
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.map_probing import map_block, probe_blocks, probed_scales
-from skugga.api.workers.jobs import Tiles
-from skugga.api.workers.map_plans import plan_in_service, unprobed_class
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.jobs import ZoomTiles
+from skugga.api.workers.map_plans import select_view_plan, unprobed_class
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.typical_device import typical_device
@@ -47,27 +47,30 @@ def test_a_service_plans_by_the_saved_probes(probe_rows: list[dict], hills_level
     assert [2.0**entry.scale for entry in probes.classes] == [row["pixel_m"] for row in probe_rows]
 
     scene, profile = build_scene(load_level(hills_level)), typical_device()
-    basis, unprobed_basis = PlanBasis(profile, {served_level.version: probes.model_dump_json()}), PlanBasis(profile)
+    measurements, unprobed_measurements = (
+        PlanMeasurements(profile, {served_level.version: probes.model_dump_json()}),
+        PlanMeasurements(profile),
+    )
     for row in probe_rows:
         view = map_block(scene, row["pixel_m"])
 
-        def reasons(overrides: dict, plan_basis: PlanBasis = basis, view=view) -> dict[str, str]:
-            plan = plan_in_service(scene, view, "map", overrides, served_level.key, plan_basis)
+        def reasons(overrides: dict, plan_basis: PlanMeasurements = measurements, view=view) -> dict[str, str]:
+            plan = select_view_plan(scene, view, "map", overrides, served_level.key, plan_basis)
             return {entry.name: entry.reason for entry in plan.reasons}
 
         assert reasons({})["sun: probe"].startswith("maps like this one were probed: ")
         assert "sun: probe" in reasons({"max_error": 0.01})
         assert "sun: probe" not in reasons({"map_size": 512}), "other settings than those that were drawn"
-        assert "sun: probe" not in reasons({}, unprobed_basis)
-        assert unprobed_class(scene, view, {}, served_level.key, basis) is None
-        missing_class = unprobed_class(scene, view, {}, served_level.key, unprobed_basis)
+        assert "sun: probe" not in reasons({}, unprobed_measurements)
+        assert unprobed_class(scene, view, {}, served_level.key, measurements) is None
+        missing_class = unprobed_class(scene, view, {}, served_level.key, unprobed_measurements)
         assert missing_class == map_class(row["pixel_m"], scene.sun.altitude_deg)
-        assert unprobed_class(scene, view, {}, served_level.key, PlanBasis()) is None, (
+        assert unprobed_class(scene, view, {}, served_level.key, PlanMeasurements()) is None, (
             "nothing is predicted, so nothing is corrected"
         )
     assert missing_class is not None
     higher = scene.with_sun(SunSpec(azimuth=180.0, altitude=MapClass(0, missing_class.sun + 2).sun_altitude_deg))
-    assert unprobed_class(higher, view, {}, served_level.key, basis) == MapClass(missing_class.scale, missing_class.sun + 2)
+    assert unprobed_class(higher, view, {}, served_level.key, measurements) == MapClass(missing_class.scale, missing_class.sun + 2)
 
 
 def test_tiles_of_all_zooms_have_a_probed_scale(hills_level: Path):
@@ -75,7 +78,7 @@ def test_tiles_of_all_zooms_have_a_probed_scale(hills_level: Path):
     scene = build_scene(load_level(hills_level))
     for name, zooms in served_level.zooms.items():
         for zoom in range(zooms.first, zooms.last + 1):
-            tile = representative_block(scene, Tiles(matrix_set=name, zoom=zoom))
+            tile = representative_block(scene, ZoomTiles(matrix_set=name, zoom=zoom))
             tile_class = map_class(map_pixel_m(scene.world, tile), 45.0)
             assert tile_class is not None and tile_class.scale in probed_scales(scene), (name, zoom)
 
@@ -93,7 +96,7 @@ def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path
     assert fine_probes.plan.view == "map"
 
 
-def test_a_probe_that_saw_a_slow_choice_changes_it(probe_rows: list[dict], hills_level: Path):
+def test_a_probe_of_a_slow_choice_changes_the_plan(probe_rows: list[dict], hills_level: Path):
     """Plan the same level on a device whose probe measured the preferred choice as very slow."""
     served_level = ServedLevels([hills_level]).cached_levels()[0]
     scene, profile = build_scene(load_level(hills_level)), typical_device()
@@ -107,16 +110,16 @@ def test_a_probe_that_saw_a_slow_choice_changes_it(probe_rows: list[dict], hills
     )
     slower_probes = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow_observations}}),)))
 
-    def verdict(plan_basis: PlanBasis) -> str:
-        plan = plan_in_service(scene, view, "map", {}, served_level.key, plan_basis)
+    def verdict(plan_basis: PlanMeasurements) -> str:
+        plan = select_view_plan(scene, view, "map", {}, served_level.key, plan_basis)
         return next(observation.reason for observation in plan.reasons if observation.name == "sun: probe").rsplit("; ", 1)[1]
 
-    assert verdict(_basis(profile, served_level.version, probes)) == f"the choice remains {name}"
-    assert verdict(_basis(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
+    assert verdict(_measurements(profile, served_level.version, probes)) == f"the choice remains {name}"
+    assert verdict(_measurements(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
 
 
-def _basis(profile: DeviceProfile, version: str, probes) -> PlanBasis:
-    return PlanBasis(profile, {version: probes.model_dump_json()})
+def _measurements(profile: DeviceProfile, version: str, probes) -> PlanMeasurements:
+    return PlanMeasurements(profile, {version: probes.model_dump_json()})
 
 
 @pytest.mark.parametrize(

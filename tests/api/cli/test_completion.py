@@ -104,7 +104,7 @@ def test_bash_completes_once_it_is_installed(skugga):
     ], process.stderr
 
 
-def test_zsh_is_offered_words_with_their_help(skugga):
+def test_zsh_completes_words_with_their_help(skugga):
     """Test the text that zsh evaluates. zsh itself need not be installed."""
     process = subprocess.run(["skugga", "--show-completion", "zsh"], capture_output=True, text=True, check=False)
     assert process.returncode == 0 and process.stdout.startswith("#compdef skugga")
@@ -123,13 +123,13 @@ def test_listed_help_equals_the_command_s_docstring(name):
     assert summary == " ".join(inspect.getdoc(command).split())
 
 
-def test_every_module_of_a_command_is_in_the_list():
+def test_every_command_module_is_listed():
     folder = Path(commands.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
     assert modules == {function.partition(":")[0] for function, _ in COMMANDS.values()}
 
 
-def test_help_shows_each_command_with_all_of_its_help(run):
+def test_help_shows_the_full_help_of_each_command(run):
     status, out, err = run("--help")
     help_text = " ".join(out.split())
     assert (status, err) == (0, "") and "Usage: skugga [OPTIONS] COMMAND [ARGS]..." in help_text

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.outputs import check_output_files
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
 from tests.rasters import write_geotiff
@@ -69,12 +69,12 @@ def test_no_file_of_a_level_is_an_output(folder, name):
     (folder / "sub").mkdir()
     for path_text in (name, f"./sub/../{name}", str(folder / name), "link", "twin"):
         with pytest.raises(InputError, match=rf"--output: .*{name}"):
-            check_targets(level, [("--output", Path(path_text))])
+            check_output_files(level, [("--output", Path(path_text))])
 
 
-def test_other_files_are_outputs_whether_or_not_they_exist(folder):
+def test_other_files_may_be_outputs(folder):
     (folder / "old.tif").write_bytes(b"old")
-    check_targets(
+    check_output_files(
         LevelSource(path=Path("level.yaml")), [("--output", Path("old.tif")), ("--stats", Path("new.json")), ("-x", None)]
     )
 
@@ -83,7 +83,7 @@ def test_a_command_s_other_inputs_are_no_outputs(folder):
     source = LevelSource(path=Path("dem.tif"), canopy=Path("canopy.tif"))
     for name in ("dem.tif", "canopy.tif", "ortho.tif"):
         with pytest.raises(InputError, match=name):
-            check_targets(source, [("--output", Path(name))], Path("ortho.tif"))
+            check_output_files(source, [("--output", Path(name))], Path("ortho.tif"))
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ def _break_root_directory(content: bytes) -> bytes:
 
 
 CORRUPTIONS: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "cut in its tiles": (lambda content: content[:-1], "cut short: its tiles end at byte"),
-    "cut in its header": (lambda content: content[:100], "cut short: it ends in its header"),
+    "cut in its tiles": (lambda content: content[:-1], "truncated: its tiles end at byte"),
+    "cut in its header": (lambda content: content[:100], "truncated: it ends in its header"),
     "empty": (lambda content: b"", "not a PMTiles archive"),
     "a picture": (lambda content: PNG, "not a PMTiles archive"),
     "version 2": (lambda content: b"PM\x02\x00" + content[4:], "of an earlier version"),

@@ -298,7 +298,7 @@ def test_openapi_lists_all_parameters(yard_client: Client):
     }  # fmt: skip
 
 
-def test_plans_refuse_truth_too(yard_client: Client):
+def test_plans_reject_ray_traced_truth(yard_client: Client):
     check_problem(yard_client.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
 
 
@@ -312,7 +312,7 @@ def test_a_level_lists_its_views_and_lights(yard_client: Client):
 
 
 def test_pixels_are_bounded_by_a_setting(serve_with):
-    client = serve_with(fake_workers.obedient, max_snapshot_pixels=10_000)
+    client = serve_with(fake_workers.scripted, max_snapshot_pixels=10_000)
     for query in ("", "?size=101x100"):  # the view's own size is bounded too
         problem = check_problem(client.get(f"/levels/hills/snapshot.png{query}"), 422, "invalid_parameter", "size")
         assert "10000" in problem["detail"] and "SKUGGA_MAX_SNAPSHOT_PIXELS" in problem["detail"]
@@ -357,7 +357,7 @@ def test_a_changed_forest_changes_the_entity_tag(tmp_path: Path):
     tree = {"type": "Feature", "properties": {"h": 9}, "geometry": {"type": "Point", "coordinates": [20, 5]}}
     forest_file.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
     path = write_yard(tmp_path, forest=[{"source": forest_file.name, "height": "h"}])
-    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.scripted)) as client:
         while not client.service.pool.is_ready:
             client.get("/readyz")
         address = f"{YARD}.png?view=across"

@@ -28,7 +28,7 @@ NO_OPTIONS = dict.fromkeys(("canopy", "buildings", "nodata", "units", "positive"
 
 def test_redirects_use_the_public_url(tmp_path: Path):
     settings = Settings(workers=1, public_url="https://maps.example.org/skugga/")
-    with running(create_app(settings, [write_level(tmp_path, "hills")], fake_workers.obedient)) as client:
+    with running(create_app(settings, [write_level(tmp_path, "hills")], fake_workers.scripted)) as client:
         for path, target in (
             ("/levels/hills/", "/levels/hills"),
             ("/wms/?REQUEST=GetCapabilities", "/wms?REQUEST=GetCapabilities"),
@@ -38,7 +38,7 @@ def test_redirects_use_the_public_url(tmp_path: Path):
 
 
 def test_redirects_use_the_request_host_by_default(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     answer = client.get("/levels/hills/", follow_redirects=False)
     assert answer.headers["Location"] == f"{str(client.base_url).rstrip('/')}/levels/hills"
 
@@ -49,7 +49,7 @@ def test_redirects_use_the_request_host_by_default(serve_with):
 )
 def test_long_documents_are_gzipped_if_accepted(serve_with, monkeypatch: pytest.MonkeyPatch, accepted: str, is_packed: bool):
     monkeypatch.setattr(answers, "MIN_GZIP_BYTES", 1000)
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     for path in ("/wms?REQUEST=GetCapabilities", "/wmts/1.0.0/WMTSCapabilities.xml"):
         with client.stream("GET", path, headers={"Accept-Encoding": accepted}) as answer:
             raw = b"".join(answer.iter_raw())
@@ -62,7 +62,7 @@ def test_long_documents_are_gzipped_if_accepted(serve_with, monkeypatch: pytest.
 
 
 def test_not_found_page_lists_levels_to_browsers(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     page = client.get("/no<b>thing", headers={"Accept": "text/html,*/*"})
     assert page.status_code == 404 and page.headers["Content-Type"].startswith("text/html")
     assert "/levels/hills.html" in page.text and "/docs" in page.text and "<b>" not in page.text

@@ -57,7 +57,7 @@ def serve(tmp_path: Path) -> Callable[..., object]:
     def make(keys: dict | None, archives: list[Path] = [], **settings) -> object:  # noqa: B006
         levels = [] if keys is None else [write_level(tmp_path, "hills", **keys)]
         settings = {"level_check_s": 0.0, "tile_cache_bytes": 0} | settings
-        return running(create_app(Settings(workers=1, **settings), levels, fake_workers.obedient, archives=archives))
+        return running(create_app(Settings(workers=1, **settings), levels, fake_workers.scripted, archives=archives))
 
     return make
 
@@ -224,7 +224,7 @@ def test_archive_cut_after_opening_is_logged_and_rendered(serve, tmp_path: Path,
         os.truncate(path, path.stat().st_size - 5)
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content not in (tile_of(1), b"")
         assert drawn_block_count(client) == 1
-    assert "a.pmtiles: cut short since it was opened" in capfd.readouterr().err
+    assert "a.pmtiles: truncated since it was opened" in capfd.readouterr().err
 
 
 def test_archive_does_not_change_the_level_digest(tmp_path: Path):
@@ -322,7 +322,7 @@ def test_archive_replaced_or_broken_while_served_is_noticed(serve, tmp_path: Pat
         assert client.get("/archives").json() == []
         replace_file(path, (tmp_path / "b.pmtiles").read_bytes())
         assert client.get("/archives/a/2/0/0.png").content == tile_of(2)
-    assert "a.pmtiles: cut short: its tiles end at byte" in capfd.readouterr().err
+    assert "a.pmtiles: truncated: its tiles end at byte" in capfd.readouterr().err
 
 
 def test_archives_of_one_name_are_refused(tmp_path: Path):
@@ -395,7 +395,7 @@ def test_broken_leaf_directory_raises_archive_error(tmp_path: Path, monkeypatch)
     path.write_bytes(content[: offset + length - 2000] + bytes(2000) + content[offset + length :])
     with pytest.raises(ArchiveError, match="broken directories"):
         ArchiveFile(path)
-    monkeypatch.setattr(archive_file, "CHECKED_LEAF_BYTES", 0)
+    monkeypatch.setattr(archive_file, "MAX_VALIDATED_LEAF_BYTES", 0)
     archive = ArchiveFile(path)
     assert archive.tile(*tile_id_to_zxy(7 * 7 - 1)) == tiles[tile_id_to_zxy(48)]
     with pytest.raises(ArchiveError, match=r"a\.pmtiles: broken directories"):

@@ -13,7 +13,7 @@ from tests.api.workers import fake_workers
 
 
 def test_docs_load_all_parts_from_the_service(serve_with):
-    client: Client = serve_with(fake_workers.obedient)
+    client: Client = serve_with(fake_workers.scripted)
     page = client.get("/docs")
     assert page.status_code == 200 and page.headers["content-type"].startswith("text/html")
     parts = LinkParser(page.text).urls
@@ -30,11 +30,11 @@ def test_docs_load_all_parts_from_the_service(serve_with):
 
 @pytest.mark.parametrize("address", ["/docs", "/docs/start.js"])
 def test_docs_name_no_other_host(serve_with, address: str):
-    assert not re.search(r"https?:|//[a-z]", serve_with(fake_workers.obedient).get(address).text)
+    assert not re.search(r"https?:|//[a-z]", serve_with(fake_workers.scripted).get(address).text)
 
 
 def test_docs_share_the_content_security_policy(serve_with):
-    client: Client = serve_with(fake_workers.obedient)
+    client: Client = serve_with(fake_workers.scripted)
     policy = client.get("/docs").headers["content-security-policy"]
     assert policy == client.get("/levels/hills.html").headers["content-security-policy"]
     directives = dict(directive.split(maxsplit=1) for directive in policy.split("; "))

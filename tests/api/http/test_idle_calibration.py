@@ -30,8 +30,8 @@ Serve = Callable[..., Client]
 def short_idle_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     """Give services an empty cache and a short idle delay, and capture their log from the start."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
-    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.1)
+    monkeypatch.setattr(idle_work, "IDLE_CHECK_INTERVAL_S", 0.01)
     monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})
     caplog.set_level("INFO", "skugga")
 
@@ -40,7 +40,7 @@ def short_idle_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: py
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """Yield ``serve(measure, **settings)``, which returns a client of a service with an empty cache and a short idle delay."""
     short_idle_delay(tmp_path, monkeypatch, caplog)
-    monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
+    monkeypatch.setattr(idle_calibration, "CHECK_INTERVAL_S", 0.02)
     with ExitStack() as stack:
 
         def make(measure, target=fake_workers.planning, **settings) -> Client:
@@ -126,7 +126,7 @@ def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, 
 
 
 def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    """An estimate is used until the device is calibrated, which it does not prevent. A later one is ignored."""
+    """An estimate is used until the device is calibrated. A later estimate is ignored."""
     estimate = fake_calibrations.profile().model_copy(update={"is_estimate": True})
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     save_profile(estimate)
@@ -140,10 +140,10 @@ def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, c
     assert state(client) == "calibrated" and client.service.pool.plan_version(None) == version
 
 
-def test_watch_outlives_a_moment_without_threads(
+def test_file_watch_survives_a_lack_of_threads(
     serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    """A calibration that is saved after such a moment is loaded."""
+    """A calibration that is saved afterwards is loaded."""
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 
@@ -154,7 +154,7 @@ def test_watch_outlives_a_moment_without_threads(
 
     wait_until(lambda: state(client) == "running")
     monkeypatch.setattr(idle_calibration, "_stamp", failing_stamp)
-    wait_until(lambda: log_count(caplog, "is read later") == 2)
+    wait_until(lambda: log_count(caplog, "is read again later") == 2)
     save_profile(fake_calibrations.profile())
     wait_until(lambda: state(client) == "calibrated")
 
@@ -207,7 +207,7 @@ def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pyte
 
 
 def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path):
-    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.obedient)
+    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.scripted)
     assert state(client) == "none" and client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
@@ -217,7 +217,7 @@ def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, mon
     client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
     idle = client.service.pool.idle_work
     wait_until(lambda: idle.pid is not None and not idle.paused)
-    monkeypatch.setattr(idle_work, "QUIET_S", TIMEOUT_S)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", TIMEOUT_S)
     answer = client.get(TILE)
     assert (answer.status_code, idle.paused, state(client)) == (200, True, "paused")
     pid = idle.pid
@@ -226,14 +226,14 @@ def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, mon
     (tmp_path / "go").touch()
     time.sleep(0.2)
     assert state(client) == "paused" and policy(client) == "rules"
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.1)
     wait_until(lambda: state(client) == "calibrated")
 
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.05)
     measure = functools.partial(fake_calibrations.endless, tmp_path / "begun")
     app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, measure)
     with running(app) as client:
@@ -241,7 +241,7 @@ def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, m
         pid, temporary_file = client.service.pool.idle_work.pid, Path((tmp_path / "begun").read_text().strip())
         assert pid is not None and alive(pid) and temporary_file.exists()
         if paused:
-            monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it stays paused
+            monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 3600.0)  # so that it stays paused
             assert client.get(TILE).status_code == 200
             wait_until(lambda: is_stopped(pid))
     assert not alive(pid) and not temporary_file.parent.exists()

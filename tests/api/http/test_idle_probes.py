@@ -12,7 +12,7 @@ from skugga.api import map_probing
 from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.api.workers import idle_probes
-from skugga.api.workers.idle_probes import probed_level
+from skugga.api.workers.idle_probes import probe_level
 from skugga.selector.cost.device_profile import save_profile
 from skugga.selector.map_probes import MapProbes, ProbedClass
 from skugga.selector.probe_store import load_probes, probes_folder, save_probes
@@ -28,7 +28,7 @@ Serve = Callable[..., Client]
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """Yield ``serve(probe, **settings)``, which returns a client of a calibrated service with a short idle delay."""
     short_idle_delay(tmp_path, monkeypatch, caplog)
-    monkeypatch.setattr(idle_probes, "READ_EVERY_S", 0.02)
+    monkeypatch.setattr(idle_probes, "READ_INTERVAL_S", 0.02)
     save_profile(profile())
     with ExitStack() as stack:
 
@@ -108,7 +108,7 @@ def test_probed_level_covers_all_scales(gl, hills_level: Path, monkeypatch: pyte
     from skugga.selector.cost.typical_device import typical_device
 
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(4, 6))
-    level_probes = probed_level(LevelKey(path=hills_level, version="1"), -1, typical_device())
+    level_probes = probe_level(LevelKey(path=hills_level, version="1"), -1, typical_device())
     assert [probed_class.scale for probed_class in level_probes.classes] == [4, 5]
     assert {probed_class.sun for probed_class in level_probes.classes} == {-1}
     assert all(probed_class.seen["sun"] for probed_class in level_probes.classes)

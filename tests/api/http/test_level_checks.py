@@ -1,4 +1,4 @@
-"""A level whose files cannot be checked in time delays no other level, and is served as last known."""
+"""A level whose files cannot be checked in time delays no other level. Its last version is served."""
 
 import asyncio
 import errno
@@ -35,8 +35,8 @@ class GatedCheck:
         return self.outcome
 
 
-def check(gated_check: GatedCheck, fresh_s: float = 0.0, wait_s: float = 0.2) -> FileCheck:
-    return FileCheck("level", "old", gated_check, fresh_s, wait_s)
+def check(gated_check: GatedCheck, ttl_s: float = 0.0, max_wait_s: float = 0.2) -> FileCheck:
+    return FileCheck("level", "old", gated_check, ttl_s, max_wait_s)
 
 
 def test_hanging_check_returns_the_old_level():
@@ -58,7 +58,7 @@ def test_check_in_time_is_awaited():
     async def scenario() -> None:
         gated_check = GatedCheck()
         gated_check.may_finish.set()
-        level = check(gated_check, fresh_s=60.0, wait_s=30.0)
+        level = check(gated_check, ttl_s=60.0, max_wait_s=30.0)
         assert level.fresh_value() is None
         assert await level.current() == level.fresh_value() == "new"
         await level.current()
@@ -74,7 +74,7 @@ def test_check_error_is_raised_until_a_check_succeeds():
     async def scenario() -> None:
         gated_check = GatedCheck(LevelError("level.yaml", "x", "y"))
         gated_check.may_finish.set()
-        level = check(gated_check, wait_s=30.0)
+        level = check(gated_check, max_wait_s=30.0)
         for _ in range(2):
             with pytest.raises(LevelError):
                 await level.current()
@@ -86,14 +86,14 @@ def test_check_error_is_raised_until_a_check_succeeds():
 
 
 def test_hanging_checks_are_bounded(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(level_checks, "ABANDON_CHECK_AFTER_S", 0.0)
+    monkeypatch.setattr(level_checks, "CHECK_ABANDON_DELAY_S", 0.0)
 
     async def scenario() -> None:
         gated_check = GatedCheck()
-        level = check(gated_check, wait_s=0.01)
+        level = check(gated_check, max_wait_s=0.01)
         for _ in range(20):
             assert await level.current() == "old"
-        assert gated_check.started_count == level_checks.MAX_ABANDONED + 1, "a thread each: not without end"
+        assert gated_check.started_count == level_checks.MAX_ABANDONED_CHECKS + 1, "a thread each: not without end"
         gated_check.may_finish.set()
 
     asyncio.run(scenario())
@@ -113,13 +113,13 @@ def no_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
     """Each failed start once used up one of the few allowed checks for ever."""
-    monkeypatch.setattr(level_checks, "ABANDON_CHECK_AFTER_S", 0.0)
+    monkeypatch.setattr(level_checks, "CHECK_ABANDON_DELAY_S", 0.0)
 
     async def scenario() -> None:
         gated_check = GatedCheck()
         gated_check.may_finish.set()
-        level = check(gated_check, wait_s=30.0)
-        for _ in range(2 * level_checks.MAX_ABANDONED):
+        level = check(gated_check, max_wait_s=30.0)
+        for _ in range(2 * level_checks.MAX_ABANDONED_CHECKS):
             with no_threads(monkeypatch):
                 assert await asyncio.wait_for(level.current(), 1.0) == "old"
         assert await level.current() == "new"
@@ -132,7 +132,7 @@ def test_check_out_of_file_descriptors_keeps_old_level():
     async def scenario() -> None:
         gated_check = GatedCheck(OSError(errno.EMFILE, "Too many open files"))
         gated_check.may_finish.set()
-        level = check(gated_check, wait_s=30.0)
+        level = check(gated_check, max_wait_s=30.0)
         assert await level.current() == "old"
         gated_check.outcome = "new"
         assert await level.current() == "new"
@@ -143,7 +143,7 @@ def test_check_out_of_file_descriptors_keeps_old_level():
 def test_request_without_a_thread_is_503_with_retry_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The level is served as last known; a request that needs a thread can be repeated later."""
     path = write_level(tmp_path, "hills")
-    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.scripted)) as client:
         client.get(tile("hills"))
         before = client.get("/levels/hills").json()
         level = json.loads(path.read_text())
@@ -173,7 +173,7 @@ def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
     """Opening a named pipe blocks until another process writes into it."""
     good_level, slow_level = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=2.0)
-    with running(create_app(settings, [good_level, slow_level], fake_workers.obedient)) as client:
+    with running(create_app(settings, [good_level, slow_level], fake_workers.scripted)) as client:
         while not client.service.pool.is_ready:
             client.get("/readyz")
         assert client.get(tile("slow")).status_code == client.get(tile("good")).status_code == 200
@@ -194,7 +194,7 @@ def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
 def test_level_that_parses_slowly_is_served_as_before(tmp_path: Path):
     path = write_level(tmp_path, "hills")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=0.2)
-    with running(create_app(settings, [path], fake_workers.obedient)) as client:
+    with running(create_app(settings, [path], fake_workers.scripted)) as client:
         assert client.get(tile("hills")).status_code == 200
         level = json.loads(path.read_text())
         level["meshes"] = [{"generate": "tetrahedra"}] * 20_000

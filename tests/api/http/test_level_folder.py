@@ -20,7 +20,7 @@ from skugga.api.errors import exit_status
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import Failure, Ping, Pong, Ready
+from skugga.api.workers.jobs import Failure, HeartbeatAnswer, HeartbeatRequest, WorkerReady
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
@@ -79,18 +79,18 @@ def test_missing_folder_is_an_input_error(tmp_path: Path):
         ServedLevels([], folder=tmp_path / "nowhere")
 
 
-def test_read_folder_again_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
+def test_reload_folder_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
     levels = ServedLevels([], folder=folder)
     hills = levels.reload_if_changed("hills")
     remove(folder, "moor")
     write_level(folder, "fen")
     (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
     assert levels.names() == ["hills", "moor"], "not before it is told to"
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["fen", "hills"] and levels.reload_if_changed("hills") is hills
     assert "broken.yaml is left out" in caplog.text
     write_level(folder, "broken")
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["broken", "fen", "hills"]
 
 
@@ -98,10 +98,10 @@ def test_unreadable_folder_leaves_levels_unchanged(folder: Path, caplog: pytest.
     levels = ServedLevels([], folder=folder)
     write_level(folder, "fen")
     (folder / "fen.yml").write_text((folder / "fen.yaml").read_text(), encoding="utf-8")
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["hills", "moor"] and "a level 'fen'" in caplog.text
     folder.rename(folder.with_name("elsewhere"))
-    levels.read_folder_again()
+    levels.reload_folder()
     assert levels.names() == ["hills", "moor"] and "The levels are unchanged." in caplog.text
 
 
@@ -109,7 +109,7 @@ def test_level_broken_after_start_stays_listed(folder: Path):
     """Requests for it fail until its file is repaired."""
     levels = ServedLevels([], folder=folder)
     (folder / "moor.yaml").write_text("version: 7", encoding="utf-8")
-    levels.read_folder_again()
+    levels.reload_folder()
     with pytest.raises(LevelError):
         levels.reload_if_changed("moor")
     write_level(folder, "moor")
@@ -118,12 +118,12 @@ def test_level_broken_after_start_stays_listed(folder: Path):
 
 def test_clients_see_added_and_removed_levels(folder: Path):
     settings = Settings(workers=1, levels=folder)
-    with running(create_app(settings, [], fake_workers.obedient)) as client:
+    with running(create_app(settings, [], fake_workers.scripted)) as client:
         for name in ("hills", "moor"):
             assert client.get(f"/levels/{name}/{TILE}").status_code == 200
         remove(folder, "moor")
         write_level(folder, "fen")
-        client.service.levels.read_folder_again()
+        client.service.levels.reload_folder()
         assert [level["name"] for level in client.get("/levels").json()] == ["fen", "hills"]
         assert client.get(f"/levels/fen/{TILE}").status_code == client.get(f"/levels/hills/{TILE}").status_code == 200
         check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
@@ -131,21 +131,21 @@ def test_clients_see_added_and_removed_levels(folder: Path):
 
 def worker_missing_level_file(pipe: Connection, config: WorkerConfig, job_started, may_finish) -> None:
     """Run a fake render worker that signals ``job_started``, waits for ``may_finish``, and then fails to find the level file."""
-    pipe.send(Ready(fake_workers.RENDERER))
+    pipe.send(WorkerReady(fake_workers.RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         job_started.release()
         may_finish.acquire()
-        pipe.send(Failure.of(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
+        pipe.send(Failure.from_error(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
 
 
-@pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (worker_missing_level_file, 404)])
+@pytest.mark.parametrize(("target", "status"), [(fake_workers.scripted, 200), (worker_missing_level_file, 404)])
 def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Callable[..., None], status: int):
     """The tile itself is 200 if the worker had read the level before, else 404; later requests are 404."""
     spawn = get_context("spawn")
@@ -157,7 +157,7 @@ def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Call
         drawing = thread.submit(client.get, f"/levels/moor/{TILE}")
         assert job_started.acquire(timeout=TIMEOUT_S)
         remove(folder, "moor")
-        client.service.levels.read_folder_again()
+        client.service.levels.reload_folder()
         may_finish.release()
         answer: httpx.Response = drawing.result()
         assert answer.status_code == status

@@ -105,7 +105,7 @@ def test_lines_json_equals_page_lines_and_keeps_the_query(client: Client):
 
 def test_level_texts_are_escaped_in_markup(tmp_path):
     level = write_level(tmp_path, "odd & name", title="<b>Hills</b>", attribution="it's </pre> <i>ours</i>")
-    with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1), [level], fake_workers.scripted)) as client:
         page = client.get("/levels/odd%20%26%20name.html")
         assert page.status_code == 200 and "<b>" not in page.text and "<i>" not in page.text
         assert not LinkParser(page.text).open_tags and "it\\'s" in unescape(page.text)

@@ -1,4 +1,4 @@
-"""Idle and stalled connections, and more connections than file descriptors, keep no other client from being served."""
+"""Idle and stalled connections, and more connections than file descriptors, do not block other clients."""
 
 import contextlib
 import resource
@@ -55,12 +55,12 @@ def is_ended(connection: socket.socket) -> bool:
     ],
 )
 def test_stalled_request_closes_its_connection(serve_with, open_sockets, said: bytes):
-    client = serve_with(fake_workers.obedient, client_timeout_s=0.3)
+    client = serve_with(fake_workers.scripted, client_timeout_s=0.3)
     assert is_ended(open_sockets(client, said))
 
 
 def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
-    client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
+    client = serve_with(fake_workers.scripted, client_timeout_s=0.5)
     connection = open_sockets(client, b"GET /healthz HTTP/1.1\r\nX: ")
     until_s = time.monotonic() + TIMEOUT_S
     with pytest.raises(OSError):
@@ -71,7 +71,7 @@ def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
 
 @pytest.mark.parametrize("start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100])
 def test_endless_headers_close_the_connection(serve_with, open_sockets, start: bytes):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     connection = open_sockets(client, start)
     part = b"x" * 65536 if not start.endswith(b"\n") else b"A: b\r\n" * 10_000
     sent_bytes = 0
@@ -84,14 +84,14 @@ def test_endless_headers_close_the_connection(serve_with, open_sockets, start: b
 
 
 def test_header_limit_holds_per_request(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     for _ in range(40):
         assert client.get("/healthz", headers={"X": "x" * 8000}).status_code == 200
     assert client.post("/plan", content=b"x" * 500_000).status_code == 422
 
 
 def test_unread_answers_close_their_connection(serve_with, open_sockets):
-    client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
+    client = serve_with(fake_workers.scripted, client_timeout_s=0.5)
     response_bytes, request_count = len(client.get("/openapi.json").content), 500
     connection = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * request_count)
     assert connection.recv(1) == b"H", "the server has the connection; before that, its end is not to be waited for"
@@ -114,7 +114,7 @@ def _received_bytes(connection: socket.socket) -> int:
 
 
 def test_idle_connections_are_evicted(serve_with, open_sockets):
-    client = serve_with(fake_workers.obedient, max_connections=8)
+    client = serve_with(fake_workers.scripted, max_connections=8)
     idle_connections = [open_sockets(client) for _ in range(40)]
     for _ in range(5):
         with socket.create_connection((client.base_url.host, client.base_url.port), timeout=TIMEOUT_S) as connection:
@@ -125,7 +125,7 @@ def test_idle_connections_are_evicted(serve_with, open_sockets):
 
 def test_server_recovers_from_running_out_of_descriptors(serve_with, open_sockets, caplog: pytest.LogCaptureFixture):
     """A server without free file descriptors pauses accepting, logs this at most once, and goes on later."""
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     assert client.get("/readyz").status_code in (200, 503)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     sockets = [socket.socket() for _ in range(60)]

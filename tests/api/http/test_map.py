@@ -127,7 +127,7 @@ def test_sun_hours_map_agrees_with_points(client: Client):
     assert map_pixels.shape == (64, 64, 4) and (map_pixels[..., 3] == 255).all()
     legend = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=sunhours&date=2024-12-21").json()["skugga"]["legend"]
     hours = np.linspace(legend["low"], legend["high"], 256)
-    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(hours[None])[0].astype(int)
+    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).to_rgba(hours[None])[0].astype(int)
     rows, cols = (item.ravel() for item in np.mgrid[4:64:14, 4:64:14])
     points = [
         {"lon": lon - side + (col + 0.5) * side / 32, "lat": lat + side - (row + 0.5) * side / 32}

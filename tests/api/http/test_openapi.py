@@ -155,7 +155,7 @@ def test_document_lists_every_kind_of_problem(document: dict[str, Any]):
 
 
 def test_document_requires_the_token_if_set(serve_with):
-    client = serve_with(fake_workers.obedient, api_token="a secret token")
+    client = serve_with(fake_workers.scripted, api_token="a secret token")
     document = client.get("/openapi.json", headers={"Authorization": "Bearer a secret token"}).json()
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -285,7 +285,7 @@ def test_cors_preflight_allows_any_headers(client: Client, document: dict[str, A
 
 
 def test_cors_origins_restrict_pages(serve_with):
-    client = serve_with(fake_workers.obedient, cors_origins=("https://map.example",), api_token="a secret token")
+    client = serve_with(fake_workers.scripted, cors_origins=("https://map.example",), api_token="a secret token")
     for origin, allowed in (("https://map.example", True), ("https://elsewhere.example", False)):
         headers = {"Origin": origin, "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "authorization"}
         assert (client.options("/levels", headers=headers).status_code == 200) == allowed

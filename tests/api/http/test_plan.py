@@ -15,8 +15,8 @@ from pydantic import ValidationError
 
 from skugga.api.http.levels.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import DescribedPlanJob, Tiles
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.jobs import DescriptorPlanJob, ZoomTiles
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, representative_block
 from skugga.selector.cost.device_profile import DeviceProfile, profile_digest
@@ -194,7 +194,7 @@ def test_all_accepted_facts_can_be_planned(facts: dict, made_up: dict, view_kind
     except ValidationError:
         return
     with np.errstate(all="ignore"):
-        run_job(DescribedPlanJob(descriptor_json=descriptor.as_descriptor_json(), policy="rules"), WorkerState("a renderer"))
+        run_job(DescriptorPlanJob(descriptor_json=descriptor.as_descriptor_json(), policy="rules"), WorkerState("a renderer"))
 
 
 @pytest.mark.parametrize(
@@ -284,16 +284,16 @@ def test_openapi_documents_plans(client: Client):
 
 def calibrated(pipe, config) -> None:
     """Run a fake worker whose device is calibrated."""
-    from skugga.api.workers.jobs import Ready
+    from skugga.api.workers.jobs import WorkerReady
 
     class Pipe:
         def __getattr__(self, name):
             return getattr(pipe, name)
 
         def send(self, answer) -> None:
-            pipe.send(Ready(answer.renderer, profile()) if isinstance(answer, Ready) else answer)
+            pipe.send(WorkerReady(answer.renderer, profile()) if isinstance(answer, WorkerReady) else answer)
 
-    fake_workers.obedient(Pipe(), config)
+    fake_workers.scripted(Pipe(), config)
 
 
 def tag(client: Client) -> str:
@@ -306,7 +306,7 @@ def tag(client: Client) -> str:
 
 
 def test_etags_depend_on_the_calibration(serve_with):
-    plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
+    plain, other = serve_with(fake_workers.scripted), serve_with(calibrated)
     assert tag(plain) != tag(other)
     assert other.service.pool.plan_version(None) == profile_digest(profile()) != profile_digest(profile(took_s=2.0))
     assert plain.service.pool.plan_version(None) == ""
@@ -327,11 +327,11 @@ def test_tiles_of_a_zoom_share_one_cached_plan(gl, hills_level):
     tile_plans = [plan_of_tiles(job, scene, state) for job in jobs]
     assert tile_plans[0] is tile_plans[1]
     assert tile_plans[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
-    tiles = representative_block(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
+    tiles = representative_block(scene, ZoomTiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
     assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
     other = plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
     assert other is not tile_plans[0]
-    state.basis = PlanBasis(profile())
+    state.measurements = PlanMeasurements(profile())
     predictions_plan = plan_of_tiles(jobs[0], scene, state)
     assert predictions_plan.reasons != tile_plans[0].reasons and plan_of_tiles(jobs[1], scene, state) is predictions_plan
 

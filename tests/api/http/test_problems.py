@@ -134,7 +134,7 @@ def test_other_methods_are_405(client: Client):
 
 def test_level_broken_while_served_is_500(hills_level: Path, tmp_path: Path):
     path = write_level(tmp_path, "soon_broken")
-    with running(create_app(Settings(workers=1, level_check_s=0), [hills_level, path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [hills_level, path], fake_workers.scripted)) as client:
         path.write_text("version: 7", encoding="utf-8")
         problem = check_problem(client.get("levels/soon_broken"), 500, "level", None)
         assert str(tmp_path) not in problem["detail"]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.api.errors import RateLimitError
 from skugga.api.http.request_times import rounded_time
-from skugga.api.http.state.rate_limiter import RateLimiter, network_of
+from skugga.api.http.state.rate_limiter import RateLimiter, client_key
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -42,7 +42,7 @@ def test_rounded_time_moves_half_a_grain_and_only_once(moment: datetime, grain_s
 
 
 def test_times_within_a_grain_share_one_tile(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     first, second = (client.get(TILE, params={"time": f"{DAY}12:00:{s}+02:00"}) for s in ("05", "20"))
     assert first.status_code == 200
     assert first.headers["etag"] == second.headers["etag"]
@@ -58,12 +58,12 @@ def test_times_within_a_grain_share_one_tile(serve_with):
 
 
 def test_time_grain_is_a_setting(serve_with):
-    client = serve_with(fake_workers.obedient, time_grain_s=0)
+    client = serve_with(fake_workers.scripted, time_grain_s=0)
     assert client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"}).headers["x-skugga-time"] == f"{DAY}12:00:05+02:00"
 
 
 def test_current_time_is_now_and_expires_soon(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     before = datetime.now(UTC)
     for _ in range(2):
         answer = client.get(TILE, params={"time": "current"})
@@ -88,7 +88,7 @@ def test_current_time_is_resolved_for_each_request(serve_with, monkeypatch: pyte
         def now(cls, tz=None):
             return cls.moment
 
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     monkeypatch.setattr(request_times, "datetime", Clock)
     first_response = client.get(TILE, params={"time": "current"})
     monkeypatch.setattr(Clock, "moment", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
@@ -132,12 +132,12 @@ def test_rate_limiter_of_zero_is_off():
         ("a socket", "a socket", True),
     ],
 )
-def test_network_of_groups_a_customers_addresses(one: str, other: str, same: bool):
-    assert (network_of(one) == network_of(other)) == same
+def test_client_key_groups_a_customers_addresses(one: str, other: str, same: bool):
+    assert (client_key(one) == client_key(other)) == same
 
 
 def test_too_many_suns_are_429(serve_with):
-    client = serve_with(fake_workers.obedient, new_suns_per_minute=2)
+    client = serve_with(fake_workers.scripted, new_suns_per_minute=2)
     for azimuth in (10, 20):
         assert client.get(TILE, params={"azimuth": azimuth, "altitude": 30}).status_code == 200
     answer = client.get(TILE, params={"azimuth": 30, "altitude": 30})

@@ -39,7 +39,7 @@ def test_sun_hours_tile_agrees_with_points(client: Client):
     tilejson = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{SUN_HOURS_QUERY}").json()
     legend = tilejson["skugga"]["legend"]
     legend_hours = np.linspace(legend["low"], legend["high"], 256)
-    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(legend_hours[None])[0].astype(int)
+    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).to_rgba(legend_hours[None])[0].astype(int)
     rows, cols = (item.ravel() for item in np.mgrid[10:256:35, 5:256:35])
     bounds = MERCATOR.xy_bounds(tile)
     side = (bounds.right - bounds.left) / 256

@@ -308,7 +308,7 @@ def test_other_spelling_of_a_query_reuses_the_tile(client: Client):
 
 def test_changed_level_invalidates_its_tiles(tmp_path):
     level = write_level(tmp_path, "hills")
-    with running(create_app(Settings(workers=1, level_check_s=0), [level], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [level], fake_workers.scripted)) as client:
         before, repeated = client.get(TILE), client.get(TILE)
         level.write_text(level.read_text(encoding="utf-8").replace("The hills", "Other hills"), encoding="utf-8")
         after = client.get(TILE)

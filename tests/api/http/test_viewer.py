@@ -17,7 +17,7 @@ def app(hills_level: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setattr(routes_viewer, "STATIC_FOLDER", tmp_path)
 
     def make() -> FastAPI:
-        return create_app(Settings(workers=1), [hills_level], fake_workers.obedient)
+        return create_app(Settings(workers=1), [hills_level], fake_workers.scripted)
 
     return make
 

@@ -32,7 +32,7 @@ def requests(client: Client, route: str, status: int) -> float:
 
 
 def test_metrics_count_requests_jobs_and_caches(serve_with):
-    client = serve_with(fake_workers.obedient, level_check_s=600)
+    client = serve_with(fake_workers.scripted, level_check_s=600)
     assert client.get(TILE).status_code == 200
     assert client.get(TILE).status_code == 200
     assert client.get(TILE.replace("hills", "nowhere")).status_code == 404
@@ -52,7 +52,7 @@ def test_metrics_count_requests_jobs_and_caches(serve_with):
 
 
 def test_clients_cannot_create_metric_series(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
 
     def make_up(number: int) -> int:
         client.get(f"/nothing/{number}")
@@ -65,7 +65,7 @@ def test_clients_cannot_create_metric_series(serve_with):
 
 
 def test_pass_metrics_by_algorithm_are_bounded(serve_with):
-    metrics = serve_with(fake_workers.obedient).service.metrics
+    metrics = serve_with(fake_workers.scripted).service.metrics
     from skugga.api.workers.jobs import Snapshot
 
     for number in range(1000):
@@ -76,7 +76,7 @@ def test_pass_metrics_by_algorithm_are_bounded(serve_with):
 
 
 def test_dashboard_names_existing_metrics_only(serve_with):
-    metrics = serve_with(fake_workers.obedient).service.metrics
+    metrics = serve_with(fake_workers.scripted).service.metrics
     board = json.loads(DASHBOARD.read_text(encoding="utf-8"))
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
     assert len(queries) >= 10
@@ -88,7 +88,7 @@ def test_dashboard_names_existing_metrics_only(serve_with):
     ("given", "kept"), [("abc-123_x.Y", True), ("x" * 64, True), ("x" * 65, False), ("a b", False), ('"<b>', False), ("", False)]
 )
 def test_only_a_valid_request_id_is_kept(serve_with, given: str, kept: bool):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     answer = client.get("/healthz", headers={"X-Request-ID": given})
     number = answer.headers["x-request-id"]
     assert (number == given) == kept
@@ -96,7 +96,7 @@ def test_only_a_valid_request_id_is_kept(serve_with, given: str, kept: bool):
 
 
 def test_all_answers_have_the_common_headers(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     tile = client.get(TILE)
     answers = [
         tile, client.get(TILE), client.get(TILE, headers={"If-None-Match": tile.headers["etag"]}), client.get("/nothing"),
@@ -112,7 +112,7 @@ def test_all_answers_have_the_common_headers(serve_with):
 
 def test_pages_load_nothing_from_other_hosts(serve_with):
     """The one exception are tiles of a base map, whose address a user gives to the viewer."""
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     for page in ("/", "/docs", "/levels/hills.html"):
         policy = client.get(page).headers["content-security-policy"]
         directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
@@ -127,7 +127,7 @@ def test_pages_load_nothing_from_other_hosts(serve_with):
 def test_unexpected_error_is_logged_and_has_a_request_id(
     serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
     monkeypatch.setattr(client.service.levels, "names", lambda: 1 / 0)
     answer = client.get("/levels", headers={"X-Request-ID": "number-7", "Origin": "https://a.example"})
@@ -140,7 +140,7 @@ def test_unexpected_error_is_logged_and_has_a_request_id(
 def test_access_log_is_optional_and_has_no_forged_lines(
     serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    plain_client, logging_client = serve_with(fake_workers.obedient), serve_with(fake_workers.obedient, access_log=True)
+    plain_client, logging_client = serve_with(fake_workers.scripted), serve_with(fake_workers.scripted, access_log=True)
     monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
     with caplog.at_level("INFO", "skugga.access"):
         plain_client.get("/levels")
@@ -167,7 +167,7 @@ def test_log_line_formats_text_and_json():
 
 
 def test_token_is_required_if_set(serve_with):
-    client = serve_with(fake_workers.obedient, api_token="a secret token")
+    client = serve_with(fake_workers.scripted, api_token="a secret token")
     for headers in ({}, {"Authorization": "Bearer another token"}, {"Authorization": "Basic a secret token"}):
         for path in ("/levels", TILE, "/", "/metrics", "/docs", "/nothing"):
             answer = client.get(path, headers=headers)
@@ -188,7 +188,7 @@ def test_token_is_required_if_set(serve_with):
 
 
 def test_cors_allows_no_cookies(serve_with):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     answer = client.get("/levels", headers={"Origin": "https://a.example"})
     assert answer.headers["access-control-allow-origin"] == "*"
     assert "access-control-allow-credentials" not in answer.headers

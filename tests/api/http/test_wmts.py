@@ -175,7 +175,7 @@ def test_time_dimension_lists_default_and_range(root: ElementTree.Element):
 def test_level_time_lies_on_its_time_dimension(tmp_path):
     """18:07:30 +02:00 is no multiple of the step of 10 minutes, so the range begins at 00:07:30."""
     level = write_level(tmp_path, "odd", sun={"time": "2024-06-21T18:07:30+02:00"})
-    with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1), [level], fake_workers.scripted)) as client:
         served_level = client.service.levels.reload_if_changed("odd")
     assert time_dimension(served_level, "color", 2020) == TimeDimension(
         "2024-06-21T16:07:30Z", "2024-01-01T00:07:30Z/2024-12-31T23:57:30Z/PT10M"

@@ -81,7 +81,7 @@ def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make
 def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_raster):
     assert slope.color_scale is not None
     scale = slope.color_scale(slope.options(), None)  # type: ignore[arg-type]
-    colors = scale.colored(np.array([[0.0, 30.0, 60.0, np.nan]]))[0]
+    colors = scale.to_rgba(np.array([[0.0, 30.0, 60.0, np.nan]]))[0]
     assert colors[:, 3].tolist() == [255, 255, 255, 0] and len({tuple(color) for color in colors}) == 4
 
 

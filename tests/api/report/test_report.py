@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from skugga.api.report.page.bars import REST_STAGE, bars, stages_of
+from skugga.api.report.page.bars import REST_STAGE, bar_chart, stages_of
 from skugga.api.report.page.marks import mark_of
 from skugga.api.report.page.pictures import (
     CORRECT,
@@ -29,8 +29,8 @@ from skugga.api.report.page.pictures import (
     GRAY_LEVELS,
     MISSED_SHADOW,
     ErrorPicture,
-    indexes,
     palette,
+    palette_indexes,
     report_pictures,
 )
 from skugga.api.report.page.scales import scale_of
@@ -231,7 +231,7 @@ def test_errors_have_the_colours_of_false_colours() -> None:
 
 @given(arrays(np.uint8, (7, 5)), arrays(np.int8, (7, 5), elements=st.integers(0, 2)), st.integers(1, 8))
 def test_a_shrunk_picture_keeps_every_wrong_pixel(visibility: np.ndarray, wrong: np.ndarray, factor: int) -> None:
-    small = indexes(ErrorPicture(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
+    small = palette_indexes(ErrorPicture(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
     assert small.shape == (-(-7 // factor), -(-5 // factor))
     for i, j in np.ndindex(small.shape):
         block = np.s_[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
@@ -248,12 +248,12 @@ def test_forty_noisy_pictures_fit_the_size_limit() -> None:
     full_pictures = report_pictures(ground, rows, 10**9)
     assert full_pictures.factor == 1 and len(full_pictures.row_uris) == 40
     small_pictures = report_pictures(ground, rows, 400_000)
-    assert small_pictures.size <= 400_000 < full_pictures.size and 1 < small_pictures.factor < 8
-    fewer_grays = report_pictures(ground, rows, full_pictures.size - 1)
+    assert small_pictures.character_count <= 400_000 < full_pictures.character_count and 1 < small_pictures.factor < 8
+    fewer_grays = report_pictures(ground, rows, full_pictures.character_count - 1)
     assert (fewer_grays.factor, full_pictures.levels, fewer_grays.levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), (
         "fewer grays before fewer pixels"
     )
-    levels = indexes(rows[0], levels=FEW_GRAY_LEVELS)
+    levels = palette_indexes(rows[0], levels=FEW_GRAY_LEVELS)
     assert np.array_equal(decoded(fewer_grays.row_uris[0]), palette(FEW_GRAY_LEVELS)[levels])
     assert (
         len(small_pictures.row_uris) == 40
@@ -343,7 +343,7 @@ def test_bars_are_as_long_as_their_stages() -> None:
     quick, slow = figures("sweep", 100.0, 0.0), figures("hybrid", 150.0, 0.0, stages={"map": 60.0, "mask": 0.0, "visibility": 90.0})
     assert stages_of(quick) == {"depth map": 25.0, "visibility": 70.0, REST_STAGE: pytest.approx(5.0)}
     assert stages_of(slow) == {"map": 60.0, "visibility": 90.0}
-    page = Page(bars([slow, quick]))
+    page = Page(bar_chart([slow, quick]))
     assert [attributes["data-row"] for attributes in page.elements_named("a")] == ["1", "0"], "the fastest first"
     widths = [float(attributes["width"]) for attributes in page.elements_named("rect")]
     assert np.allclose(np.array(widths) / widths[0], np.array([25.0, 70.0, 5.0, 60.0, 90.0]) / 25.0, atol=1e-3)
@@ -354,10 +354,10 @@ def test_bars_are_as_long_as_their_stages() -> None:
 def test_one_slow_row_does_not_hide_the_others() -> None:
     rows = [figures(f"sweep-{k}", 10.0, 0.0, stages={"sweep": 10.0}) for k in range(9)]
     slow = figures("hybrid", 1000.0, 0.0, stages={"map": 250.0, "stencil": 750.0})
-    page = Page(bars([*rows, slow]))
+    page = Page(bar_chart([*rows, slow]))
     widths = [float(attributes["width"]) for attributes in page.elements_named("rect")]
     assert widths[0] > 0.3 * (widths[-2] + widths[-1]) and widths[-1] == pytest.approx(3 * widths[-2], rel=1e-3)
-    assert len(page.elements_named("path", class_="cut")) == 1 and not Page(bars(rows)).elements_named("path", class_="cut")
+    assert len(page.elements_named("path", class_="cut")) == 1 and not Page(bar_chart(rows)).elements_named("path", class_="cut")
 
 
 def test_marks_differ_in_shape_and_colour() -> None:

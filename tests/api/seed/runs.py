@@ -11,10 +11,10 @@ import numpy as np
 
 from skugga.api.matrices import ZoomRange
 from skugga.api.request import ProductRequest, RequestedSettings
-from skugga.api.seed.drawing import Drawer
+from skugga.api.seed.drawing import TaskDrawer
 from skugga.api.seed.messages import Task, TaskFailure, TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
-from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.running import TaskCompletion
 from skugga.api.seed.seeding import SeedResult, draw_and_publish
 from skugga.api.seed.storage import FolderStore
 from skugga.api.seed.task_table import TaskTable
@@ -44,7 +44,7 @@ class InProcessRunner:
     """Runner that draws in this process, one task at a time. ``inject_failure`` may replace the result of a task."""
 
     def __init__(self, run: PlannedRun, store: FolderStore, inject_failure: FailureInjector | None = None) -> None:
-        self._drawer, self._inject_failure = Drawer(run.spec, store), inject_failure
+        self._drawer, self._inject_failure = TaskDrawer(run.spec, store), inject_failure
         self._queue: deque[Task] = deque()
         self.drawn: list[Task] = []
 
@@ -110,5 +110,5 @@ class Run:
         """Return the output of one of several suns."""
         return self.output if len(self.suns) == 1 else self.output.with_stem(f"{self.output.stem}-{number}")
 
-    def on_progress(self, progress: TaskEnd) -> None:
+    def on_progress(self, progress: TaskCompletion) -> None:
         """Show nothing."""

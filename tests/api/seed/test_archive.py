@@ -13,7 +13,14 @@ import pytest
 from pmtiles.reader import MmapSource, Reader, all_tiles
 
 from skugga.api.errors import BrokenShardError
-from skugga.api.seed.archive import DEDUPLICATED_BELOW_BYTES, ArchiveFacts, ArchiveSize, ShardIndex, first_tile_id, write_archive
+from skugga.api.seed.archive import (
+    DEDUPLICATION_LIMIT_BYTES,
+    ArchiveMetadata,
+    ArchiveSize,
+    ShardIndex,
+    first_tile_id,
+    write_archive,
+)
 from skugga.terrain.errors import InputError
 from tests.api.seed import pmtiles_checker
 from tests.api.seed.pmtiles_checker import MAGIC, check_archive, tile_id_to_zxy
@@ -21,9 +28,9 @@ from tests.api.seed.pmtiles_checker import MAGIC, check_archive, tile_id_to_zxy
 Shards = Sequence[Mapping[int, bytes]]
 
 
-def facts_of(first_zoom: int, last_zoom: int, **changed: Any) -> ArchiveFacts:
+def facts_of(first_zoom: int, last_zoom: int, **changed: Any) -> ArchiveMetadata:
     facts = {"format": "png", "bounds": (7.0, 46.0, 8.0, 47.0), "metadata": {"name": "hills", "skugga": {"layer": "shadow"}}}
-    return ArchiveFacts(first_zoom=first_zoom, last_zoom=last_zoom, **(facts | changed))
+    return ArchiveMetadata(first_zoom=first_zoom, last_zoom=last_zoom, **(facts | changed))
 
 
 def tile_of(number: int, size: int = 40) -> bytes:
@@ -31,7 +38,7 @@ def tile_of(number: int, size: int = 40) -> bytes:
     return MAGIC["png"] + number.to_bytes(8, "big") + bytes(size - 16)
 
 
-def write(path: Path, shards: Shards, facts: ArchiveFacts) -> ArchiveSize:
+def write(path: Path, shards: Shards, facts: ArchiveMetadata) -> ArchiveSize:
     indexed_shards = [ShardIndex.from_tiles(shard) for shard in shards]
     return write_archive(path, [index for index, _ in indexed_shards], lambda number: indexed_shards[number][1], facts)
 
@@ -78,7 +85,7 @@ def test_the_same_tiles_give_the_same_bytes(tmp_path, monkeypatch):
 def test_counts_of_runs_and_shared_contents(tmp_path):
     first = first_tile_id(3)
     sea, snow = tile_of(1), tile_of(2)
-    large = tile_of(3, DEDUPLICATED_BELOW_BYTES)  # too large to be deduplicated; in a run it is stored once
+    large = tile_of(3, DEDUPLICATION_LIMIT_BYTES)  # too large to be deduplicated; in a run it is stored once
     shards = [
         {first: sea, first + 1: sea, first + 2: snow, first + 3: sea},  # a run of two, one, and the first again
         {first + 4: sea, first + 5: large, first + 6: large},  # the run continues across shards
@@ -89,7 +96,7 @@ def test_counts_of_runs_and_shared_contents(tmp_path):
     # Entries: sea (2), snow, sea (2, shared), large (2), sea (shared), large, 4. Contents: sea, snow, large twice, 4.
     assert (size.tiles, size.entries, size.contents) == (10, 7, 5)
     assert [archive.header[name] for name in ("addressed", "entries", "contents")] == [10, 7, 5]
-    assert archive.header["data_bytes"] == 3 * 40 + 2 * DEDUPLICATED_BELOW_BYTES
+    assert archive.header["data_bytes"] == 3 * 40 + 2 * DEDUPLICATION_LIMIT_BYTES
     assert archive.header["clustered"] == 1
     assert read_back(tmp_path / "a.pmtiles") == {tile_id_to_zxy(i): tile for shard in shards for i, tile in shard.items()}
 
@@ -111,7 +118,7 @@ def test_many_entries_have_leaf_directories(tmp_path):
 
 
 def test_leaf_directories_grow_until_their_root_fits(tmp_path, monkeypatch):
-    monkeypatch.setattr("skugga.api.seed.archive.LEAF_ENTRIES", 1)
+    monkeypatch.setattr("skugga.api.seed.archive.INITIAL_LEAF_ENTRIES", 1)
     rng = np.random.default_rng(7)
     tiles = {i: tile_of(i, int(rng.integers(16, 60))) for i in sorted(rng.choice(4**12, 20_000, replace=False).tolist())}
     write(tmp_path / "a.pmtiles", [tiles], facts_of(0, 12))

@@ -18,9 +18,9 @@ import pytest
 
 from skugga.api.seed.dask_cluster import DaskCluster
 from skugga.api.seed.planning import plan_run
-from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.running import TaskCompletion
 from skugga.api.seed.seeding import draw_and_publish
-from skugga.api.seed.storage import store_at
+from skugga.api.seed.storage import open_store
 from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import GraphicsError, InputError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
@@ -94,7 +94,7 @@ def run(tmp_path: Path) -> Run:
 def seed_on_cluster(
     run: Run,
     cluster: Cluster,
-    on_end: Callable[[TaskEnd], None] = lambda end: None,
+    on_end: Callable[[TaskCompletion], None] = lambda end: None,
     shards: str = "",
     cluster_timeout_s: float = 60.0,
 ) -> list[str]:
@@ -102,15 +102,15 @@ def seed_on_cluster(
     worker_names: list[str] = []
     place = shards or str(run.work / "shards")
 
-    def note(end: TaskEnd) -> None:
+    def note(end: TaskCompletion) -> None:
         worker_names.append(end.outcome.worker)
         on_end(end)
 
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
         draw_and_publish(
-            table, planned, store_at(place), place, {planned.sun_names[0]: run.output},
-            lambda: DaskCluster(cluster.address, cluster_timeout_s).begin(planned.spec, place), note,
+            table, planned, open_store(place), place, {planned.sun_names[0]: run.output},
+            lambda: DaskCluster(cluster.address, cluster_timeout_s).prepare_run(planned.spec, place), note,
         )  # fmt: skip
     return worker_names
 
@@ -123,7 +123,7 @@ def test_a_cluster_with_object_storage_writes_the_same_archive(run, cluster, tmp
     local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
     local_run()
     assert run.output.read_bytes() == local_run.output.read_bytes()
-    assert all(name.endswith(".tiles") for name in store_at(f"{object_store}/dask").names())
+    assert all(name.endswith(".tiles") for name in open_store(f"{object_store}/dask").names())
 
 
 def test_dead_workers_are_replaced(run, cluster, tmp_path):
@@ -131,7 +131,7 @@ def test_dead_workers_are_replaced(run, cluster, tmp_path):
     cluster.add_worker()
     ends = 0
 
-    def kill(end: TaskEnd) -> None:
+    def kill(end: TaskCompletion) -> None:
         nonlocal ends
         ends += 1
         if ends == 2:
@@ -148,7 +148,7 @@ def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
     cluster.add_worker()
     ends = 0
 
-    def restart(end: TaskEnd) -> None:
+    def restart(end: TaskCompletion) -> None:
         nonlocal ends
         ends += 1
         if ends == 2:
@@ -227,7 +227,7 @@ def test_a_missing_scheduler_or_worker_is_an_error(run, cluster):
 def test_a_lost_scheduler_ends_the_run_with_an_error(run, cluster):
     cluster.add_worker()
 
-    def end_it(end: TaskEnd) -> None:
+    def end_it(end: TaskCompletion) -> None:
         cluster.scheduler.kill()
 
     with pytest.raises(RenderError, match="the scheduler did not return within 3 s.*Run the same command again to resume"):

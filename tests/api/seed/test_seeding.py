@@ -251,7 +251,7 @@ def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object):
         raise AssertionError("a plan was made again")
 
-    monkeypatch.setattr(planning, "plan_in_service", fail)
+    monkeypatch.setattr(planning, "select_view_plan", fail)
     write_ground(run.level, rough_ground(120, seed=4))
     assert run()[1], "the ground has changed"
     run.zooms = 11, 15
@@ -259,13 +259,13 @@ def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.Monke
         run()
 
 
-def test_the_outlook_gives_reasons_for_tasks(run: Run, monkeypatch: pytest.MonkeyPatch):
+def test_waiting_totals_give_reasons_for_tasks(run: Run, monkeypatch: pytest.MonkeyPatch):
     run.zooms = 11, 12
 
     def reasons() -> set[str]:
         with task_table_of(run) as table:
             planning.plan_run(table, run.request, lambda text: None)
-            return {row[2] for row in table.forecast()}
+            return {row[2] for row in table.waiting_totals()}
 
     assert reasons() == {"not drawn yet"}
     run()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.seed.storage import FolderStore, ShardStore, check_writable, store_at
+from skugga.api.seed.storage import FolderStore, ShardStore, check_writable, open_store
 from skugga.terrain.errors import InputError, RenderError
 
 BUCKET = "skugga-shards"
@@ -46,7 +46,7 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def test_a_store_reads_what_it_wrote(place: str):
-    store = store_at(place)
+    store = open_store(place)
     assert store.names() == set()
     check_writable(store, place)
     store.write("ab/one.tiles", b"1" * 1000)
@@ -57,7 +57,7 @@ def test_a_store_reads_what_it_wrote(place: str):
     with pytest.raises(FileNotFoundError):
         store.read("ab/three.tiles")
     store.delete(["ab/one.tiles", "ab/three.tiles"])
-    assert store_at(place).names() == {"cd/two.tiles"}
+    assert open_store(place).names() == {"cd/two.tiles"}
 
 
 def test_a_folder_has_no_half_written_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -78,7 +78,7 @@ def test_a_folder_has_no_half_written_shards(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("address", ["nope://bucket/run", "s3:///"])
 def test_unreachable_addresses_are_refused(address: str):
     with pytest.raises((InputError, RenderError), match="--shards|written"):
-        check_writable(store_at(address), address)
+        check_writable(open_store(address), address)
 
 
 def test_a_store_that_loses_data_is_detected(tmp_path: Path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skugga.api.seed.running import MAX_STRETCH, WaitingTasks
+from skugga.api.seed.running import MAX_BATCH_TASKS, WaitingTasks
 
 
 def hand_out_tasks(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
@@ -30,13 +30,13 @@ def test_lanes_get_neighbouring_tasks():
     task_lanes = hand_out_tasks(WaitingTasks(range(10_000)), 4)
     for lane in task_lanes:
         adjacent_count = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
-        assert adjacent_count > (1.0 - 1.5 / MAX_STRETCH) * len(lane)
+        assert adjacent_count > (1.0 - 1.5 / MAX_BATCH_TASKS) * len(lane)
 
 
 def test_tasks_start_about_in_their_order():
     lanes = hand_out_tasks(WaitingTasks(range(1000)), 4)
     position_by_task = {task: position for lane in lanes for position, task in enumerate(lane)}
-    assert all(abs(4 * position - task) <= 4 * 4 * MAX_STRETCH for task, position in position_by_task.items())
+    assert all(abs(4 * position - task) <= 4 * 4 * MAX_BATCH_TASKS for task, position in position_by_task.items())
 
 
 def test_a_slow_lane_keeps_only_its_one_task():
@@ -50,5 +50,5 @@ def test_a_slow_lane_keeps_only_its_one_task():
 
 def test_returned_tasks_come_last():
     waiting = WaitingTasks([1, 2, 3])
-    waiting.put_back(waiting.take(0))
+    waiting.requeue(waiting.take(0))
     assert [waiting.take(0) for _ in range(len(waiting))] == [2, 3, 1]

@@ -1,4 +1,4 @@
-"""Fake render processes that draw nothing. A job's view or tile is an order to them, so that tests control their behaviour."""
+"""Fake render processes that draw nothing. A job's view or tile tells them what to do, so that tests control their behaviour."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from skugga.api.workers.jobs import (
     FilmPicture,
     FilmPlanState,
     FrameJob,
-    Ping,
+    HeartbeatAnswer,
+    HeartbeatRequest,
     PlanAnswer,
     PlanJob,
-    Pong,
-    Preparing,
-    Ready,
+    PreparationProgress,
+    WorkerReady,
 )
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.selector.map_probes import MapClass
 from skugga.terrain.errors import GraphicsError, InputError, RenderError
@@ -39,7 +39,7 @@ FILM_ROWS, FILM_COLS = 4, 6
 TILE_POSITIONS = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
-def obedient(
+def scripted(
     pipe: Connection,
     config: WorkerConfig,
     job_started: Semaphore | None = None,
@@ -48,18 +48,18 @@ def obedient(
 ) -> None:
     """Answer at once. If ``may_finish`` is given, signal ``job_started`` for each job and wait for ``may_finish``.
 
-    The view of a plan is an order, unless ``always`` orders the same for all jobs: ``crash``, ``hang``, ``refuse`` (wrong
-    input), ``fail``, ``doubt`` (broken OpenGL).
+    The view of a plan is a command, unless ``always`` is the command for all jobs. Commands are ``crash``, ``hang``, ``refuse``
+    (wrong input), ``fail`` and ``doubt`` (broken OpenGL).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         if job_started is not None:
             job_started.release()
@@ -76,33 +76,33 @@ def obedient(
 def planning(
     pipe: Connection, config: WorkerConfig, job_started: Semaphore | None = None, may_finish: Semaphore | None = None
 ) -> None:
-    """Answer with the basis of plans.
+    """Answer with the version of the measurements that plans use.
 
-    A plan has the name of its policy, a tile the version of its plans. On a calibrated basis a tile reports a missing probe
-    until its level has one. Gated like ``obedient``.
+    A plan has the name of its policy, a tile the version of its plans. With a calibration, a tile reports a missing probe
+    until its level has one. Gated like ``scripted``.
     """
-    basis = config.basis or PlanBasis()
-    pipe.send(Ready(RENDERER, basis.device, VERSION))
+    measurements = config.measurements or PlanMeasurements()
+    pipe.send(WorkerReady(RENDERER, measurements.device, VERSION))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
-        if isinstance(job, PlanBasis):
-            basis = job
+        if isinstance(job, PlanMeasurements):
+            measurements = job
             continue
         if job_started is not None:
             job_started.release()
         if may_finish is not None:
             may_finish.acquire()
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if basis.device is None else "predict"}"}}'))
+            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if measurements.device is None else "predict"}"}}'))
         else:
-            version = basis.version_of(job.level)
-            unprobed_class = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
+            version = measurements.version_of(job.level)
+            unprobed_class = None if measurements.device is None or measurements.probes_of(job.level).classes else UNPROBED
             tiles = dict.fromkeys(TILE_POSITIONS, version.encode())
             pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed_class=unprobed_class))
 
@@ -114,23 +114,25 @@ def filming(
     may_finish: Semaphore | None = None,
     orders: tuple[tuple[int, str], ...] = (),
 ) -> None:
-    """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``obedient``.
+    """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``scripted``.
 
-    Gated like ``obedient``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
+    Gated like ``scripted``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
     ``crash``, ``fail``.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, Ping):
-            pipe.send(Pong())
+        if isinstance(job, HeartbeatRequest):
+            pipe.send(HeartbeatAnswer())
             continue
         if isinstance(job, FilmCheckJob):
-            failure = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
+            failure = Failure.from_error(
+                InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground")
+            )
             pipe.send(failure if job.view == "refuse" else FilmCheckResult(1500.0))
             continue
         if job_started is not None:
@@ -150,14 +152,14 @@ def filming(
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
     """Never return from a job."""
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     pipe.recv()
     signal.pause()
 
 
-def unable(pipe: Connection, config: WorkerConfig) -> None:
+def failing_at_start(pipe: Connection, config: WorkerConfig) -> None:
     """Fail to start."""
-    pipe.send(Failure.of(GraphicsError("libEGL at /secret/place is broken"), fatal=True))
+    pipe.send(Failure.from_error(GraphicsError("libEGL at /secret/place is broken"), is_fatal=True))
 
 
 def compiling(
@@ -172,22 +174,22 @@ def compiling(
 
     ``missing`` loops remain to be compiled.
     """
-    pipe.send(Preparing("compiling loops for map tiles", 3, 9))
+    pipe.send(PreparationProgress("compiling loops for map tiles", 3, 9))
     if may_finish is not None:
         may_finish.acquire()
-    pipe.send(Ready(RENDERER, missing_loops=missing))
+    pipe.send(WorkerReady(RENDERER, missing_loops=missing))
     while True:
         try:
             pipe.recv()
         except EOFError:
             return
         for step in range(steps):
-            pipe.send(Preparing("compiling loops for points", step, steps))
+            pipe.send(PreparationProgress("compiling loops for points", step, steps))
             time.sleep(step_s)
         pipe.send(_answer("draw"))
 
 
-def stillborn(pipe: Connection, config: WorkerConfig) -> None:
+def exiting_at_start(pipe: Connection, config: WorkerConfig) -> None:
     """End the process during its start."""
     os._exit(9)
 
@@ -197,24 +199,24 @@ def never_ready(pipe: Connection, config: WorkerConfig) -> None:
     signal.pause()
 
 
-def leaky(pipe: Connection, config: WorkerConfig) -> None:
+def leaking_errors(pipe: Connection, config: WorkerConfig) -> None:
     """Fail with a message that must not reach clients."""
-    pipe.send(Ready(RENDERER))
+    pipe.send(WorkerReady(RENDERER))
     while True:
         try:
             pipe.recv()
         except EOFError:
             return
-        pipe.send(Failure.of(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
+        pipe.send(Failure.from_error(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
 def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
     if order == "refuse":
-        return Failure.of(InputError("view", order, "another order"))
+        return Failure.from_error(InputError("view", order, "another order"))
     if order == "fail":
-        return Failure.of(RenderError("it went wrong"))
+        return Failure.from_error(RenderError("it went wrong"))
     if order == "doubt":
-        return Failure.of(GraphicsError("OpenGL left an error behind"), fatal=True)
+        return Failure.from_error(GraphicsError("OpenGL left an error behind"), is_fatal=True)
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
     return BlockTiles(dict.fromkeys(TILE_POSITIONS, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

@@ -57,9 +57,9 @@ def test_a_child_answers_and_is_gone_after_its_end():
     async def scenario(child: ChildProcess) -> None:
         await child.start()
         assert child.pid is not None and child.exitcode is None
-        assert await child.in_new_thread(child.pipe.recv) == "ready"
+        assert await child.run_in_thread(child.pipe.recv) == "ready"
         child.pipe.send(7)
-        assert await child.in_new_thread(child.pipe.recv) == 7
+        assert await child.run_in_thread(child.pipe.recv) == 7
 
     with_child(scenario, echo, "ready")
 
@@ -67,8 +67,8 @@ def test_a_child_answers_and_is_gone_after_its_end():
 def test_a_child_that_never_answers_frees_its_thread():
     async def scenario(child: ChildProcess) -> None:
         await child.start()
-        await child.in_new_thread(child.pipe.recv)
-        waiting = child.in_new_thread(child.pipe.recv)
+        await child.run_in_thread(child.pipe.recv)
+        waiting = child.run_in_thread(child.pipe.recv)
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(asyncio.shield(waiting), 0.05)
 
@@ -79,7 +79,7 @@ def test_a_child_that_exits_leaves_its_status():
     async def scenario(child: ChildProcess) -> None:
         await child.start()
         with pytest.raises(EOFError):
-            await child.in_new_thread(child.pipe.recv)
+            await child.run_in_thread(child.pipe.recv)
         await child.wait_for_end()
         assert child.exitcode == 3
 

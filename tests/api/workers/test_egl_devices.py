@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from skugga.api.seed import local_pool
-from skugga.api.workers.jobs import Ready
+from skugga.api.workers.jobs import WorkerReady
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_config import WorkerConfig
 from tests.api.http.test_serve import ROOT
@@ -26,7 +26,7 @@ SERVE_SCRIPT = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 
 
 def numbered(pipe: Connection, config: WorkerConfig) -> None:
     """Report the device of this worker's number, and answer nothing."""
-    pipe.send(Ready("card", egl_device=f"EGL device {config.number}"))
+    pipe.send(WorkerReady("card", egl_device=f"EGL device {config.number}"))
     signal.pause()
 
 

@@ -104,7 +104,7 @@ def test_one_client_on_a_cold_level_is_never_refused():
         assert crowd.answered["one"] == 115 and not crowd.refused and not crowd.expired
 
 
-def test_a_screenful_at_once_is_admitted():
+def test_a_screenful_of_tiles_is_admitted():
     crowd = Crowd(lambda job: 0.3).run({"one": (SCREENFUL, blocks_of(0, SCREENFUL))})
     assert crowd.answered["one"] == SCREENFUL and not crowd.refused
 
@@ -115,7 +115,7 @@ def test_eight_clients_get_equal_shares():
     assert max(crowd.spent_s.values()) - min(crowd.spent_s.values()) < 1.0, crowd.spent_s
 
 
-def test_a_greedy_client_does_not_slow_normal_ones():
+def test_a_client_with_many_jobs_does_not_slow_others():
     """It requests 300 pictures at a time. Each takes ten times as long as a tile."""
     jobs = {f"normal {n}": (6, blocks_of(n, 1000)) for n in range(7)}
     greedy_jobs: list[Job] = [greedy_job for n in range(10_000) for greedy_job in (snapshot(n), block(n))]

@@ -39,7 +39,7 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
     spawn = get_context("spawn")
     job_started, may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
     client = serve_with(
-        functools.partial(fake_workers.obedient, job_started=job_started, may_finish=may_finish), queue_length=1, queue_work_s=0.1
+        functools.partial(fake_workers.scripted, job_started=job_started, may_finish=may_finish), queue_length=1, queue_work_s=0.1
     )
 
     def wait() -> None:
@@ -104,7 +104,7 @@ def test_a_block_of_a_killed_process_is_retried(gated):
 
 
 def test_repeated_crashes_open_the_circuit_breaker(serve_with):
-    client = serve_with(functools.partial(fake_workers.obedient, always="crash"))
+    client = serve_with(functools.partial(fake_workers.scripted, always="crash"))
     for _ in range(2):
         answer = client.get(tile())
         check_problem(answer, 503, "worker_crash", None)
@@ -123,7 +123,7 @@ def test_a_block_that_takes_too_long_is_504(serve_with):
 
 
 def test_a_service_that_cannot_draw_is_503(serve_with):
-    client = serve_with(fake_workers.unable)
+    client = serve_with(fake_workers.failing_at_start)
     problem = check_problem(client.get(tile()), 503, "graphics", None)
     assert "secret" not in problem["detail"] and "libEGL" not in problem["detail"]
     check_problem(client.get("/readyz"), 503, "not_ready", None)
@@ -138,7 +138,7 @@ def test_a_process_killed_during_warm_up_is_restarted(serve_with):
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(client.get, tile())
         wait_until(lambda: client.service.pool.queued == 1)
-        (worker,) = client.service.pool._workers
+        (worker,) = client.service.pool.supervisor.workers
         os.kill(worker.pid, signal.SIGKILL)
         answer = waiting.result()
     problem = check_problem(answer, 503, "worker_start", None)
@@ -176,7 +176,7 @@ def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
 
 
 def test_internal_messages_stay_in_the_log(serve_with, caplog: pytest.LogCaptureFixture):
-    problem = check_problem(serve_with(fake_workers.leaky).get(tile()), 500, "render", None)
+    problem = check_problem(serve_with(fake_workers.leaking_errors).get(tile()), 500, "render", None)
     assert "secret" not in problem["detail"]
 
 
@@ -188,7 +188,7 @@ def test_not_ready_before_the_first_process(serve_with):
 
 
 def test_not_modified_is_answered_without_rendering(serve_with):
-    client = serve_with(fake_workers.obedient, block_cache_bytes=0, tile_cache_bytes=0)
+    client = serve_with(fake_workers.scripted, block_cache_bytes=0, tile_cache_bytes=0)
     tag = client.get(tile()).headers["etag"]
     for if_none_match in (tag, f'"other", {tag}', f"W/{tag}", "*"):
         answer = client.get(tile(), headers={"If-None-Match": if_none_match})
@@ -202,7 +202,7 @@ def test_not_modified_is_answered_without_rendering(serve_with):
 
 @pytest.mark.parametrize("policy", ["204", "404"])
 def test_empty_tiles_follow_the_configured_policy(serve_with, policy: str):
-    client = serve_with(fake_workers.obedient, empty_tile=policy)
+    client = serve_with(fake_workers.scripted, empty_tile=policy)
     answer = client.get(tile(X + 50))
     if policy == "404":
         check_problem(answer, 404, "not_found", "x")
@@ -213,25 +213,25 @@ def test_empty_tiles_follow_the_configured_policy(serve_with, policy: str):
 
 
 def test_the_entity_tag_depends_on_the_renderer(serve_with, client: Client):
-    fake_response, real_response = serve_with(fake_workers.obedient).get(tile()), client.get(tile())
+    fake_response, real_response = serve_with(fake_workers.scripted).get(tile()), client.get(tile())
     assert fake_response.headers["etag"] != real_response.headers["etag"]
 
 
 def test_an_unexpected_error_is_a_problem_document(serve_with, monkeypatch: pytest.MonkeyPatch):
-    client = serve_with(fake_workers.obedient)
+    client = serve_with(fake_workers.scripted)
     monkeypatch.setattr(client.service.levels, "names", lambda: 1 / 0)
     problem = check_problem(client.get("/levels"), 500, "internal", None)
     assert "division" not in problem["detail"]
 
 
 def test_links_use_the_public_url(serve_with):
-    client = serve_with(fake_workers.obedient, public_url="https://maps.example/shade/")
+    client = serve_with(fake_workers.scripted, public_url="https://maps.example/shade/")
     (template,) = client.get("/levels/hills/WebMercatorQuad/tilejson.json").json()["tiles"]
     assert template == "https://maps.example/shade/levels/hills/tiles/WebMercatorQuad/{z}/{x}/{y}.png"
 
 
 def test_only_configured_origins_get_cors_headers(serve_with):
-    client = serve_with(fake_workers.obedient, cors_origins=("https://a.example",))
+    client = serve_with(fake_workers.scripted, cors_origins=("https://a.example",))
     allowed_response, refused_response = (client.get("/levels", headers={"Origin": f"https://{name}.example"}) for name in "ab")
     assert allowed_response.headers["access-control-allow-origin"] == "https://a.example"
     assert "origin" in allowed_response.headers["vary"].lower()

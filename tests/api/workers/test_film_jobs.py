@@ -23,7 +23,7 @@ from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import BACKGROUND_PENALTY_S, JobQueue, PendingJob
 from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
@@ -104,7 +104,7 @@ class FilmGate:
             self._may_finish.release()
 
 
-def test_pictures_pass_frames_and_a_full_queue_accepts_them():
+def test_pictures_overtake_frames_and_full_queue_takes_frames():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
@@ -235,9 +235,9 @@ def test_single_frames_equal_those_of_the_film(
 
     before: FilmPlanState | None = None
     for number, expected in enumerate(expected_frames):
-        monkeypatch.setattr(film_jobs, "plan_function_in_service", lambda *_, number=number: plans(number))
+        monkeypatch.setattr(film_jobs, "view_plan_selector", lambda *_, number=number: plans(number))
         job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plan_state=before)
-        picture = pickle.loads(pickle.dumps(film_jobs.film_picture(pickle.loads(pickle.dumps(job)), scene, PlanBasis())))
+        picture = pickle.loads(pickle.dumps(film_jobs.draw_film_frame(pickle.loads(pickle.dumps(job)), scene, PlanMeasurements())))
         assert np.array_equal(picture.color, expected.color), number
         before = picture.next_plan_state
     scene.close()

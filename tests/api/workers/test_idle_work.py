@@ -1,4 +1,4 @@
-"""The basis of plans changes while a pool runs. Idle work changes it for one level."""
+"""The measurements that plans use change while a pool runs. Idle work changes them for one level."""
 
 import asyncio
 import functools
@@ -10,7 +10,7 @@ import pytest
 from skugga.api.workers import idle_work
 from skugga.api.workers.idle_work import IdleJob
 from skugga.api.workers.jobs import BlockTiles, LevelKey
-from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.plan_basis import PlanMeasurements
 from skugga.api.workers.pool import Pool
 from tests.api.workers import fake_workers
 from tests.api.workers.fake_calibrations import profile
@@ -29,27 +29,31 @@ class PlanGate(Gate):
 
 def test_plan_versions_depend_on_profile_and_probes():
     device = profile()
-    basis = PlanBasis(device)
-    assert PlanBasis().version_of(LEVEL) == ""
-    assert basis.version_of(LEVEL) == basis.version_of(None) != PlanBasis(profile(took_s=2.0)).version_of(LEVEL)
-    probed = basis.with_probed({LEVEL.version: "coarse pixels"})
-    assert probed.version_of(OTHER_LEVEL) == basis.version_of(OTHER_LEVEL) == probed.version_of(None)
+    measurements = PlanMeasurements(device)
+    assert PlanMeasurements().version_of(LEVEL) == ""
+    assert (
+        measurements.version_of(LEVEL) == measurements.version_of(None) != PlanMeasurements(profile(took_s=2.0)).version_of(LEVEL)
+    )
+    probed = measurements.with_probes({LEVEL.version: "coarse pixels"})
+    assert probed.version_of(OTHER_LEVEL) == measurements.version_of(OTHER_LEVEL) == probed.version_of(None)
     versions = {
         plan_basis.version_of(LEVEL)
         for plan_basis in (
-            basis,
+            measurements,
             probed,
-            basis.with_probed({LEVEL.version: "fine"}),
-            PlanBasis(probes_json_by_version=probed.probes_json_by_version),
+            measurements.with_probes({LEVEL.version: "fine"}),
+            PlanMeasurements(probes_json_by_version=probed.probes_json_by_version),
         )
     }
     assert len(versions) == 4
-    both_probed = probed.with_probed({OTHER_LEVEL.version: "fine"})
-    assert both_probed.version_of(LEVEL) == probed.version_of(LEVEL) and both_probed.version_of(OTHER_LEVEL) != basis.version_of(
+    both_probed = probed.with_probes({OTHER_LEVEL.version: "fine"})
+    assert both_probed.version_of(LEVEL) == probed.version_of(LEVEL) and both_probed.version_of(
         OTHER_LEVEL
-    )
+    ) != measurements.version_of(OTHER_LEVEL)
     newer_level = LevelKey(path=LEVEL.path, version="newer")
-    assert both_probed.version_of(newer_level) == basis.version_of(newer_level), "what was probed for another version does not hold"
+    assert both_probed.version_of(newer_level) == measurements.version_of(newer_level), (
+        "what was probed for another version does not hold"
+    )
 
 
 def plan_version_of(answer: object) -> str:
@@ -58,13 +62,13 @@ def plan_version_of(answer: object) -> str:
     return answer.plan_version
 
 
-def test_all_processes_adopt_a_new_basis():
+def test_all_processes_adopt_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: len(pool.ready_pids) == 3)
-        for first, basis in enumerate([None, PlanBasis(profile()), PlanBasis(profile(took_s=2.0))]):
-            pool.basis = basis or pool.basis
+        for first, measurements in enumerate([None, PlanMeasurements(profile()), PlanMeasurements(profile(took_s=2.0))]):
+            pool.measurements = measurements or pool.measurements
             # one job at a time for each process
             light = [asyncio.create_task(pool.run(block(10 * first + offset))) for offset in range(3)]
             await asyncio.gather(*(gate.job_started() for _ in range(2)))
@@ -75,17 +79,17 @@ def test_all_processes_adopt_a_new_basis():
     run_with_pool(scenario, gate.target, workers=3)
 
 
-def test_requests_after_a_change_use_the_new_basis():
+def test_requests_after_a_change_use_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
         before = asyncio.create_task(pool.run(block(1)))
         await gate.job_started()
-        pool.basis = PlanBasis(profile())
+        pool.measurements = PlanMeasurements(profile())
         after = asyncio.create_task(pool.run(block(1)))
         await asyncio.sleep(0)
         gate.open()
-        assert plan_version_of(await before) == ""  # drawn by the basis at its start
+        assert plan_version_of(await before) == ""  # drawn with the measurements at its start
         assert pool.cached_picture(block(1)) is None
         await gate.job_started()
         gate.open()
@@ -96,23 +100,23 @@ def test_requests_after_a_change_use_the_new_basis():
     run_with_pool(scenario, gate.target)
 
 
-def test_queued_jobs_use_the_new_basis():
+def test_queued_jobs_use_new_measurements():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
         running, waiting = (asyncio.create_task(pool.run(block(x))) for x in (1, 2))
         await gate.job_started()
-        pool.basis = PlanBasis(profile())
+        pool.measurements = PlanMeasurements(profile())
         gate.open(2)
         assert (plan_version_of(await running), plan_version_of(await waiting)) == ("", pool.plan_version(LEVEL))
 
     run_with_pool(scenario, gate.target)
 
 
-def test_a_process_started_later_uses_the_new_basis():
+def test_a_process_started_later_uses_new_measurements():
     async def scenario(pool: Pool) -> None:
         await pool.wait_for_first_process()
-        pool.basis = PlanBasis(profile())
+        pool.measurements = PlanMeasurements(profile())
         for x in range(4):
             assert plan_version_of(await pool.run(block(x))) == pool.plan_version(LEVEL)
         assert pool.counters.started > 2
@@ -121,20 +125,20 @@ def test_a_process_started_later_uses_the_new_basis():
 
 
 def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.05)
     failures: list[str] = []
 
     async def scenario(pool: Pool) -> None:
         async def note(version: int) -> None:
-            assert pool.basis is not None
-            pool.basis = pool.basis.with_probed({LEVEL.version: str(version)})
+            assert pool.measurements is not None
+            pool.measurements = pool.measurements.with_probes({LEVEL.version: str(version)})
 
         assert plan_version_of(await pool.run(block(1))) == ""
         pool.idle_work.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
         pool.idle_work.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
         pool.idle_work.add(IdleJob(abs, (-5,), note, failures.append))
         await wait_until(lambda: pool.plan_version(LEVEL) != "")
-        assert pool.basis is not None and pool.basis.probes_json_by_version == {LEVEL.version: "5"}
+        assert pool.measurements is not None and pool.measurements.probes_json_by_version == {LEVEL.version: "5"}
         assert pool.plan_version(OTHER_LEVEL) == ""
         assert plan_version_of(await pool.run(block(1))) == pool.plan_version(LEVEL)
         assert plan_version_of(await pool.run(block(1).model_copy(update={"level": OTHER_LEVEL}))) == ""
@@ -144,8 +148,8 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
 
 
 def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
-    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.05)
+    monkeypatch.setattr(idle_work, "IDLE_CHECK_INTERVAL_S", 0.01)
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:

@@ -12,7 +12,7 @@ import pytest
 from skugga.api.errors import WorkerCrashError, WorkerStartError
 from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
-from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
+from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, PreparationProgress
 from skugga.api.workers.pool import Pool
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
@@ -31,7 +31,7 @@ def block(x: int) -> BlockJob:
     return BlockJob(level=LEVEL, matrix_set="WebMercatorQuad", zoom=12, block_x=x, block_y=0)
 
 
-def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
+def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.scripted, **settings) -> None:
     """Run a scenario with a pool of one process, and check that no process remains."""
 
     async def run() -> set[int]:
@@ -68,7 +68,7 @@ class Gate:
     def __init__(self) -> None:
         spawn = get_context("spawn")
         self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
-        self.target = functools.partial(fake_workers.obedient, job_started=self._job_started, may_finish=self._may_finish)
+        self.target = functools.partial(fake_workers.scripted, job_started=self._job_started, may_finish=self._may_finish)
 
     async def job_started(self) -> None:
         assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
@@ -94,9 +94,9 @@ def test_compilation_before_readiness_is_reported(caplog: pytest.LogCaptureFixtu
 
     async def run() -> None:
         pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, may_finish=may_finish))
-        assert pool.preparing == Preparing("starting a render process")
+        assert pool.preparing == PreparationProgress("starting a render process")
         pool.open()
-        await wait_until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
+        await wait_until(lambda: pool.preparing == PreparationProgress("compiling loops for map tiles", 3, 9))
         assert not pool.is_ready
         may_finish.release()
         await asyncio.wait_for(pool.wait_for_first_process(), TIMEOUT_S)
@@ -135,7 +135,7 @@ def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.Monkey
     async def run() -> None:
         pool = Pool(Settings(workers=2), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
-        await wait_until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
+        await wait_until(lambda: pool.preparing == PreparationProgress("compiling loops for points", 5, 7))
         assert pool.is_ready and pool.background_compile.is_running
         assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
         assert not pool.idle_work._is_idle(), "what is measured while the machine is idle waits"
@@ -225,11 +225,11 @@ def test_a_job_counts_for_the_clients_that_wait_for_it():
         leaves = asyncio.create_task(pool.run(order("second"), "one"))
         await wait_until(lambda: pool.queued == 1)
         staying_job = asyncio.create_task(pool.run(order("second"), "other"))
-        await wait_until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
-        assert len(pool._queue.jobs_of_client("one")) == 1
+        await wait_until(lambda: len(pool.jobs.queue.waiting[order("second")].clients) == 2)
+        assert len(pool.jobs.queue.jobs_of_client("one")) == 1
         leaves.cancel()
-        await wait_until(lambda: not pool._queue.jobs_of_client("one"))
-        assert len(pool._queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
+        await wait_until(lambda: not pool.jobs.queue.jobs_of_client("one"))
+        assert len(pool.jobs.queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
         gate.open(2)
         await asyncio.gather(running_job, staying_job)
 
@@ -347,7 +347,9 @@ def test_processes_are_recycled():
     run_with_pool(scenario, recycle_blocks=2)
 
 
-@pytest.mark.parametrize(("target", "error"), [(fake_workers.unable, GraphicsError), (fake_workers.stillborn, WorkerStartError)])
+@pytest.mark.parametrize(
+    ("target", "error"), [(fake_workers.failing_at_start, GraphicsError), (fake_workers.exiting_at_start, WorkerStartError)]
+)
 def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
     async def scenario(pool: Pool) -> None:
         with pytest.raises(error):

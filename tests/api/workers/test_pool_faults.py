@@ -13,7 +13,7 @@ import pytest
 from skugga.api.errors import CircuitOpenError, RetryLaterError, WorkerCrashError
 from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.workers import piped_process, worker_process
-from skugga.api.workers import pool as pool_module
+from skugga.api.workers import supervisor as supervisor_module
 from skugga.api.workers.circuit_breaker import CircuitBreaker
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import JobQueue, PendingJob
@@ -32,7 +32,7 @@ def view(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
 
-def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
+def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """Creating the pipe of the next process fails twice, then descriptors are free again."""
     original_context, failures_left = piped_process.get_context, [2]
 
@@ -50,7 +50,7 @@ def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.Monkey
         return original_context(method)
 
     started_counts: list[int] = []
-    monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 0.01)
+    monkeypatch.setattr(supervisor_module, "INITIAL_BACKOFF_S", 0.01)
     monkeypatch.setattr(piped_process, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
@@ -64,19 +64,19 @@ def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.Monkey
     run_with_pool(scenario)
 
 
-def test_an_ended_worker_slot_is_reported():
+def test_an_ended_supervisor_task_is_unhealthy():
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         assert pool.is_healthy
-        pool._supervisor_tasks[0].cancel()
+        pool.supervisor.tasks[0].cancel()
         await wait_until(lambda: not pool.is_healthy)
 
     run_with_pool(scenario)
 
 
 def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.2)
-    monkeypatch.setattr(pool_module, "HEARTBEAT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(supervisor_module, "HEARTBEAT_INTERVAL_S", 0.2)
+    monkeypatch.setattr(supervisor_module, "HEARTBEAT_TIMEOUT_S", 0.2)
 
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
@@ -91,7 +91,7 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(worker_process, "STOPPED_CHECK_S", 0.1)
+    monkeypatch.setattr(worker_process, "STOP_POLL_INTERVAL_S", 0.1)
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -110,7 +110,7 @@ def test_a_queued_job_times_out():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        pool._queue.expected_times.add_duration(order("first"), 0.01)
+        pool.jobs.queue.expected_times.add_duration(order("first"), 0.01)
         running_job = asyncio.create_task(pool.run(order("first")))
         await gate.job_started()
         with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
@@ -127,7 +127,7 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        pool._queue.expected_times.add_duration(block(0), 30.0)
+        pool.jobs.queue.expected_times.add_duration(block(0), 30.0)
         await wait_until(lambda: pool.is_ready)
         running_job = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
@@ -162,7 +162,7 @@ def test_repeated_timeouts_open_the_breaker_of_one_level():
 
 def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPatch):
     """Otherwise the next process would start only after backoffs that double."""
-    monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 1000.0)
+    monkeypatch.setattr(supervisor_module, "INITIAL_BACKOFF_S", 1000.0)
 
     async def scenario(pool: Pool) -> None:
         for number in range(3):
@@ -187,7 +187,7 @@ def pending(job, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
-def test_light_jobs_pass_heavy_ones_for_a_limited_time():
+def test_light_jobs_overtake_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
     queue.expected_times.add_duration(view(), 30.0)
     queue.expected_times.add_duration(block(0), 0.1)
@@ -298,7 +298,7 @@ def _is_alive(pid: int) -> bool:
         return False
 
 
-def test_a_fake_process_answers_pings():
+def test_a_fake_process_answers_heartbeats():
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
         (pid,) = pool.ready_pids
@@ -306,5 +306,5 @@ def test_a_fake_process_answers_pings():
         assert pool.ready_pids == {pid}
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.05)
-        run_with_pool(scenario, fake_workers.obedient)
+        patch.setattr(supervisor_module, "HEARTBEAT_INTERVAL_S", 0.05)
+        run_with_pool(scenario, fake_workers.scripted)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.http.server.first_blocks import first_block, first_blocks
+from skugga.api.http.server.first_blocks import central_block, central_blocks
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
 from skugga.api.workers import preparation
 from skugga.api.workers.preparation import prepare_level
@@ -17,17 +17,17 @@ from tests.api.conftest import write_level
 
 def test_first_block_lies_in_the_middle_of_the_level(hills_level: Path) -> None:
     (level,) = ServedLevels([hills_level]).cached_levels()
-    (block,) = first_blocks(ServedLevels([hills_level]))
+    (block,) = central_blocks(ServedLevels([hills_level]))
     zooms = level.zooms[DEFAULT_MATRIX_SET]
     assert block.zoom == zooms.first and block.level == level.key
-    finer = first_block(level, zooms.last)
+    finer = central_block(level, zooms.last)
     assert finer is not None
     ratio = 2 ** (zooms.last - zooms.first)
     assert abs(finer.block_x / ratio - block.block_x) <= 1 and abs(finer.block_y / ratio - block.block_y) <= 1
 
 
 def test_preparation_opens_the_level_and_its_sky_view(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (block,) = first_blocks(ServedLevels([hills_level]))
+    (block,) = central_blocks(ServedLevels([hills_level]))
     state, elevations = WorkerState(gl.renderer), []
     monkeypatch.setattr(preparation, "sky_view", lambda elevation, world: elevations.append(elevation))
     prepare_level(block, state)
@@ -38,7 +38,7 @@ def test_preparation_opens_the_level_and_its_sky_view(gl, hills_level: Path, mon
 
 
 def test_a_level_that_cannot_be_opened_is_only_logged(gl, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (broken_block,) = first_blocks(ServedLevels([write_level(tmp_path, "gone")]))
+    (broken_block,) = central_blocks(ServedLevels([write_level(tmp_path, "gone")]))
     (tmp_path / "gone.tif").unlink()
     prepare_level(broken_block, WorkerState(gl.renderer))
     (record,) = caplog.records
@@ -53,5 +53,5 @@ def test_a_bug_with_one_level_does_not_end_the_process(
         raise ZeroDivisionError
 
     monkeypatch.setattr(preparation, "plan_of_tiles", fail)
-    prepare_level(first_blocks(ServedLevels([hills_level]))[0], WorkerState(gl.renderer))
+    prepare_level(central_blocks(ServedLevels([hills_level]))[0], WorkerState(gl.renderer))
     assert "cannot be prepared" in caplog.text and "ZeroDivisionError" in caplog.text

@@ -10,7 +10,7 @@ import rasterio
 from pyproj import CRS
 
 import skugga
-from skugga.api.encoding import geotiff
+from skugga.api.encoding import encode_geotiff
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.vertical import UNIT_WORDS
@@ -127,7 +127,9 @@ def test_written_heights_are_metres_upwards(tmp_path, crs):
     out = tmp_path / "height.tif"
     with skugga.open_level(path) as level:
         assert level.crs == CRS.from_user_input(UTM)
-        out.write_bytes(geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan))
+        out.write_bytes(
+            encode_geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan)
+        )
     original, rewritten = Elevation(str(path)), Elevation(str(out))
     assert rewritten.vertical.unit_from is None and rewritten.vertical.positive_from is None
     assert rewritten.overview.lowest_m == pytest.approx(original.overview.lowest_m, abs=1e-3)

@@ -1,0 +1,86 @@
+"""Report the sun and the horizon at points of an open level."""
+
+from __future__ import annotations
+
+import datetime
+from typing import cast
+
+from skugga.api.library.checked import CrsLike, Date, Time, validate_arguments
+from skugga.api.library.level_state import LevelState, requested_sun
+from skugga.api.point.report import point_report, point_surroundings
+from skugga.api.point.values import PointQuery, PointReport
+from skugga.shadows.point.horizon import PointHorizon, horizon_profile
+
+
+class LevelPoints(LevelState):
+    """The methods of ``OpenLevel`` for points."""
+
+    @validate_arguments
+    def point(
+        self,
+        lon: float,
+        lat: float,
+        *,
+        time: Time | None = None,
+        date: Date | None = None,
+        clock: str | None = None,
+        height: float = 0.0,
+        year: int | None = None,
+        crs: CrsLike | None = None,
+    ) -> PointReport:
+        """Report the sun at a point: at a time, on a day, and on each day of a year.
+
+        Parameters
+        ----------
+        lon, lat
+            The point in degrees, or its x and y in ``crs``.
+        time
+            The time, as in ``render``.
+        date
+            The day.
+        clock
+            The clock of the day, as in ``sun_hours``.
+        height
+            Metres above the ground.
+        year
+            A year, for the hours of sun of each of its days.
+        crs
+            The CRS of ``lon`` and ``lat``, in any form that pyproj accepts.
+
+        Returns
+        -------
+        PointReport
+            The report.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
+        """
+        scene = self._scene.with_sun(requested_sun(time, None, None))
+        query = PointQuery(lon=lon, lat=lat, height=height, date=cast("datetime.date | None", date), clock=clock, year=year)
+        self._issue_object_warnings()
+        return point_report(scene, query, crs)
+
+    @validate_arguments
+    def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: CrsLike | None = None) -> PointHorizon:
+        """Return the horizon profile of a point in 720 directions, from ground, buildings and trees.
+
+        Parameters
+        ----------
+        lon, lat, height, crs
+            The point, as in ``point``.
+
+        Returns
+        -------
+        PointHorizon
+            ``azimuth_deg``, clockwise from true north, and ``elevation_deg``.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
+        """
+        query = PointQuery(lon=lon, lat=lat, height=height)
+        self._issue_object_warnings()
+        return horizon_profile(point_surroundings(self._scene, query, crs))
