@@ -289,11 +289,15 @@ def _limit_text(max_error: float) -> str:
 def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
     """Return why algorithms that could draw the view are not used: the best expected or observed result of each.
 
-    ``winners`` holds the number of the chosen option for each light.
+    ``winners`` holds the number of the chosen option for each light. An algorithm that the search leaves out has the reason for
+    that.
     """
     reasons: dict[AlgorithmName, str] = {}
-    max_error = options.max_error
-    for name in ALGORITHMS:
+    max_error, planner = options.max_error, options.planner
+    for name, algorithm in ALGORITHMS.items():
+        kinds = {kind for light in options.lights for kind in planner.casting(light)}
+        if any(algorithm.search.is_excluded(planner.descriptor, kind) for kind in kinds):
+            reasons[name] = algorithm.search.exclusion_reason
         for light, light_options in options.lights.items():
             numbers = [number for number in light_options.numbers if name in light_options.options[number].algorithms]
             if not numbers or name in light_options.options[winners[light]].algorithms:

@@ -255,6 +255,8 @@ class Search:
     is_excluded
         Function of a descriptor and a kind of casters. It returns whether the selector shall not consider the algorithm for them,
         although the algorithm could serve them.
+    exclusion_reason
+        The reason for ``is_excluded`` as a sentence.
     compared_overrides
         Overrides that vary the resolution, for the accuracy report.
     variants
@@ -265,6 +267,7 @@ class Search:
     is_tunable: Callable[[Descriptor, str, str, Any], bool] = lambda descriptor, light, key, value: True
     companion_map_sizes: tuple[int, ...] | None = None
     is_excluded: Callable[[Descriptor, CasterKind], bool] = lambda descriptor, kind: False
+    exclusion_reason: str = ""
     compared_overrides: tuple[Overrides, ...] = ()
     variants: tuple[Overrides, ...] = ()
 

@@ -282,7 +282,9 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule("perfect shadows", "shadow_volume", _needs_exact_shadows, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
     Rule("foliage needs a map", "shadow_map", _needs_foliage_map, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
-    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: fastest in such scenes"),
+    Rule(
+        "few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: 0.9 to 1.3 times the time of a map there"
+    ),
     Rule("narrow light", "shadow_map", _narrow_light_cone, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
     Rule(
         "lamp near the camera",

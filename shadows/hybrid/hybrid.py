@@ -30,7 +30,7 @@ from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.passes import PassLog
 from skugga.shadows.volumes.drawing import count_volumes, faces_in_front
-from skugga.shadows.volumes.shadow_volume import VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
+from skugga.shadows.volumes.shadow_volume import GROUND_EXCLUSION_REASON, VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.terrain.casters.reach import Casters
@@ -130,6 +130,7 @@ ALGORITHM = Algorithm(
     search=Search(
         companion_map_sizes=COMPANION_MAP_SIZES,
         is_excluded=has_too_much_ground,
+        exclusion_reason=GROUND_EXCLUSION_REASON,
         variants=({"mask": "original"}, {"map_size": 2048}),
     ),
     cost=Cost(

@@ -60,6 +60,12 @@ Above it they were measured to take ten to twenty times as long as a sweep, with
 """
 
 
+GROUND_EXCLUSION_REASON = (
+    f"not tried: the ground has more than {MAX_GROUND_TRIANGLES:,} triangles, and its volumes would take ten to twenty times as "
+    "long as a sweep (docs/accuracy.md)"
+)
+
+
 def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
     """Return whether casters are ground with too many triangles for shadow volumes (``MAX_GROUND_TRIANGLES``)."""
     relief_facts = (caster_facts for caster_facts in descriptor.stands if caster_facts.kind == kind == "relief")
@@ -92,6 +98,7 @@ ALGORITHM = Algorithm(
     search=Search(
         companion_map_sizes=COMPANION_MAP_SIZES,
         is_excluded=has_too_much_ground,
+        exclusion_reason=GROUND_EXCLUSION_REASON,
         variants=({"stencil": "two_pass"}, {"counting": "z_fail"}),
     ),
     cost=Cost(volume_work, passes={"silhouettes": "silhouettes", "counting": "stencil"}),

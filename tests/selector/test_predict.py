@@ -20,6 +20,7 @@ from skugga.selector.options import PredictedChoice, predicted_choices
 from skugga.selector.planner.planner import Planner, make_plan, planner_of
 from skugga.selector.predict import predicted_plan
 from skugga.shadows.plan import Plan
+from skugga.shadows.volumes.shadow_volume import GROUND_EXCLUSION_REASON, MAX_GROUND_TRIANGLES
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
@@ -408,3 +409,17 @@ def test_a_bounded_search_names_what_it_left_out(monkeypatch: pytest.MonkeyPatch
     (reason,) = (item.reason for item in plan.reasons if item.name == "sun: search")
     assert reason == f"3 of {len(names)} choices were searched; not searched: {', '.join(names[3:])}"
     assert name_of(plan) in names[:3]
+
+
+@pytest.mark.parametrize(("triangles", "is_tried"), [(MAX_GROUND_TRIANGLES, True), (MAX_GROUND_TRIANGLES + 1, False)])
+def test_volumes_of_too_much_ground_are_not_tried_and_the_plan_says_so(triangles: int, is_tried: bool):
+    ground = CasterFacts(kind="relief", count=1, triangles=triangles, closed_share=1.0, height_m=50.0, width_m=1000.0)
+    casts = {"relief": shadow_facts().casts["meshes"]}
+    view = make_descriptor(
+        flat_world=False, relief_m=50.0, casters=("relief",), stands=(ground,),
+        lights={SUN: LightFacts(cast_share=0.2, silhouette_edges=200, volume_layers=1.0, casts=casts)},
+    )  # fmt: skip
+    reasons = {item.name: item.reason for item in plan_view(view, max_error=0.5).rejected}
+    for name in ("shadow_volume", "hybrid"):
+        assert (reasons.get(name) == GROUND_EXCLUSION_REASON) == (not is_tried), reasons
+        assert is_tried or "262,144 triangles" in reasons[name]
