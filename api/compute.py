@@ -28,7 +28,7 @@ from skugga.terrain.casters.reach import Reach
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
-from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, overlap_windows
 from skugga.terrain.scene import Scene
 
 ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
@@ -117,7 +117,7 @@ def compute(
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # as for tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
-        window, block_window = windows_of(nodes, block, row, col)
+        window, block_window = overlap_windows(nodes, block, row, col)
         out[window] = _cached_block(scene, block, product.name, request.options)[block_window]
         if on_block is not None:
             on_block(done, len(blocks))
@@ -289,7 +289,7 @@ def raster_parts(
             on_step(done, total)
 
     for block, row, col in blocks:
-        window, block_window = windows_of(view, block, row, col)
+        window, block_window = overlap_windows(view, block, row, col)
         for number, planned_request in enumerate(planned_requests):
             if planned_request.plan is None:
                 array = _compute_block(planned_request.scene, block, product, planned_request.request.options, step)

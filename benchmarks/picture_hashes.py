@@ -70,7 +70,7 @@ def view_hashes(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, 
             yield f"{layer} of {light}", array_hash(picture)
 
 
-def level_hashes(path: Path) -> dict[str, str]:
+def picture_hashes_of_level(path: Path) -> dict[str, str]:
     """Return all hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
     result: dict[str, str] = {}
     scene = build_scene(load_level(path))
@@ -85,8 +85,8 @@ def level_hashes(path: Path) -> dict[str, str]:
 def all_hashes() -> dict[str, str]:
     """Return the hashes of all bundled levels, sorted by name."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
-        levels = list(workers.map(level_hashes, bundled_levels()))
-    return dict(sorted((name, value) for level_hashes in levels for name, value in level_hashes.items()))
+        levels = list(workers.map(picture_hashes_of_level, bundled_levels()))
+    return dict(sorted((name, value) for picture_hashes_of_level in levels for name, value in picture_hashes_of_level.items()))
 
 
 def main() -> int:

@@ -40,7 +40,7 @@ def rays_bend(descriptor: Descriptor) -> bool:
     """
     max_straight_m = MAX_STRAIGHT_M * descriptor.radius_m / EARTH_RADIUS_M
     return (
-        (sun_extent_m(descriptor) or 0.0) > max_straight_m
+        (sunlit_ground_extent_m(descriptor) or 0.0) > max_straight_m
         or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO
         or _summit_shift_px(descriptor) > MAX_SUMMIT_SHIFT_PX
     )
@@ -60,7 +60,7 @@ def _summit_shift_px(descriptor: Descriptor) -> float:
     return float(side_m / np.sqrt(2.0) / descriptor.radius_m * descriptor.block_relief_m / descriptor.pixel_m)
 
 
-def sun_extent_m(descriptor: Descriptor) -> float | None:
+def sunlit_ground_extent_m(descriptor: Descriptor) -> float | None:
     """Return the side, in metres, of the ground over which the sun's shadows are computed at once; ``None`` if it is unknown.
 
     A perspective view covers the level's whole ground. A map covers at most one block and the length of its longest shadow. A flat

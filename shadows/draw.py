@@ -19,7 +19,7 @@ from skugga.shadows.render import Frame, apply_refraction, check_pixels, render_
 from skugga.shadows.sunlit_ground import heights_determine_visibility, sunlit_picture
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.geo.camera import PerspectiveView
-from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
+from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.scene import Scene
 
 SHADING_NEEDS: Needs = frozenset({"color", "opacity", "reach"})
@@ -63,7 +63,7 @@ def draw(
         if len(blocks) == 1 and (block.rows, block.cols) == (view.rows, view.cols):
             picture = part
         else:
-            picture = _copy_window(picture or _empty(view, needs), part, *windows_of(view, block, row, col))
+            picture = _copy_window(picture or _empty(view, needs), part, *overlap_windows(view, block, row, col))
         if on_block is not None:
             on_block(done, len(blocks))
     assert picture is not None

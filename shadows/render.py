@@ -26,7 +26,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.subsampled import subsampled_points
 from skugga.terrain.gbuffer.supersampling import PixelSampling
 from skugga.terrain.geo.camera import PerspectiveView
-from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
+from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
@@ -213,7 +213,7 @@ def render_frame(
     for completed, (part, row, col) in enumerate(parts, start=1):
         block = render_block(scene, part, plan, log, pixel_sampling)
         reach = worse_reach(reach, block.reach)
-        frame_window, block_window = windows_of(view, part, row, col)
+        frame_window, block_window = overlap_windows(view, part, row, col)
         if frame is None:  # a single part provides the arrays of the whole view
             frame = block if len(parts) == 1 and block.valid.shape == size else _empty_frame(view, plan, block)
         if frame is not block:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.bent_rays import sun_extent_m
+from skugga.shadows.bent_rays import sunlit_ground_extent_m
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, CastBand, CasterFacts, LampFacts, LightFacts
@@ -150,7 +150,7 @@ def _needs_map_settings(case: RuleInput) -> str | None:
 
 
 def _heightfield(case: RuleInput) -> str | None:
-    if case.light != SUN or case.kind != "relief" or sun_extent_m(case.descriptor) is None:
+    if case.light != SUN or case.kind != "relief" or sunlit_ground_extent_m(case.descriptor) is None:
         return None
     return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 

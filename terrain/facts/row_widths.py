@@ -37,11 +37,15 @@ def row_width_ratio(scene: Scene, grid: Grid, view: MapView | None = None) -> fl
     if not valid.any():
         return 1.0
     level_rows, level_cols = ((float(nodes[valid].min()), float(nodes[valid].max())) for nodes in (row, col))
-    windows = [(rows, cols) for rows in _block_spans(level_rows, view) for cols in _block_spans(level_cols, view)]
+    windows = [
+        (rows, cols)
+        for rows in _outer_and_middle_block_spans(level_rows, view)
+        for cols in _outer_and_middle_block_spans(level_cols, view)
+    ]
     return max(_width_ratio(scene, grid, window, (level_rows, level_cols)) for window in windows)
 
 
-def _block_spans(level_span: Span, view: MapView | None) -> list[Span]:
+def _outer_and_middle_block_spans(level_span: Span, view: MapView | None) -> list[Span]:
     """Return the spans of the outermost blocks and of the middle block over a level, along one axis."""
     low, high = level_span
     if view is None or (not view.on_nodes and high - low < BLOCK_PX):

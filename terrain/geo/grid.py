@@ -311,7 +311,7 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
     return blocks
 
 
-def windows_of(view: PixelArea, block: PixelArea, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
+def overlap_windows(view: PixelArea, block: PixelArea, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
     """Return the rows and columns of a view that a block covers, and the same pixels' rows and columns in the block.
 
     ``row`` and ``col`` are the view's row and column of the block's first pixel, as in ``blocks_of``.
