@@ -60,6 +60,8 @@ def command(arguments: Sequence[str | Path], environment: Mapping[str, str] | No
     finally:
         process.kill()
         process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 def run_command(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> tuple[int, str]:
