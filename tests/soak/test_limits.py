@@ -705,7 +705,7 @@ def test_calibrate_killed(tmp_path: Path, capsys: pytest.CaptureFixture):
         moments = ", ".join(f"{moment_s:.0f}" for moment_s in moments_s)
         print(f"\nskugga calibrate killed after {moments} s and at its write, which left the {'old' if unchanged else 'new'} file")
     assert path.read_bytes() != before and run_program(READ, environment) != old
-    assert not left, "temporary files are left behind"
+    assert len(left) <= 1, "more temporary files are left behind than that of the kill at the write"
 
 
 def test_compile_killed(tmp_path: Path, capsys: pytest.CaptureFixture):
