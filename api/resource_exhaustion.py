@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from typing import Any, TypeVar
@@ -18,6 +19,9 @@ T = TypeVar("T")
 
 NO_THREAD_MESSAGE = "can't start new thread"
 """Text of the plain ``RuntimeError`` that Python raises."""
+
+LIBRARY_LOAD_MESSAGES = "failed to map segment", os.strerror(errno.ENOMEM), os.strerror(errno.EMFILE), os.strerror(errno.ENFILE)
+"""Texts of ``ImportError`` without memory or descriptors for a shared library: dlopen(3) reports no error number."""
 
 EXHAUSTION_ERRNOS = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN}
 """Error numbers of exhausted file descriptors, memory, and processes (``EAGAIN`` of fork(2))."""
@@ -32,6 +36,8 @@ def exhausted_error(error: BaseException) -> ExhaustedError | None:
             return ExhaustedError("no thread can be started")
         if isinstance(cause, MemoryError):
             return ExhaustedError("no memory is left")
+        if isinstance(cause, ImportError) and any(text in str(cause) for text in LIBRARY_LOAD_MESSAGES):
+            return ExhaustedError(str(cause))
         if isinstance(cause, OSError) and cause.errno in EXHAUSTION_ERRNOS:
             return ExhaustedError(cause.strerror or str(cause))
     return None

@@ -129,8 +129,13 @@ def public_problem(error: SkuggaError) -> Problem:
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
+    """Return the response for a ``SkuggaError``, and log the error if clients must not see its own message."""
+    public_error(request, error)
+    return error_response(error)
+
+
+def error_response(error: SkuggaError) -> JSONResponse:
     """Return the response for a ``SkuggaError``: a problem document, with ``Retry-After`` if that time is known."""
-    report, _ = public_error(request, error)
-    retry_after_s = getattr(error, "retry_after_s", None) or report.retry_after_s
+    retry_after_s = getattr(error, "retry_after_s", None) or error_report_of(error).retry_after_s
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     return problem_response(public_problem(error), headers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,16 +15,43 @@ if TYPE_CHECKING:
 
 LEVEL_SUFFIXES = ".yaml", ".yml"
 
+OPEN_DESCRIPTORS = 4
+"""Number of file descriptors that must be free after a failed open: of the raster, its side files and PROJ's database."""
+
 
 def open_raster(source: str, **options: Any) -> rasterio.DatasetReader:
     """Open a raster with options of its driver.
 
-    Raises ``SourceError`` if ``check_geodata`` forbids the file, and ``RasterioError`` or ``OSError`` if it cannot be opened.
+    Raises ``SourceError`` if ``check_geodata`` forbids the file, and ``RasterioError`` or ``OSError`` if it cannot be opened. The
+    ``OSError`` has an ``errno`` if the process has no file descriptor left.
     """
     import rasterio  # imported here because level files alone do not need it
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError, RasterioError
 
     check_geodata(source)
-    return rasterio.open(source, **options)
+    try:
+        # Opens PROJ's database, which stays open in this thread. If GDAL cannot open it later, it reports no error, but reads a
+        # projected CRS as an engineering CRS.
+        CRS.from_epsg(4326)
+        return rasterio.open(source, **options)
+    except CRSError as error:
+        _check_descriptors()
+        raise SourceError(source, f"PROJ's database cannot be read ({error})", "Check the installation of PROJ") from None
+    except RasterioError:
+        _check_descriptors()
+        raise
+
+
+def _check_descriptors() -> None:
+    """Raise ``OSError`` if the process or the system has too few free file descriptors to open a raster."""
+    descriptors: list[int] = []
+    try:
+        for _ in range(OPEN_DESCRIPTORS):
+            descriptors.append(os.open(os.devnull, os.O_RDONLY))
+    finally:
+        for descriptor in descriptors:
+            os.close(descriptor)
 
 
 def is_raster(source: Path | str) -> bool:

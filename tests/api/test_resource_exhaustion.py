@@ -49,6 +49,8 @@ def _caused_by(cause: Exception) -> Exception:
         MemoryError(),
         OSError(errno.EMFILE, "Too many open files"),
         BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"),
+        ImportError("libgfortran.so.5: failed to map segment from shared object"),
+        ImportError("libz.so.1: cannot open shared object file: Too many open files"),
         _caused_by(OSError(errno.ENOMEM, "Cannot allocate memory")),
     ],
 )
@@ -59,7 +61,13 @@ def test_exhaustion_errors_are_503(error: Exception):
 
 
 @pytest.mark.parametrize(
-    "error", [RuntimeError("no running event loop"), OSError(errno.ENOENT, "No such file"), _caused_by(ValueError("a bug"))]
+    "error",
+    [
+        ImportError("libz.so.1: cannot open shared object file: No such file or directory"),
+        RuntimeError("no running event loop"),
+        OSError(errno.ENOENT, "No such file"),
+        _caused_by(ValueError("a bug")),
+    ],
 )
 def test_other_errors_are_no_exhaustion(error: Exception):
     assert exhausted_error(error) is None

@@ -13,7 +13,7 @@ import pytest
 
 from tests.api.conftest import CORNER, ZOOM
 from tests.soak.clients import Answers, Connection
-from tests.soak.test_soak import service
+from tests.soak.service import service
 
 pytestmark = pytest.mark.soak
 

@@ -13,29 +13,32 @@ import itertools
 import json
 import os
 import random
-import re
 import resource
 import signal
-import subprocess
-import sys
 import time
-import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image, ImageSequence
 
-from tests.api.conftest import CORNER, ZOOM, write_level
+from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_serve import alive
 from tests.soak.clients import Answers, Connection, closed_loop, open_loop
+from tests.soak.service import (
+    EXPECTED_STATUSES,
+    TILE,
+    WORKERS,
+    ask,
+    is_ready,
+    new_sun_paths,
+    render_processes,
+    service,
+    wait_until_ready,
+)
 
 pytestmark = pytest.mark.soak
 
-ROOT = Path(__file__).resolve().parents[2]
 SECONDS = float(os.environ.get("SOAK_SECONDS", "20"))
 TILES = int(os.environ.get("SOAK_TILES", "2000"))
 """How many tiles the long walk asks for; its figures are told for 100,000."""
@@ -46,57 +49,16 @@ KILLS, CLIENTS, WALK = 12, 4, 16
 SETTLED_S = 15.0
 """How long an overload lasts before it is measured: a burst is let in, and has to be worked off first."""
 
-WORKERS = 2
 ANIMATIONS = 3
 """The first is not disturbed; render processes are killed while the others are drawn."""
 
 DAY = {"from": "2024-06-21T06:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "20m", "size": [320, 240]}
-TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
-EXPECTED_STATUSES = {200, 304, 429, 503, 504}
-
-
-@contextmanager
-def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.Popen[str], Path]]:
-    """A service of hills in a process of its own, ready: its port, its process and its log."""
-    level, log = write_level(folder, "hills"), folder / "log"
-    command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", "0"]
-    settings = {"SKUGGA_WORKERS": str(WORKERS), "SKUGGA_NEW_SUNS_PER_MINUTE": "0", **environment}
-    workers = int(settings["SKUGGA_WORKERS"])
-    with log.open("w") as log_file:
-        process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=log_file, text=True)
-    try:
-        until = time.monotonic() + 300
-        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(int(port[1]), workers):
-            assert process.poll() is None and time.monotonic() < until, log.read_text()[-2000:]
-            time.sleep(0.2)
-        yield int(port[1]), process, log
-    finally:
-        process.kill()
-        process.wait()
-
-
-def _ready(port: int, workers: int = WORKERS) -> bool:
-    try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
-            return len(json.load(answer)) > 0 and answer.status == 200 and _workers(port) == workers
-    except OSError:
-        return False
-
-
-def _workers(port: int) -> int:
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
-        return int(json.load(answer)["workers"])
 
 
 def resident_mib(pid: int) -> float:
     """Memory that a process takes now."""
     pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
     return int(pages) * resource.getpagesize() / 2**20
-
-
-def new_sun_paths() -> Iterator[str]:
-    """Yield paths of one tile, each with a sun that was not requested before."""
-    return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
 
 
 def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
@@ -147,7 +109,7 @@ def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.
             kill_count, until = 0, time.monotonic() + SECONDS
             while time.monotonic() < until:
                 await asyncio.sleep(chosen.uniform(1.0, 3.0))
-                workers = await asyncio.to_thread(_render_processes, process.pid)
+                workers = await asyncio.to_thread(render_processes, process.pid)
                 if workers:
                     os.kill(chosen.choice(workers), chosen.choice([signal.SIGKILL, signal.SIGSTOP]))
                     kill_count += 1
@@ -159,12 +121,8 @@ def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.
             )
 
         tiles, health, harmed = asyncio.run(both())
-        began = time.monotonic()
-        while not _ready(port):
-            assert time.monotonic() - began < 120
-            time.sleep(0.2)
-        mended_s = time.monotonic() - began
-        workers = _render_processes(process.pid)
+        mended_s = wait_until_ready(port)
+        workers = render_processes(process.pid)
         process.kill()
         process.wait()
         time.sleep(1.0)
@@ -210,7 +168,7 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
             for number in range(1, KILLS + 1):
                 while len(answers.statuses) < number * TILES / (KILLS + 1):
                     await asyncio.sleep(0.2)
-                workers = await asyncio.to_thread(_render_processes, process.pid)
+                workers = await asyncio.to_thread(render_processes, process.pid)
                 memory.append((resident_mib(process.pid), max(map(resident_mib, workers), default=0.0)))
                 if workers:
                     os.kill(chosen.choice(workers), signal.SIGKILL)
@@ -237,30 +195,18 @@ def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.Captu
     assert max(worker_mib[KILLS // 2 :]) < 1.3 * max(worker_mib[: KILLS // 2]), "a render process does not grow"
 
 
-def _render_processes(service_pid: int) -> list[int]:
-    result = []
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == service_pid and "spawn_main" in (path / "cmdline").read_text():
-                result.append(int(path.name))
-        except (OSError, ValueError):
-            continue
-    return result
-
-
 def test_an_animation_outlives_killed_processes(tmp_path: Path, capsys: pytest.CaptureFixture):
     """An animation is the same to the byte whenever its render processes are killed; the service keeps no part of one."""
     chosen, kills, finished = random.Random(3), 0, []
     with service(tmp_path) as (port, process, _):
         for run in range(ANIMATIONS):
-            address = _ask(port, "/levels/hills/animations", DAY | {"fps": 10 + run})["location"]
-            while (status := _ask(port, address)["body"]["status"]) in ("accepted", "running"):
+            address = ask(port, "/levels/hills/animations", DAY | {"fps": 10 + run})["location"]
+            while (status := ask(port, address)["body"]["status"]) in ("accepted", "running"):
                 time.sleep(chosen.uniform(0.0, 2.0))
-                if run and _ready(port) and (workers := _render_processes(process.pid)):
+                if run and is_ready(port) and (workers := render_processes(process.pid)):
                     os.kill(chosen.choice(workers), signal.SIGKILL)
                     kills += 1
-            assert status == "successful", json.dumps(_ask(port, address)["body"])
+            assert status == "successful", json.dumps(ask(port, address)["body"])
             with urllib.request.urlopen(f"http://127.0.0.1:{port}{address}/result", timeout=30) as answer:
                 finished.append(frames_of(answer.read()))
     with capsys.disabled():
@@ -273,20 +219,6 @@ def frames_of(webp: bytes) -> list[bytes]:
     """Return the hash of each frame of an animation: its speed is another in each, and with it the file."""
     with Image.open(io.BytesIO(webp)) as film:
         return [hashlib.sha256(frame.convert("RGB").tobytes()).digest() for frame in ImageSequence.Iterator(film)]
-
-
-def _ask(port: int, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Ask the service, again after a refusal with a time to come back: ``location`` and the ``body`` of its answer."""
-    data = None if body is None else json.dumps(body).encode()
-    while True:
-        request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", data, {"Content-Type": "application/json"})
-        try:
-            with urllib.request.urlopen(request, timeout=60) as answer:
-                location = answer.headers["location"]
-                return {"location": location and location[location.index("/animations") :], "body": json.load(answer)}
-        except urllib.error.HTTPError as error:
-            assert error.code in (429, 503), error.read()
-            time.sleep(float(error.headers["retry-after"]))
 
 
 def test_idle_connections_beyond_the_descriptors(tmp_path: Path, capsys: pytest.CaptureFixture):
@@ -302,7 +234,7 @@ def test_idle_connections_beyond_the_descriptors(tmp_path: Path, capsys: pytest.
 
         async def hold() -> Answers:
             idle = [await asyncio.open_connection("127.0.0.1", port) for _ in range(200)]
-            for pid in _render_processes(process.pid):
+            for pid in render_processes(process.pid):
                 os.kill(pid, signal.SIGKILL)
             answers = await open_loop(port, lambda: "/healthz", 10.0, SECONDS)
             for _, writer in idle:
@@ -310,10 +242,7 @@ def test_idle_connections_beyond_the_descriptors(tmp_path: Path, capsys: pytest.
             return answers
 
         health = asyncio.run(hold())
-        began = time.monotonic()
-        while not _ready(port):
-            assert time.monotonic() - began < 120
-            time.sleep(0.2)
+        wait_until_ready(port)
         tiles = asyncio.run(closed_loop(port, lambda: TILE, 1, 2.0))
         size = log.stat().st_size
     finally:

@@ -21,7 +21,7 @@ from skugga.api.animations.animations import Animations
 from skugga.api.animations.film_file import FilmReader
 from skugga.api.errors import NotServedError, UnfinishedError
 from skugga.api.http.answers import entity_tag, is_fresh
-from skugga.api.http.problems import Problem, problem_response, public_problem
+from skugga.api.http.problems import Problem, error_response, public_problem
 from skugga.api.settings import Settings
 
 FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
@@ -114,7 +114,7 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
     Raises ``UnfinishedError`` for an unfinished animation and ``NotServedError`` for a dismissed one.
     """
     if animation.error is not None:
-        return problem_response(public_problem(animation.error))
+        return error_response(animation.error)
     if animation.status == "dismissed":
         raise NotServedError("animation", f"This animation was dismissed. {animation.message or ''}".strip())
     if animation.film is None:

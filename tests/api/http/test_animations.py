@@ -291,7 +291,9 @@ def test_failed_animation_reports_its_problem(serve_with, order: str, status: in
     assert (state["problem"]["status"], state["problem"]["code"]) == (status, code)
     assert state["message"] == state["problem"]["detail"] and "went wrong" not in state["message"]
     assert len(state["links"]) == 1
-    check_problem(client.get(f"/animations/{state['jobID']}/result"), status, code, "view" if status == 422 else None)
+    result = client.get(f"/animations/{state['jobID']}/result")
+    check_problem(result, status, code, "view" if status == 422 else None)
+    assert ("retry-after" in result.headers) == (status == 503)
     assert client.post(ADDRESS, json=REQUEST_BODY).headers["location"] != answer.headers["location"], "it is tried again"
 
 
