@@ -30,7 +30,10 @@ def _cost_remarks(scene: Scene) -> list[str]:
     from skugga.api.picture_cost import SLOW_PICTURE_MS, soft_lamps
 
     shadows, has_balls = scene.loaded.level.shadows, any(lamp.radius_m > 0.0 for lamp in scene.lamps.values())
-    plans = _predicted_plans(scene, dict.fromkeys(("map", *scene.loaded.level.views)), calibration_for(shadows, {}))
+    views = scene.loaded.level.views
+    # An algorithm that the level requests may not serve maps. Then only the views that the level lists are drawn.
+    names = views if views and shadows.algorithm != "auto" else dict.fromkeys(("map", *views))
+    plans = _predicted_plans(scene, names, calibration_for(shadows, {}))
     reported = [
         name
         for name, plan in plans.items()

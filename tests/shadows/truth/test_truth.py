@@ -73,7 +73,7 @@ def baseline(scene, view, reference) -> ErrorMetrics:
 def test_shadow_map_is_near_truth(gl, baseline):
     """This is the baseline of the defects below."""
     assert baseline.wrong < 0.005 and baseline.wrong_cast < 0.03 and baseline.interior < MAX_INTERIOR and baseline.edge_p95 <= 2.0
-    assert baseline.undecidable_share < 0.15
+    assert baseline.boundary < 0.15
 
 
 def test_wrong_bias_raises_false_shadow(gl, scene, view, reference, baseline):
