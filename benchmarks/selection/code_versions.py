@@ -8,20 +8,29 @@ measured again, or accepts that times and errors are as they were.
 from __future__ import annotations
 
 import ast
+import builtins
 import hashlib
 import json
 import re
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from skugga.shadows.registry import ALGORITHMS, MODULES
 
 ROOT = Path(__file__).resolve().parents[2]
 ACCEPTED = Path(__file__).with_name("code_digests.json")
+
+DECLARATIONS = {"skugga.shadows.algorithm", "skugga.shadows.plan", "skugga.shadows.registry"}
+
+METHODS = frozenset(name for kind in (np.ndarray, dict, list, set, str) for name in dir(kind))
+"""Methods that keep their text in digests, whatever value they belong to."""
 
 MAX_WORD = 24
 """Length up to which a text without spaces counts as a part of the code: a key or a name. Other texts are messages."""
@@ -41,10 +50,12 @@ def algorithms_of(rows: Mapping[str, Figures]) -> list[str]:
 def origin_now(algorithms: Iterable[str]) -> Figures:
     """Return the origin of figures that are measured now: the commit, the time and the versions of the algorithms."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    commit = ""
+    with suppress(FileNotFoundError):  # without git
+        commit = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
     now = datetime.now(UTC).isoformat(timespec="minutes")
     return {
-        "commit": run.stdout.strip() or "unknown",
+        "commit": commit or "unknown",
         "date": now,
         "versions": {name: ALGORITHMS[name].version for name in algorithms},
     }
@@ -75,12 +86,29 @@ def accept_code() -> None:
 
 
 def _files_of(module: Any) -> list[Path]:
-    """Return the files of an algorithm: its module, or all files of its package."""
-    path = Path(sys.modules[module.__name__].__file__ or "")
-    package = path.parent
-    if package.name == "shadows":
-        return [path]
-    return sorted(file for file in package.rglob("*") if file.suffix in (".py", ".glsl"))
+    """Return the files of an algorithm's code: its module, all modules of ``skugga.shadows`` that it imports, and their shaders.
+
+    Modules that only declare algorithms and plans do not count.
+    """
+    pending, paths = [module.__name__], dict[str, Path]()
+    while pending:
+        name = pending.pop()
+        if name not in paths and name not in DECLARATIONS:
+            paths[name] = Path(sys.modules[name].__file__ or "")
+            pending += _imported_modules(paths[name])
+    shaders = {shader for path in paths.values() for shader in path.parent.glob("shaders/*.glsl")}
+    return sorted({*paths.values(), *shaders})
+
+
+def _imported_modules(path: Path) -> list[str]:
+    """Return the names of the loaded modules of ``skugga.shadows`` that a file imports."""
+    names = [
+        name
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module is not None
+        for name in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+    ]
+    return [name for name in names if name.startswith("skugga.shadows.") and name in sys.modules]
 
 
 def _digest(files: list[Path]) -> str:
@@ -97,26 +125,52 @@ def _normalized_shader(text: str) -> str:
 
 
 def _normalized_python(text: str) -> str:
-    """Return the structure of a module's code, with its names numbered in the order of their appearance."""
+    """Return the structure of a module's code, with its names numbered in the order of their appearance.
+
+    Names of Python and of other packages keep their text: those that the module imports, what it reaches through them, built-in
+    functions, and methods of arrays and containers.
+    """
+    tree = ast.parse(text)
+    foreign = set(dir(builtins)) | {
+        alias.asname or alias.name.split(".")[0]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import) or (isinstance(node, ast.ImportFrom) and not (node.module or "").startswith("skugga"))
+        for alias in node.names
+    }
     numbers: dict[str, int] = {}
     parts: list[str] = []
 
-    def visit(node: ast.AST) -> None:
+    def number(name: str) -> str:
+        return f"${numbers.setdefault(name, len(numbers))}"
+
+    def visit(node: ast.AST, calls_foreign: bool = False) -> None:
         if isinstance(node, ast.Import | ast.ImportFrom) or (isinstance(node, ast.Expr) and _is_text(node.value)):
             return
         parts.append(type(node).__name__)
         for name, value in ast.iter_fields(node):
             if name in ("id", "arg", "attr", "name") and isinstance(value, str):
-                parts.append(f"${numbers.setdefault(value, len(numbers))}")
+                is_foreign = (
+                    value in foreign if name == "id"
+                    else value in METHODS or _root(node) in foreign if name == "attr"
+                    else calls_foreign
+                )  # fmt: skip
+                parts.append(value if is_foreign else number(value))
             elif isinstance(node, ast.Constant) and name == "value" and not _is_message(value):
                 parts.append(repr(value))
             else:
                 for child in value if isinstance(value, list) else [value]:
                     if isinstance(child, ast.AST):
-                        visit(child)
+                        visit(child, isinstance(child, ast.keyword) and isinstance(node, ast.Call) and _root(node.func) in foreign)
 
-    visit(ast.parse(text))
+    visit(tree)
     return " ".join(parts)
+
+
+def _root(node: ast.AST) -> str | None:
+    """Return the name that a chain of attributes begins with."""
+    while isinstance(node, ast.Attribute):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else None
 
 
 def _is_text(node: ast.AST) -> bool:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections import Counter
 
 import pytest
 
 from benchmarks.selection.code_versions import (
+    ROOT,
     STEPS,
+    _files_of,
     _normalized_python,
     _normalized_shader,
     algorithms_of,
@@ -17,17 +20,19 @@ from benchmarks.selection.code_versions import (
     unaccepted_algorithms,
 )
 from benchmarks.selection.table import read_table
+from skugga.shadows.hybrid import hybrid
 from skugga.shadows.registry import ALGORITHMS
 
 CODE = '''
 """A module."""
-from a import b
+import numpy as np
+from skugga.a import b
 
 def f(x: int) -> int:
     """Return twice a number."""
     if x < 0:
         raise ValueError("the number must be positive")
-    return b(x, "nearest") * 2  # why
+    return b(np.maximum(x, 1).max(axis=0), "nearest") * min(x, 2) * 2  # why
 '''
 
 
@@ -35,16 +40,27 @@ def f(x: int) -> int:
     ("old", "new"),
     [
         ("(x", "(number"), ("Return twice a number", "Double a number"), ("must be positive", "is negative"), ("  # why", ""),
-        ("from a import b", "from c import b"),
+        ("from skugga.a import b", "from skugga.c import b"),
     ],
 )  # fmt: skip
 def test_names_and_texts_are_not_code(old: str, new: str):
-    renamed = CODE.replace("x < 0", "number < 0").replace("b(x,", "b(number,") if new == "(number" else CODE
-    assert _normalized_python(renamed.replace(old, new)) == _normalized_python(CODE)
+    changed = re.sub(r"\bx\b", "number", CODE) if new == "(number" else CODE.replace(old, new)
+    assert changed != CODE and _normalized_python(changed) == _normalized_python(CODE)
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("* 2", "* 3"), ("* 2", "+ 2"), ("nearest", "linear"), ("b(x,", "b(b,"), ("x < 0", "x <= 0")]
+    ("old", "new"),
+    [
+        ("* 2", "* 3"),
+        ("* 2", "+ 2"),
+        ("nearest", "linear"),
+        ("maximum(x", "maximum(b"),
+        ("x < 0", "x <= 0"),
+        ("np.maximum", "np.minimum"),
+        ("min(x", "max(x"),
+        (".max(axis", ".min(axis"),
+        ("axis=0", "axis=1"),
+    ],
 )
 def test_numbers_operators_and_keys_are_code(old: str, new: str):
     assert _normalized_python(CODE.replace(old, new)) != _normalized_python(CODE)
@@ -54,6 +70,12 @@ def test_comments_of_shaders_are_not_code():
     shader = "float f() {  // half\n  return 0.5; /* of\n one */ }"
     assert _normalized_shader(shader) == _normalized_shader("float f() { return 0.5; }")
     assert _normalized_shader(shader) != _normalized_shader(shader.replace("0.5", "0.6"))
+
+
+def test_shared_code_counts_for_each_algorithm_that_uses_it():
+    names = {path.relative_to(ROOT).as_posix() for path in _files_of(hybrid)}
+    assert {"shadows/hybrid/hybrid.py", "shadows/volumes/volumes.py", "shadows/maps/drawing.py", "shadows/attached.py"} <= names
+    assert any(name.startswith("shadows/volumes/shaders/") for name in names)
 
 
 def test_a_raised_version_makes_rows_stale(monkeypatch: pytest.MonkeyPatch):
