@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,31 +28,46 @@ def _cost_remarks(scene: Scene) -> list[str]:
     penumbrae may be narrower than a pixel of the one, and wide in the other.
     """
     from skugga.api.device_calibration import calibration_for
-    from skugga.api.picture_cost import SLOW_PICTURE_MS, soft_lamps
+    from skugga.api.picture_cost import ESTIMATE_MARGIN, SLOW_PICTURE_MS
 
-    shadows, has_balls = scene.loaded.level.shadows, any(lamp.radius_m > 0.0 for lamp in scene.lamps.values())
-    views = scene.loaded.level.views
+    shadows, views = scene.loaded.level.shadows, scene.loaded.level.views
+    typical_device = calibration_for(shadows, {})
+    if typical_device is None:
+        return []
     # An algorithm that the level requests may not serve maps. Then only the views that the level lists are drawn.
     names = views if views and shadows.algorithm != "auto" else dict.fromkeys(("map", *views))
-    plans = _predicted_plans(scene, names, calibration_for(shadows, {}))
-    reported = [
-        name
-        for name, plan in plans.items()
-        if plan.predicted is not None and (plan.predicted.ms > SLOW_PICTURE_MS or soft_lamps(plan) or (has_balls and name == "map"))
-    ]
+    plans = _predicted_plans(scene, names, typical_device)
+    reported = [name for name, plan in plans.items() if _deserves_remark(scene, name, plan, SLOW_PICTURE_MS / ESTIMATE_MARGIN)]
     if not reported:
         return []
     plans = _predicted_plans(scene, reported, calibration_for(shadows, {}, shows_times=True))
-    return [_cost_remark(scene, name, plan, has_balls) for name, plan in plans.items()]
+    return [_cost_remark(scene, name, plan) for name, plan in plans.items() if _deserves_remark(scene, name, plan, SLOW_PICTURE_MS)]
 
 
 def _predicted_plans(scene: Scene, names: Iterable[str], device: DeviceProfile | None) -> dict[str, Plan]:
+    """Return the plans of the views that the level's shadow settings serve."""
     from skugga.selector.select import plan_of_view
 
-    return {name: plan_of_view(scene, scene.view(name), name, policy="predict", device=device) for name in names}
+    plans = {}
+    for name in names:
+        with suppress(UnsupportedError):
+            plans[name] = plan_of_view(scene, scene.view(name), name, policy="predict", device=device)
+    return plans
 
 
-def _cost_remark(scene: Scene, name: str, plan: Plan, has_balls: bool) -> str:
+def _ball_lamps(scene: Scene) -> list[str]:
+    return [name for name, lamp in scene.lamps.items() if lamp.radius_m > 0.0]
+
+
+def _deserves_remark(scene: Scene, name: str, plan: Plan, slow_ms: float) -> bool:
+    from skugga.api.picture_cost import soft_lamps
+
+    if plan.predicted is None:
+        return False
+    return plan.predicted.ms > slow_ms or bool(soft_lamps(plan)) or (name == "map" and bool(_ball_lamps(scene)))
+
+
+def _cost_remark(scene: Scene, name: str, plan: Plan) -> str:
     """Return a remark on the expected time of a view, for a plan that has one."""
     from skugga.api.picture_cost import is_over_limit, remedy, time_limit_ms
     from skugga.selector.formatting import format_duration
@@ -62,9 +78,12 @@ def _cost_remark(scene: Scene, name: str, plan: Plan, has_balls: bool) -> str:
     parts = [f"{subject} is expected to take {format_duration(plan.predicted.ms)}{unit}"]
     if is_over_limit(plan, time_limit_ms()):
         parts.append(f"a service refuses it, for it gives up pictures after {format_duration(time_limit_ms())}")
+    filters = [
+        getattr(settings, "filter", None) for lamp in _ball_lamps(scene) for settings in plan.settings.get(lamp, {}).values()
+    ]
     if (cheaper := remedy(plan)) is not None:
         parts.append(cheaper)
-    elif has_balls:
+    elif scene.loaded.level.shadows.filter == "auto" and filters and None not in filters:
         parts.append("penumbrae of lamps are narrower than a pixel here, so that 1 sample point of a lamp suffices")
     return "; ".join(parts)
 

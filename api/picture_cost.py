@@ -16,6 +16,10 @@ ESTIMATE_MARGIN = 3.0
 """Factor by which an estimated time must exceed a limit for a picture to be refused: estimates are off by up to a factor of two."""
 
 
+MAX_MS_OPTION = "--max-ms"
+"""The option of commands that sets their limit."""
+
+
 def time_limit_ms() -> float:
     """Return the time after which a service gives up a picture, milliseconds."""
     return 1000.0 * load_settings().render_timeout_s
@@ -51,16 +55,18 @@ def is_over_limit(plan: Plan, limit_ms: float) -> bool:
     return plan.predicted.ms > limit_ms * (ESTIMATE_MARGIN if plan.predicted.is_estimate else 1.0)
 
 
-def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str) -> None:
+def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str, has_size: bool = True) -> None:
     """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
 
     On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
-    ``subject``, and the setting of the limit ``bound``.
+    ``subject``, and the setting of the limit ``bound``. ``has_size`` tells whether the caller can choose the picture's size: blocks
+    of tiles and maps have a fixed one.
     """
     if limit_ms is None or plan.predicted is None or not is_over_limit(plan, limit_ms):
         return
     reason = f"{subject} by {plan.headline} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
     cheaper = remedy(plan)
-    raise TooCostlyError.over_limit(
-        "size", reason, f"{limit_ms / 1000.0:g} s ({bound})", cheaper or "Use a faster algorithm or a smaller picture"
-    )
+    advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_size else ''}"
+    if bound == MAX_MS_OPTION:
+        advice += f", or allow more time with {bound}"
+    raise TooCostlyError.over_limit("size" if has_size else bound, reason, f"{limit_ms / 1000.0:g} s ({bound})", advice)

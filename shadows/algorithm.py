@@ -267,7 +267,7 @@ class Search:
     is_tunable: Callable[[Descriptor, str, str, Any], bool] = lambda descriptor, light, key, value: True
     companion_map_sizes: tuple[int, ...] | None = None
     is_excluded: Callable[[Descriptor, CasterKind], bool] = lambda descriptor, kind: False
-    exclusion_reason: str = ""
+    exclusion_reason: str = "not tried for these casters"
     compared_overrides: tuple[Overrides, ...] = ()
     variants: tuple[Overrides, ...] = ()
 

@@ -15,7 +15,7 @@ from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
 TONE_CURVE_START, TONE_CURVE_RANGE = 0.6, 0.4
-"""Linear colour at which the tone curve's tone_curve begins, and the range from there to white."""
+"""Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
 MIN_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
@@ -129,7 +129,7 @@ def twilight_sky_share(sine):
 
 @compiled
 def tone_curve(linear):
-    """Return the display colour of linear light: a tone curve with a tone_curve.
+    """Return the display colour of linear light: a tone curve with a shoulder.
 
     The curve is the identity up to ``TONE_CURVE_START`` and flattens from there on. Slopes that face a low sun keep their tint.
     """

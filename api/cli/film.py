@@ -20,7 +20,7 @@ from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
-from skugga.api.picture_cost import check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
 from skugga.selector.film import FilmFrame, FrameMoment, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
@@ -149,7 +149,7 @@ def _check_costs(
         descriptor = describe(moment.scene(scene), moment.view, request.view_name)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
         subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
-        check_cost(plan, subject, limit_or_default_ms(max_ms), "--max-ms")
+        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=not isinstance(moment.view, MapView))
 
 
 class _FilmProgress:

@@ -94,7 +94,7 @@ def _files_of(module: Any) -> list[Path]:
     while pending:
         name = pending.pop()
         if name not in paths and name not in DECLARATIONS:
-            paths[name] = Path(sys.modules[name].__file__ or "")
+            paths[name] = Path(sys.modules[name].__file__ or "").resolve()
             pending += _imported_modules(paths[name])
     shaders = {shader for path in paths.values() for shader in path.parent.glob("shaders/*.glsl")}
     return sorted({*paths.values(), *shaders})

@@ -261,8 +261,8 @@ def combine_errors(
     if coverage is None or not is_dense_wood(descriptor, light):
         return errors
     return ExpectedErrors(
-        errors.wrong, hypot(coverage.share * errors.wrong_cast, coverage.floor), coverage.interior * errors.interior,
-        coverage.spread, coverage.interior_spread, is_coverage=True,
+        errors.wrong, min(hypot(coverage.share * errors.wrong_cast, coverage.floor), 1.0),
+        min(coverage.interior * errors.interior, 1.0), coverage.spread, coverage.interior_spread, is_coverage=True,
     )  # fmt: skip
 
 

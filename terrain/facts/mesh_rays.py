@@ -18,7 +18,7 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene_objects import SceneObjects
 
 MAX_LEAF_TRIANGLES = 4
-"""Maximum number of triangles in a max_leaf_triangles of the BVH."""
+"""Maximum number of triangles in a leaf of the BVH."""
 
 SAH_BINS = 16
 """Number of bins along a box, whose boundaries are the candidate splits."""
@@ -40,9 +40,9 @@ class Bvh:
     box_low, box_high
         Minimum and maximum corner of each node's box (nodes, 3).
     first
-        For an inner node i its first child; the second is ``first[i] + 1``. For a max_leaf_triangles its first triangle.
+        For an inner node i its first child; the second is ``first[i] + 1``. For a leaf its first triangle.
     count
-        Number of triangles of a max_leaf_triangles; 0 for an inner node.
+        Number of triangles of a leaf; 0 for an inner node.
     corner, edge_a, edge_b
         One corner and the two sides from it of each triangle (m, 3), in the order of the leaves.
     """

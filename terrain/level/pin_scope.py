@@ -1,6 +1,6 @@
 """Scopes of pins, and the search for pins that can never apply.
 
-A pin applies_to shadow settings of a level file for a scope: one view or all views, and a range of sun altitudes.
+A pin holds shadow settings of a level file for a scope: one view or all views, and a range of sun altitudes.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class PinScope(Model):
 def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
     """Return the ranges of sun altitudes, degrees, in which a pin applies to a view and no earlier pin does.
 
-    ``number`` is the pin's index in ``scopes``, which applies_to the scopes of all pins in the order of the file.
+    ``number`` is the pin's index in ``scopes``, which holds the scopes of all pins in the order of the file.
     """
     scope = scopes[number]
     if scope.view not in (None, view):
