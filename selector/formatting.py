@@ -29,3 +29,8 @@ def format_two_digits(value: float) -> str:
     if value == 0.0:
         return "0"
     return f"{value:.{max(0, 1 - floor(log10(abs(float(f'{value:.1e}')))))}f}"
+
+
+def format_wrong_share(share: float, is_coverage: bool) -> str:
+    """Return an error as text: the wrong share of the cast shadow, or in dense woods the error of coverage."""
+    return f"coverage off by {format_percent(share)}" if is_coverage else f"{format_percent(share)} of the cast shadow wrong"

@@ -15,7 +15,7 @@ from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.cost.typical_device import model_for_device
 from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
-from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.formatting import format_duration, format_percent, format_wrong_share
 from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
@@ -28,6 +28,9 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
 ESTIMATED_TIMES_REASON = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
+
+TARGET_MISSED = ": target missed"
+"""End of the name of the reason for a missed target; a light's name comes first."""
 
 MAX_OPTIONS = 64
 """Maximum number of options of a light that policies search: the time of a search grows with the third power of it.
@@ -208,6 +211,7 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 ms=sum(light_options.figures(which).ms for light_options, which in winning_options),
                 wrong=max((light_options.wrong(which) for light_options, which in winning_options), default=0.0),
                 wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
+                is_coverage=any(light_options.options[which].errors.is_coverage for light_options, which in winning_options),
             ),
             "target": Target(
                 max_error=max_error,
@@ -244,9 +248,8 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
     """Return the choice of option ``which``, with the reasons for it."""
     light_options, max_error = options.lights[light], options.max_error
     winner, figures = light_options.options[which], light_options.figures(which)
-    error = format_percent(figures.error)
-    of_what = f"coverage off by {error} of the blocks' area" if winner.errors.is_coverage else f"{error} of the cast shadow wrong"
-    expectation = f"{options.basis(light, which)}: {of_what} in {format_duration(figures.ms)}"
+    error = format_wrong_share(figures.error, winner.errors.is_coverage)
+    expectation = f"{options.basis(light, which)}: {error} in {format_duration(figures.ms)}"
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.meets_target:
         reason = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
@@ -319,7 +322,7 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
 def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[NamedReason]:
     return [
         NamedReason(
-            name=f"{light}: target missed",
+            name=f"{light}{TARGET_MISSED}",
             reason=f"{options.basis(light, winners[light])}: {verdict.missed_by}",
         )
         for light, verdict in verdicts.items()

@@ -30,6 +30,7 @@ from skugga.selector.choices import Choice, PlanRequest, PolicyName
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.portfolio import tuned_settings
+from skugga.selector.predict import TARGET_MISSED
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
@@ -355,7 +356,8 @@ def _with_prediction(
 ) -> Plan:
     """Return the kept plan with the time and errors that the policy predicts for it."""
     judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_from_plan(kept_plan))})
-    reasons = [*kept_plan.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
+    missed = [reasoned for reasoned in judged.reasons if reasoned.name.endswith(TARGET_MISSED)]
+    reasons = [*missed, *(reasoned for reasoned in kept_plan.reasons if not reasoned.name.endswith(TARGET_MISSED))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
     return kept_plan.model_copy(update=expected)
 

@@ -46,13 +46,15 @@ class Predicted(_FrozenModel):
     """Predicted milliseconds of a block's shadow work, the wrong share of all pixels, and the wrong share of the cast shadow.
 
     The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
-    the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two.
+    the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two. In
+    dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there.
     """
 
     ms: float
     wrong: float
     wrong_cast: float
     is_estimate: bool = False
+    is_coverage: bool = False
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,12 @@ class OpenLevel(LevelPictures, LevelRasters, LevelPoints):
         self._tile_service: TileService | None = None
         self._folder: TemporaryDirectory[str] | None = None
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings from opening the level, for example of a border without data that the raster does not declare."""
+        texts = super().warnings
+        return texts if self._memory_file is None else tuple(map(_with_array_remedies, texts))
+
     @validate_arguments
     def as_leaflet_layer(
         self,
@@ -226,7 +232,7 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
     except InputError as error:
         memory_file.close()
         error.name = error.name.replace(memory_file.name, ARRAY_NAME)
-        error.args = (str(error).replace(memory_file.name, ARRAY_NAME),)
+        error.args = (_with_array_remedies(str(error)).replace(memory_file.name, ARRAY_NAME),)
         raise
     except BaseException:
         memory_file.close()
@@ -240,5 +246,10 @@ def level_of_source(source: LevelSource, ground_name: str | None = None, memory_
         if ground_name is None:
             warn_caller(f"{level._scene.elevation.name}: {text}")
         else:
-            warn_caller(f"{ground_name}: {_FILE_REMEDY.sub(lambda match: ARRAY_REMEDIES[match[1]], text)}")
+            warn_caller(f"{ground_name}: {_with_array_remedies(text)}")
     return level
+
+
+def _with_array_remedies(text: str) -> str:
+    """Return a message with the remedies for a raster in memory instead of those for a file."""
+    return _FILE_REMEDY.sub(lambda match: ARRAY_REMEDIES[match[1]], text)

@@ -7,8 +7,9 @@ import textwrap
 from collections.abc import Callable, Iterator
 
 from skugga.api.picture_cost import SLOW_PICTURE_MS, is_over_limit, remedy, time_limit_ms
-from skugga.selector.formatting import format_duration, format_list, format_percent
+from skugga.selector.formatting import format_duration, format_list, format_percent, format_wrong_share
 from skugga.selector.planner.planner import SETTING_NAMES
+from skugga.selector.predict import TARGET_MISSED
 from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
 from skugga.shadows.plan import Plan, Step, Target
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
@@ -95,7 +96,7 @@ def format_expectation(plan: Plan) -> str:
     verb = {"measure": "Measured", "probe": "By the probe"}.get(plan.policy, "Expected")
     text = (
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
-        f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+        f"{format_wrong_share(plan.predicted.wrong_cast, plan.predicted.is_coverage)}."
     )
     if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
@@ -125,11 +126,11 @@ def format_overshoot(plan: Plan) -> str:
     assert plan.predicted is not None
     over = []
     if (error := plan.predicted.wrong_cast - plan.target.max_error) > 0.0:
-        over.append(f"{format_percent(error)} of the cast shadow")
+        over.append(f"{format_percent(error)} of {'coverage' if plan.predicted.is_coverage else 'the cast shadow'}")
     if plan.target.max_ms is not None and (ms := plan.predicted.ms - plan.target.max_ms) > 0.0:
         over.append(format_duration(ms))
     missed_reasons = (
-        reasoned.reason.removeprefix("expected: ") for reasoned in plan.reasons if reasoned.name.endswith(": target missed")
+        reasoned.reason.removeprefix("expected: ") for reasoned in plan.reasons if reasoned.name.endswith(TARGET_MISSED)
     )
     return " and ".join(over) or "; ".join(missed_reasons)
 

@@ -34,10 +34,11 @@ def open_raster(source: str, **options: Any) -> rasterio.DatasetReader:
         # Opens PROJ's database, which stays open in this thread. If GDAL cannot open it later, it reports no error, but reads a
         # projected CRS as an engineering CRS.
         CRS.from_epsg(4326)
-        return rasterio.open(source, **options)
     except CRSError as error:
         _check_descriptors()
         raise SourceError(source, f"PROJ's database cannot be read ({error})", "Check the installation of PROJ") from None
+    try:
+        return rasterio.open(source, **options)
     except RasterioError:
         _check_descriptors()
         raise

@@ -101,3 +101,19 @@ def test_wrong_arguments_do_not_warn_of_objects(tmp_path, plain):
     canopy = write(tmp_path / "canopy.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
     with skugga.open_level(plain, canopy=canopy) as level, pytest.raises(skugga.SkuggaError, match="^layer: 'depth'"):
         level.shade("depth", **SUN)
+
+
+def test_messages_of_an_array_name_no_option_of_a_file():
+    """Neither the warnings that the level keeps, nor the error where no height is possible."""
+    heights = np.full((40, 40), 300.0, np.float32)
+    heights[10:14, 10:14] = 20_000.0
+    with (
+        pytest.warns(UserWarning),
+        skugga.open_heights(heights, (30.0, 0.0, 500000.0, 0.0, -30.0, 5200000.0), "EPSG:32633") as level,
+    ):
+        (text,) = level.warnings
+    with pytest.raises(skugga.SkuggaError) as error_info:
+        skugga.open_heights(np.full((40, 40), 20_000.0, np.float32), (30.0, 0.0, 500000.0, 0.0, -30.0, 5200000.0), "EPSG:32633")
+    for message in (text, str(error_info.value)):
+        assert "set those cells to NaN" in message or "convert the heights to metres" in message
+        assert "terrain:" not in message and "units=" not in message, message

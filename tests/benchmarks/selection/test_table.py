@@ -13,6 +13,7 @@ from skugga.selector.choices import StandaloneRequest
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.portfolio import portfolio
+from skugga.selector.predict import MAX_OPTIONS
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
 from skugga.terrain.level.level import SUN, Shadows
@@ -100,6 +101,7 @@ def test_every_stored_line_has_a_valid_descriptor_and_rows(stored_table):
 def test_the_stored_table_has_enough_views_and_picks(stored_table):
     views, _ = stored_table
     assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
+    assert all(len(view["rows"]) <= MAX_OPTIONS for view in views), "policies search all measured choices"
     choices = {view["name"]: {choice for choice in view["picks"] if not choice.startswith("rules ")} for view in views}
     for view in views:
         descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]

@@ -16,7 +16,8 @@ export interface Plan {
   readonly rejected: readonly Named[];
   readonly reasons: readonly Named[];
   readonly passes: readonly string[];
-  readonly predicted: { readonly ms: number; readonly wrong_cast: number } | null;
+  /** In dense woods `wrong_cast` is the error of coverage. */
+  readonly predicted: { readonly ms: number; readonly wrong_cast: number; readonly is_coverage?: boolean } | null;
   readonly target: { readonly max_error: number; readonly max_ms: number | null; readonly met: boolean | null };
 }
 
@@ -126,11 +127,11 @@ export function expectation(
     return `${basisSentence}Time and error are not predicted; asked for: ${asked}.`;
   }
   const said = `${basisSentence}${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
-    + `${percent(predicted.wrong_cast)} of the cast shadow wrong.`;
+    + (predicted.is_coverage ? `coverage off by ${percent(predicted.wrong_cast)}.` : `${percent(predicted.wrong_cast)} of the cast shadow wrong.`);
   if (target.met === null) return `${said} Asked for: ${asked}.`;
   if (target.met) return `${said} That meets the target: ${asked}.`;
   const over = [
-    predicted.wrong_cast > target.max_error && `${percent(predicted.wrong_cast - target.max_error)} of the cast shadow`,
+    predicted.wrong_cast > target.max_error && `${percent(predicted.wrong_cast - target.max_error)} of ${predicted.is_coverage ? 'coverage' : 'the cast shadow'}`,
     target.max_ms !== null && predicted.ms > target.max_ms && duration(predicted.ms - target.max_ms),
   ].filter(Boolean).join(' and ');
   return `${said} That misses the target (${asked})${over && ` by ${over}`}.`;
