@@ -35,7 +35,9 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
 
 
 def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
-    """Return the unit normals of the ground in a map's pixels, smooth or of flat tops of cells, in the axes east, true north and up at each pixel.
+    """Return the unit normals of the ground in a map's pixels, in the axes east, true north and up at each pixel.
+
+    They are smooth, or those of flat tops of cells.
 
     The result is float32 (rows, cols, 3), NaN without ground. It is correct in any CRS and for any shape of pixels. Up is normal to
     the ellipsoid.
