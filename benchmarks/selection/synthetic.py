@@ -43,8 +43,8 @@ class Site:
         Altitude of the sun in degrees in the map and in the perspective view: low enough for cast shadow.
     houses, woods : Callable or None
         Houses and woods by a random generator.
-    is_dense : bool
-        Whether trees cover the terrain and are seen from afar.
+    is_seen_from_afar : bool
+        Whether both views show the terrain in perspective from afar: woods whose trees have a few pixels.
     """
 
     cells: int
@@ -53,7 +53,7 @@ class Site:
     height_m: Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
     houses: Callable[[np.random.Generator], list[House]] | None = None
     woods: Callable[[np.random.Generator], list[Wood]] | None = None
-    is_dense: bool = False
+    is_seen_from_afar: bool = False
 
 
 def write_site(site: Site, folder: Path) -> dict[str, Any]:
@@ -253,7 +253,7 @@ SITES: dict[str, Site] = {
     "copses": Site(
         400, 1.0, (22, 18), _slope, None, _woods((-110, 90, 70, 90, 200), (90, 60, 60, 60, 200), (20, -110, 140, 50, 200))
     ),
-    "wooded hills": Site(400, 2.5, (14, 24), _fractal(2.2, 40.0), None, _woods((0, 0, 960, 960, 220)), is_dense=True),
-    "wooded mountains": Site(400, 2.5, (20, 28), _fractal(2.0, 90.0), None, _woods((0, 0, 960, 960, 200)), is_dense=True),
+    "wooded hills": Site(400, 2.5, (14, 24), _fractal(2.2, 40.0), None, _woods((0, 0, 960, 960, 220)), is_seen_from_afar=True),
+    "wooded mountains": Site(400, 2.5, (20, 28), _fractal(2.0, 90.0), None, _woods((0, 0, 960, 960, 200)), is_seen_from_afar=True),
 }
 """Made terrains by name."""

@@ -265,7 +265,7 @@ def _unseen() -> Iterator[ViewInstance]:
 
 
 def _made() -> Iterator[ViewInstance]:
-    """Yield a map and a perspective view of every made terrain, and two perspective views of dense woods.
+    """Yield a map and a perspective view of every made terrain, and two perspective views of woods from afar.
 
     Models are fitted to every second terrain only.
     """
@@ -273,10 +273,10 @@ def _made() -> Iterator[ViewInstance]:
         has_objects = site.houses is not None or site.woods is not None
         azimuth_deg = (37.0 + 73.0 * number) % 360.0
         suns = [(azimuth_deg, site.altitudes_deg[0]), ((azimuth_deg + 130.0) % 360.0, site.altitudes_deg[1])]
-        if site.is_dense:
+        if site.is_seen_from_afar:
             for sun, corner in zip(suns, ((0.03, 0.04, 0.6, 0.6, 300.0), (0.97, 0.9, 0.3, 0.4, 300.0)), strict=True):
                 yield ViewInstance(
-                    f"{name}, eye, {sun[1]:g}", "dense wood", name, site, "eye", sun, unseen=number % 2 == 1, camera=corner,
+                    f"{name}, eye, {sun[1]:g}", "wooded, perspective", name, site, "eye", sun, unseen=number % 2 == 1, camera=corner,
                     size=DENSE_PX,
                 )  # fmt: skip
             continue
