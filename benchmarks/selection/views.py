@@ -276,8 +276,8 @@ def _made() -> Iterator[ViewInstance]:
         if site.is_seen_from_afar:
             for sun, corner in zip(suns, ((0.03, 0.04, 0.6, 0.6, 300.0), (0.97, 0.9, 0.3, 0.4, 300.0)), strict=True):
                 yield ViewInstance(
-                    f"{name}, eye, {sun[1]:g}", "wooded, perspective", name, site, "eye", sun, unseen=number % 2 == 1, camera=corner,
-                    size=DENSE_PX,
+                    f"{name}, eye, {sun[1]:g}", "wooded, perspective", name, site, "eye", sun, unseen=number % 2 == 1,
+                    camera=corner, size=DENSE_PX,
                 )  # fmt: skip
             continue
         x, y, u, v = ((0.3, 0.2, 0.5, 0.55), (0.7, 0.25, 0.45, 0.5), (0.25, 0.7, 0.55, 0.5))[number % 3]

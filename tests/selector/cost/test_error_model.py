@@ -223,7 +223,7 @@ def test_expected_errors_of_dense_woods_are_those_of_coverage():
     assert blocks.wrong_cast == pytest.approx(((0.3 * pixels.wrong_cast) ** 2 + 0.04**2) ** 0.5)
     assert (blocks.interior, blocks.wrong) == pytest.approx((0.5 * pixels.interior, pixels.wrong))
     assert (blocks.spread, blocks.interior_spread, blocks.is_coverage) == (0.1, 0.9, True)
-    sparse = wood_descriptor(0.09)
+    sparse = wood_descriptor(0.115)
     assert expected_errors(sparse, SUN, [map_step], model) == expected_errors(sparse, SUN, [map_step], MODEL)
     meshes = make_descriptor()
     assert expected_errors(meshes, SUN, [step("shadow_map", cascades((0.1, 0.1)))], model).is_coverage is False
