@@ -20,6 +20,7 @@ from skugga.api.http.server.app import create_app
 from skugga.api.http.server.bounded_headers import HeaderLimitProtocol
 from skugga.api.http.server.bounded_listener import BoundedListener
 from skugga.api.http.server.request_middleware import LogFormatter
+from skugga.api.http.server.watchdog import watch_event_loop
 from skugga.api.http.state.service import Service
 from skugga.api.settings import Settings
 from skugga.api.workers.piped_process import SpawnedWorker
@@ -67,12 +68,13 @@ class Server(uvicorn.Server):
     """A uvicorn server with a limit of connections. It stops without waiting for pending pictures.
 
     SIGHUP makes the server check the files of all levels and archives and read the folder of levels again. SIGUSR1 makes it log the
-    service's status.
+    service's status. With ``ends_if_stuck`` the process ends if the event loop does not run for minutes.
     """
 
-    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, ends_if_stuck: bool = False) -> None:
         super().__init__(config)
         self._service = service
+        self._ends_if_stuck = ends_if_stuck
 
     async def startup(self, sockets: Any = None) -> None:
         """Start the application, listen, install signal handlers and log the address."""
@@ -98,6 +100,8 @@ class Server(uvicorn.Server):
             for listening_socket in listening_sockets
         ]
         self._install_signal_handlers()
+        if self._ends_if_stuck:
+            watch_event_loop(asyncio.get_running_loop())
         self.started = True
         served_names = [level.name for level in self._service.levels.cached_levels()]
         served_names += [f"archive {name}" for name in self._service.archives.names()]
@@ -172,7 +176,7 @@ def serve(
         ws="none", server_header=False, timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
-        Server(config, app.state.service).run()
+        Server(config, app.state.service, ends_if_stuck=True).run()
 
 
 def _listening_sockets(host: str, port: int) -> list[socket.socket]:

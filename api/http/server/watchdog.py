@@ -1,0 +1,59 @@
+"""Watchdog of the event loop: a service that is stuck ends itself, so that its supervisor starts it again.
+
+Python waits for a new thread to run when it starts one. A thread that ends before that, for want of memory, leaves the event loop
+waiting for ever (``threading.Thread.start``). Nothing in the loop can notice.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+import time
+from collections.abc import Callable
+
+TICK_S = 5.0
+"""Seconds between two looks at the event loop."""
+
+MAX_MISSED_TICKS = 24
+"""Consecutive looks without a sign of the event loop after which the service ends: two minutes.
+
+Looks are counted, not seconds, so that a process that was stopped for hours goes on where it was.
+"""
+
+EXIT_STATUS = 70
+"""Exit status of a stuck service: an internal software error (sysexits.h)."""
+
+MESSAGE = b"ERROR skugga: the event loop has been stuck for two minutes. The service ends, so that it can be started again.\n"
+
+
+def end_stuck_process() -> None:
+    """Write a message to standard error and end the process at once. Both need no memory."""
+    os.write(2, MESSAGE)
+    os._exit(EXIT_STATUS)
+
+
+def watch_event_loop(
+    loop: asyncio.AbstractEventLoop, on_stuck: Callable[[], None] = end_stuck_process, tick_s: float = TICK_S
+) -> None:
+    """Start a daemon thread that calls ``on_stuck`` once if the event loop does not run for ``MAX_MISSED_TICKS`` ticks.
+
+    The thread ends with the loop.
+    """
+    has_run = threading.Event()
+
+    def watch() -> None:
+        missed_ticks = 0
+        while missed_ticks < MAX_MISSED_TICKS:
+            try:
+                loop.call_soon_threadsafe(has_run.set)
+            except RuntimeError:  # the loop is closed
+                return
+            except MemoryError:
+                pass
+            time.sleep(tick_s)
+            missed_ticks = 0 if has_run.is_set() else missed_ticks + 1
+            has_run.clear()
+        on_stuck()
+
+    threading.Thread(target=watch, name="watchdog", daemon=True).start()
