@@ -175,7 +175,7 @@ def switch_counts(plans: list[Plan]) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "sun", [(200.0, 35.0), *(pytest.param(sun, marks=pytest.mark.long) for sun in [(200.0, 20.0), (290.0, 15.0)])]
+    "sun", [(200.0, 35.0), *(pytest.param(sun, marks=pytest.mark.long) for sun in [(200.0, 20.0), (290.0, 10.0)])]
 )
 def test_replanner_switches_no_more_often_than_casters_change(flight, level, sun):
     """The bound holds at every frame of the flight. Plans made anew for each frame switch back and forth."""
