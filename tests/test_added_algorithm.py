@@ -127,11 +127,11 @@ ALGORITHM = Algorithm(
 @pytest.fixture
 def register() -> Iterator[Callable[[Algorithm], None]]:
     """Yield a function that registers an algorithm for the duration of a test."""
-    before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
+    algorithms_before, names_before = dict(ALGORITHMS), list(ALGORITHM_NAMES)
     yield register_algorithm
     ALGORITHMS.clear()
-    ALGORITHMS.update(before)
-    ALGORITHM_NAMES[:] = names
+    ALGORITHMS.update(algorithms_before)
+    ALGORITHM_NAMES[:] = names_before
 
 
 @pytest.fixture
@@ -320,20 +320,20 @@ def resolve_coarse(request: SettingsRequest) -> ResolvedSettings:
 
 
 @pytest.mark.parametrize(
-    ("change", "rates", "why"),
+    ("record_changes", "rates", "expected_reason"),
     [
         ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet: benchmarks/selection fits them"),
         ({}, {}, "this device has no rates for coarse rays: run skugga calibrate again"),
     ],
 )
 def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
-    coarse_rays, register, ridges, scene, change, rates, why
+    coarse_rays, register, ridges, scene, record_changes, rates, expected_reason
 ):  # fmt: skip
-    register(replace(ALGORITHM, **change))
+    register(replace(ALGORITHM, **record_changes))
     level, measured = scene.loaded.level, slow_device(**rates)
     plan = predicted_plan(ridges, level, None, measured)
     assert plan.policy == "predict" and plan.algorithm[SUN]["relief"] == "sweep"
-    assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == why
+    assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == expected_reason
     requested_plan = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
     assert (
         requested_plan.algorithm[SUN]["relief"] == "coarse_rays"
@@ -341,7 +341,7 @@ def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
         and requested_plan.target.met is None
     )
     reason = next(entry.reason for entry in requested_plan.reasons if entry.name == "policy rules")
-    assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {why}"
+    assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {expected_reason}"
 
 
 PATH_BY_ALGORITHM = {

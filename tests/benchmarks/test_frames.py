@@ -132,11 +132,11 @@ def test_an_error_in_a_side_is_raised():
         process.request("frame", plan="nothing")
 
 
-@pytest.mark.parametrize("wrong", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
-def test_wrong_options_are_named(wrong, capsys):
+@pytest.mark.parametrize("wrong_options", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
+def test_wrong_options_are_named(wrong_options, capsys):
     with pytest.raises(SystemExit):
-        main(wrong)
-    assert wrong[0] in capsys.readouterr().err.splitlines()[-1]
+        main(wrong_options)
+    assert wrong_options[0] in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_the_yardstick_shows_the_same_scene():

@@ -212,9 +212,9 @@ def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
 
 def test_day_begins_once_the_sunrise_is_known(day: FakeDay):
     """Until then the page says so, and the day can be stopped."""
-    waiting: list[Route] = []
+    held_routes: list[Route] = []
     day.viewer.hide_preparations()
-    day.viewer.page.route(re.compile("/point[?]"), lambda route: waiting.append(route))
+    day.viewer.page.route(re.compile("/point[?]"), lambda route: held_routes.append(route))
     day.viewer.page.goto(f"{day.viewer.address}/#time={DATE}T09:00:00-05:00")
     day.viewer.page.wait_for_function("() => document.body.dataset.shown")
     status = day.viewer.page.locator("#status")
@@ -225,7 +225,7 @@ def test_day_begins_once_the_sunrise_is_known(day: FakeDay):
     day.play()
     expect(status).to_contain_text("The day begins")
     day.viewer.page.unroute(re.compile("/point[?]"))
-    for route in waiting:
+    for route in held_routes:
         route.continue_()
     day.wait_until_later(9 * 60 + 10)
 

@@ -56,7 +56,7 @@ async def send_all(port: int, address: str, paths: list[str], concurrency: int, 
     """Send requests for ``paths`` from one address, some at a time. None is sent twice: map clients do not retry."""
     remaining = iter(paths)
 
-    async def send() -> None:
+    async def send_remaining() -> None:
         connection = Connection(port, address)
         try:
             for path in remaining:
@@ -66,7 +66,7 @@ async def send_all(port: int, address: str, paths: list[str], concurrency: int, 
         finally:
             connection.close()
 
-    await asyncio.gather(*(send() for _ in range(concurrency)))
+    await asyncio.gather(*(send_remaining() for _ in range(concurrency)))
 
 
 @pytest.mark.parametrize(("clients", "has_greedy"), [(1, False), (8, False), (7, True)])
@@ -87,9 +87,9 @@ def test_no_tile_of_a_map_is_refused(clients: int, has_greedy: bool, tmp_path: P
     with capsys.disabled():
         print()
         for n, answers in enumerate(maps):
-            print(answers.line(f"map client {n}") + f", longest {max(answers.seconds):.1f} s")
+            print(answers.summary(f"map client {n}") + f", longest {max(answers.seconds):.1f} s")
         if has_greedy:
-            print(greedy.line("greedy client"))
+            print(greedy.summary("greedy client"))
     assert [answers.count(200) for answers in maps] == [TILES] * clients
     half_s = [answers.ms(0.5) / 1000 for answers in maps]
     assert max(half_s) < 2.0 * min(half_s) + 0.5, "equal shares"

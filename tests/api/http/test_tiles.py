@@ -41,16 +41,16 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("format", "layer", "mode", "kind"),
+    ("format", "layer", "mode", "image_format"),
     [
         ("png", "color", "RGBA", "PNG"), ("png", "shadow", "RGBA", "PNG"), ("png", "mask", "L", "PNG"),
         ("webp", "color", "RGBA", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_tile_formats_have_their_modes(client: Client, format: str, layer: str, mode: str, kind: str):
+def test_tile_formats_have_their_modes(client: Client, format: str, layer: str, mode: str, image_format: str):
     answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})
     image = picture(answer)
-    assert (image.size, image.mode, image.format) == ((256, 256), mode, kind)
+    assert (image.size, image.mode, image.format) == ((256, 256), mode, image_format)
     assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
 
 

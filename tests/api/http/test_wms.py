@@ -218,7 +218,7 @@ def test_legend_has_the_announced_size(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("change", "status", "code", "locator"),
+    ("query_changes", "status", "code", "locator"),
     [
         ({"REQUEST": None}, 422, "MissingParameterValue", "REQUEST"),
         ({"REQUEST": "GetTile"}, 422, "OperationNotSupported", "REQUEST"),
@@ -243,8 +243,8 @@ def test_legend_has_the_announced_size(client: Client):
         ({"REQUEST": "GetLegendGraphic", "LAYER": "hills:color"}, 422, "LayerNotDefined", "LAYER"),
     ],
 )
-def test_wms_exceptions_have_code_and_locator(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
-    answer = client.get("/wms", params={name: value for name, value in {**MAP, **change}.items() if value is not None})
+def test_wms_exceptions_have_code_and_locator(client: Client, query_changes: dict[str, Any], status: int, code: str, locator: str):
+    answer = client.get("/wms", params={name: value for name, value in {**MAP, **query_changes}.items() if value is not None})
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml"), answer.text
     report = ElementTree.fromstring(answer.content)
     exception = report.find("e:ServiceException", NAMESPACES)

@@ -71,7 +71,9 @@ def test_seeded_tiles_equal_those_of_a_service(run: Run):
         service_tiles |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
     archive_tiles = tiles_of(run.output)
     assert set(archive_tiles) < set(service_tiles) and all(service_tiles[place] == body for place, body in archive_tiles.items())
-    assert len({body for place, body in service_tiles.items() if place not in archive_tiles}) == 1, "all others are empty"
+    assert len({body for place, body in service_tiles.items() if place not in archive_tiles}) == 1, (
+        "tiles that the archive leaves out are the empty tile"
+    )
 
 
 def test_an_unchanged_level_draws_nothing(run: Run):
@@ -81,7 +83,7 @@ def test_an_unchanged_level_draws_nothing(run: Run):
     assert (result.drawn, result.written, drawn_tasks) == (0, [], [])
     assert run.output.stat() == before
     run.output.unlink()
-    assert run()[0].written == [run.output], "it is written again from what was drawn"
+    assert run()[0].written == [run.output], "a deleted archive is written again from the stored tiles"
 
 
 def test_the_order_of_tasks_does_not_change_the_archive(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -106,14 +108,14 @@ def test_the_most_expensive_tasks_come_first(run: Run):
 def test_an_interrupted_run_resumes(run: Run, tmp_path: Path):
     count = 0
 
-    def ends(task):
+    def interrupt_fourth_task(task):
         nonlocal count
         count += 1
         if count == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(ends)
+        run(interrupt_fourth_task)
     assert not run.output.exists()
     result, drawn_tasks = run()
     complete_run = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
