@@ -55,13 +55,15 @@ from skugga.terrain.scene import Scene, build_scene
 
 TILE_MATRIX_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64
+"""Numbers of blocks of ``flat``. They are squares of whole numbers, because the blocks form a square."""
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
 BLOCK_SPACINGS = {"together": 1, "apart": 4}
 """Distances between blocks, in blocks. Blocks far apart share no ground, so that each must load all of the ground beside it."""
 
 ANCHOR_DISTANCE_KM = 60.0
+"""Distance from the mountain to the anchor of the level of ``far``. The sun's angles of a level are those at its anchor."""
 KIB_PER_MIB = 1024
-SQUARE_SIDES_KM = 30.0, 120.0, 240.0
+SHADED_SQUARE_SIDES_KM = 30.0, 120.0, 240.0
 """Sides of the shaded squares."""
 
 
@@ -180,10 +182,10 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
         start, times = time.perf_counter(), []
         write_rasters(scene, view, masks, [path], {}, lambda *_: times.append(time.process_time()))
         written_s = time.perf_counter() - start
-    every = np.diff(times[1:])
+    block_cpu_s = np.diff(times[1:])
     return {
         "cells": int(np.prod(view.shape)), "blocks": blocks, "open_s": opened_s, "all_s": written_s,
-        "block_s": float(np.median(every)), "peak_mib": process_memory_mib("VmHWM"),
+        "block_s": float(np.median(block_cpu_s)), "peak_mib": process_memory_mib("VmHWM"),
     }  # fmt: skip
 
 
@@ -195,8 +197,8 @@ def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     x, y = mountain_xy()
     crs = CRS.from_epsg(EPSG)
     lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    far = {km: WGS84.fwd(lon, lat, 270.0, km * 1000.0)[:2] for km in np.arange(10.0, 110.0, 0.5)}
-    anchor = far[ANCHOR_DISTANCE_KM]
+    lon_lat_by_km = {km: WGS84.fwd(lon, lat, 270.0, km * 1000.0)[:2] for km in np.arange(10.0, 110.0, 0.5)}
+    anchor = lon_lat_by_km[ANCHOR_DISTANCE_KM]
     terrain = {"source": str(raster.resolve()), "bounds": [*(v - 1e-3 for v in anchor), *(v + 1e-3 for v in anchor)]}
     level = {
         "version": 1, "terrain": terrain,
@@ -213,9 +215,9 @@ def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     assert served is not None
     for zoom in range(served.first, served.last + 1):
         grid = tile_grid(matrix_sets.get(TILE_MATRIX_SET), zoom)
-        result[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
+        result[f"zoom {zoom}"] = _shadow_end(scene, grid, lon_lat_by_km)
     shade_view = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
-    result["shade"] = _shadow_end(scene, shade_view.grid, far)
+    result["shade"] = _shadow_end(scene, shade_view.grid, lon_lat_by_km)
     return result
 
 
@@ -241,11 +243,11 @@ def _shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float
 Measurement = Callable[[list[Path], str, int], Any]
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "open": lambda rasters, of, _: measure_opening(rasters[int(of)]),
-    "worker": lambda rasters, of, _: measure_first_block(rasters[int(of.split(":")[0])], of.split(":")[1]),
-    "flat": lambda rasters, of, repeats: cpu_by_block_count(rasters[int(of[0])], BLOCK_SPACINGS[of[2:]], repeats),
+    "open": lambda rasters, argument, _: measure_opening(rasters[int(argument)]),
+    "worker": lambda rasters, argument, _: measure_first_block(rasters[int(argument.split(":")[0])], argument.split(":")[1]),
+    "flat": lambda rasters, argument, repeats: cpu_by_block_count(rasters[int(argument[0])], BLOCK_SPACINGS[argument[2:]], repeats),
     "sizes": lambda rasters, _, repeats: cpu_by_raster_size(rasters, repeats),
-    "shade": lambda rasters, of, _: measure_shade(rasters[-1], float(of)),
+    "shade": lambda rasters, argument, _: measure_shade(rasters[-1], float(argument)),
     "far": lambda rasters, _, __: shadow_end_by_zoom(rasters[-1]),
 }
 """Measurements by name: functions of the rasters, the measurement's argument and the number of repeats."""
@@ -253,11 +255,14 @@ MEASUREMENTS: dict[str, Measurement] = {
 MEASUREMENT_ARGUMENTS: dict[str, tuple[str, ...]] = {
     "open": ("2", "3"),
     "worker": tuple(f"{index}:{zoom}" for index in (2, 3) for zoom in ("lowest", "middle", "own", "last")),
-    "flat": tuple(f"{index}:{how}" for index in (2, 3) for how in BLOCK_SPACINGS),
+    "flat": tuple(f"{index}:{spacing}" for index in (2, 3) for spacing in BLOCK_SPACINGS),
     "sizes": ("all",),
-    "shade": tuple(f"{side:g}" for side in SQUARE_SIDES_KM),
+    "shade": tuple(f"{side:g}" for side in SHADED_SQUARE_SIDES_KM),
     "far": ("vrt",),
 }
+"""Arguments with which each measurement is run: the raster's index in order of size, with a zoom or a spacing; or a square's side
+in kilometres. The arguments of ``sizes`` and ``far`` are only labels.
+"""
 
 
 def measure_in_process(args: argparse.Namespace, measurement: str, argument: str) -> Any:
@@ -293,15 +298,15 @@ def main() -> None:
         print(json.dumps(MEASUREMENTS[args.case](raster_paths(args.folder), args.of, args.repeats)))
         return
     for raster in make_rasters(args.folder, args.raster):
-        print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.made_s:.0f} s", flush=True)
+        print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.write_s:.0f} s", flush=True)
     vrt = raster_paths(args.folder)[-1]
     if reason_for_no_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, written in {time.perf_counter() - start:.0f} s", flush=True)
     for case in args.only:
-        for of in MEASUREMENT_ARGUMENTS[case]:
-            print(f"{case} {of}: {format_figures(measure_in_process(args, case, of))}", flush=True)
+        for argument in MEASUREMENT_ARGUMENTS[case]:
+            print(f"{case} {argument}: {format_figures(measure_in_process(args, case, argument))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ class BigRaster:
 
     path: Path
     side_cells: int
-    made_s: float
+    write_s: float
 
 
 def make_sheet(raster: Path) -> np.ndarray:
@@ -139,9 +139,9 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     ElementTree.SubElement(band, "NoDataValue").text = str(NODATA)
     for row in range(PARTS_PER_SIDE):
         for col in range(PARTS_PER_SIDE):
-            if _is_within(ABSENT_PARTS, row, col):
+            if _contains_part(ABSENT_PARTS, row, col):
                 continue
-            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _is_within(PLAIN_PARTS, row, col) else "relief"
+            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _contains_part(PLAIN_PARTS, row, col) else "relief"
             part = parts / f"part_{row:02}_{col:02}.tif"
             part.unlink(missing_ok=True)
             os.link(parts / f"{kind}.tif", part)
@@ -163,7 +163,7 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     return BigRaster(path, VRT_CELLS, time.perf_counter() - start)
 
 
-def _is_within(slices: tuple[slice, slice], row: int, col: int) -> bool:
+def _contains_part(slices: tuple[slice, slice], row: int, col: int) -> bool:
     return slices[0].start <= row < slices[0].stop and slices[1].start <= col < slices[1].stop
 
 

@@ -94,9 +94,24 @@ class GridTruth:
 
 @dataclass(frozen=True)
 class SweepFigures:
-    """Errors of one raster under one sun, as shares of the decided cells (cells with certain truth).
+    """Errors of the sweep on one raster under one sun.
 
-    ``undecided`` is the share of all cells whose truth is not certain.
+    Attributes
+    ----------
+    raster
+        Name of the raster.
+    azimuth_deg, altitude_deg
+        The sun's angles.
+    cells
+        Number of decided cells: cells with data and with certain truth.
+    shadow
+        Share of the decided cells that are in shadow.
+    wrong, false_shadow, missed_shadow
+        Shares of the decided cells that are wrong in any way, lit in truth but in shadow, and in shadow in truth but lit.
+    interior
+        Share of the decided cells that are wrong away from shadow edges.
+    undecided
+        Share of the cells with data whose truth is not certain.
     """
 
     raster: str

@@ -251,7 +251,8 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     mask = ("--product", "mask", "--gain", "2", "-o", str(raster))
     return {
         "command": value_range(command_array), "python": value_range(python_array),
-        "tile": value_range(fetch_values(f"{TILES}.npy")), "double tile": value_range(fetch_values(f"{TILES}@2x.npy")), "across blocks": value_range(np.block(neighbour_tiles)),
+        "tile": value_range(fetch_values(f"{TILES}.npy")), "double tile": value_range(fetch_values(f"{TILES}@2x.npy")),
+        "across blocks": value_range(np.block(neighbour_tiles)),
         "map": value_range(fetch_values("/levels/hills/map.npy", width=300)), "colors": centre_colors(tile.content),
         "wms": centre_colors(client.get("/wms", params=wms).content), "seeded": centre_colors(seeded),
         "map_layers": level_document["map_layers"], "products": {item["name"]: item for item in level_document["products"]},

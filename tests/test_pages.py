@@ -17,7 +17,7 @@ from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import format_page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
-from benchmarks.sun_questions.words import format_sun_page
+from benchmarks.sun_questions.page import format_sun_page
 from skugga.api.cli.main import app
 
 ROOT = Path(__file__).parent.parent

@@ -73,23 +73,23 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
     reason why a tool is skipped.
     """
     start_s: dict[Tool, float] = {}
-    left_out: dict[str, str] = {}
+    skip_reasons: dict[str, str] = {}
     records = []
     for tool in make_tools(python):
         version = tool.installed_version()
         if version is None:
-            left_out[tool.name] = "absent"
+            skip_reasons[tool.name] = "absent"
             print(f"{tool.name}: not installed, skipped", flush=True)
             continue
         try:
             start_s[tool] = min(run.wall_s for run in check_pole(tool, folder))
         except RuntimeError as error:
-            left_out[tool.name] = str(error)
+            skip_reasons[tool.name] = str(error)
             print(f"{tool.name}: skipped: {error}", flush=True)
             continue
         records.append(ToolRecord(tool.name, version, tool.algorithm, tool.is_skugga, tool.decode_mask is not None, start_s[tool]))
         print(f"{tool.name} {version}: the pole's shadow is right", flush=True)
-    return start_s, left_out, records
+    return start_s, skip_reasons, records
 
 
 def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
@@ -99,7 +99,7 @@ def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Tes
     """
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUN_ANGLES_DEG]
-    under = [
+    sun_shares = [
         SunShares(
             *sun,
             float((~truth.lit & truth.certain_for_any_cut).sum() / truth.certain_for_any_cut.sum()),
@@ -108,7 +108,7 @@ def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Tes
         for sun, truth in zip(SUN_ANGLES_DEG, truths, strict=True)
     ]
     rows, cols = height_m.shape
-    return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
+    return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), sun_shares), truths
 
 
 def shadow_errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
@@ -134,10 +134,10 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
             print(f"{time.perf_counter() - begin:4.0f} s  truth of {name}", flush=True)
         for repeat in range(repeats):
             for name in truths:
-                for k, sun in enumerate(SUN_ANGLES_DEG):
+                for sun_index, sun in enumerate(SUN_ANGLES_DEG):
                     job = ToolJob(folder / f"{name}.tif", *sun, folder / "mask.tif")
                     for tool in [*tools][:: -1 if repeat % 2 else 1]:
-                        key = tool, name, k
+                        key = tool, name, sun_index
                         if repeat and max(run.wall_s for run in runs[key]) > MAX_REPEATED_RUN_S:
                             continue
                         try:
@@ -148,7 +148,7 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
                             del tools[tool]
                             continue
                         if tool.decode_mask is not None and key not in error_shares:
-                            truth = truths[name][k]
+                            truth = truths[name][sun_index]
                             error_shares[key] = shadow_errors(
                                 tool.mask(job), truth, truth.certain if tool.is_skugga else truth.certain_for_any_cut
                             )

@@ -255,11 +255,11 @@ def unmatched_results(comparison: PeerComparison, clock: str) -> list[tuple[str,
 def dominated_rows(case_standings: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
     """Return triples of a row of Skugga, a peer that is both faster and more accurate, and the case."""
     return [
-        (our_row.tool.name, peer.tool.name, case)
+        (skugga_row.tool.name, peer.tool.name, case)
         for case, standings in case_standings.items()
-        for our_row in standings
+        for skugga_row in standings
         for peer in standings
-        if our_row.tool.ours and not peer.tool.ours and peer.beats(our_row)
+        if skugga_row.tool.ours and not peer.tool.ours and peer.beats(skugga_row)
     ]
 
 
@@ -269,5 +269,5 @@ def unmatched_peers(case_standings: dict[str, list[ToolStanding]]) -> list[tuple
         (peer.tool.name, case)
         for case, standings in case_standings.items()
         for peer in standings
-        if not peer.tool.ours and all(peer.beats(our_row) for our_row in standings if our_row.tool.ours)
+        if not peer.tool.ours and all(peer.beats(skugga_row) for skugga_row in standings if skugga_row.tool.ours)
     ]

@@ -62,19 +62,24 @@ def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> 
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     standings = _raster_standings(comparison, terrain)
-    our_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
-    axes.plot(*our_positions.T, "-o", color=SKUGGA_COLOR, markersize=8, linewidth=1.5, label="Skugga")
-    for bounded, label in ((False, "others"), (True, "others: at most so long")):
+    skugga_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
+    axes.plot(*skugga_positions.T, "-o", color=SKUGGA_COLOR, markersize=8, linewidth=1.5, label="Skugga")
+    for is_upper_bound, label in ((False, "others"), (True, "others: at most so long")):
         positions = np.array(
             [
                 _plot_xy(standing)
                 for standing in standings
-                if not standing.tool.ours and comparison.has_upper_bounds(standing.tool) == bounded
+                if not standing.tool.ours and comparison.has_upper_bounds(standing.tool) == is_upper_bound
             ]
         )
         if len(positions):
             axes.plot(
-                *positions.T, "D", color=PEER_COLOR, markersize=7, markerfacecolor="white" if bounded else PEER_COLOR, label=label
+                *positions.T,
+                "D",
+                color=PEER_COLOR,
+                markersize=7,
+                markerfacecolor="white" if is_upper_bound else PEER_COLOR,
+                label=label,
             )
     axes.margins(x=0.12, y=0.12)
     axes.yaxis.set_major_formatter(
@@ -93,7 +98,7 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
         Bbox.from_extents(x - LABEL_MARGIN_PX, y - LABEL_MARGIN_PX, x + LABEL_MARGIN_PX, y + LABEL_MARGIN_PX) for x, y in points
     ]
     occupied.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
-    inside = axes.get_window_extent(renderer)
+    panel_box = axes.get_window_extent(renderer)
     for standing in standings:
         color = SKUGGA_COLOR if standing.tool.ours else PEER_COLOR
         name = standing.tool.name.removeprefix("Skugga sweep, ") if standing.tool.ours else standing.tool.name.split()[0]
@@ -107,7 +112,7 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
                 name, _plot_xy(standing), (x, y), textcoords="offset points", ha=horizontal, va=vertical, color=color, fontsize=10
             )
             box = text.get_window_extent(renderer)
-            outside = box.width * box.height - _overlap_area(box, inside)
+            outside = box.width * box.height - _overlap_area(box, panel_box)
             candidates.append((outside + sum(_overlap_area(box, other) for other in occupied), text, box))
         best = min(candidates, key=lambda candidate: candidate[0])
         for _, text, _ in candidates:

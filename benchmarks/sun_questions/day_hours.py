@@ -14,7 +14,14 @@ import rasterio
 
 from benchmarks.peers.tools import ToolRun, run_process
 from benchmarks.sun_hours_accuracy import CellRays, ray_truth
-from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem, write_question_dem
+from benchmarks.sun_questions.commands_and_rasters import (
+    DATE,
+    PROGRAMS_FILE,
+    SKUGGA_COMMAND,
+    SKUGGA_PYTHON,
+    QuestionDem,
+    write_question_dem,
+)
 from benchmarks.sun_questions.figures import ConventionCheck, SunAnswer
 from benchmarks.sun_questions.sun_paths import (
     R_SUN_DAY_NUMBER,
@@ -100,8 +107,8 @@ class HoursTruth:
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
         rows, cols = dem.height_m.shape
-        inner = (np.arange(MARGIN_CELLS, length - MARGIN_CELLS) for length in (rows, cols))
-        row, col = (indices.ravel() for indices in np.meshgrid(*inner, indexing="ij"))
+        row_and_col_ranges = (np.arange(MARGIN_CELLS, length - MARGIN_CELLS) for length in (rows, cols))
+        row, col = (indices.ravel() for indices in np.meshgrid(*row_and_col_ranges, indexing="ij"))
         sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
         self.row, self.col = row[sample], col[sample]
 
@@ -190,21 +197,23 @@ def _read_raster(path: Path, dem: QuestionDem) -> np.ndarray:
 
 def hours_tools(python: str) -> list[HoursTool]:
     """Return all tools with their settings. Python packages are those of the interpreter ``python``."""
-    asking = str(PROGRAMS_FILE)
+    programs_file = str(PROGRAMS_FILE)
 
     def skugga(minutes: int) -> HoursTool:
         return HoursTool(
             f"Skugga, steps of {minutes} min", "Skugga", "astronomy",
             lambda dem, out: [*SKUGGA_COMMAND, "sunhours", str(dem.path), "-o", str(out), "--date", DATE, "--step", f"{minutes}m"],
             _read_raster,
-            compute_command=lambda dem, out: [*SKUGGA_PYTHON, asking, "sunhours", str(dem.path), str(out), DATE, str(minutes)],
+            compute_command=lambda dem, out: [
+                *SKUGGA_PYTHON, programs_file, "sunhours", str(dem.path), str(out), DATE, str(minutes),
+            ],
         )  # fmt: skip
 
     def whitebox(degrees: int) -> HoursTool:
         day = str(SUNCALC_DAY_NUMBER)
         return HoursTool(
             f"Whitebox time_in_daylight, {degrees}°", "Whitebox Workflows", "suncalc",
-            lambda dem, out: [python, asking, "time_in_daylight", str(dem.path), str(out), day, str(degrees)],
+            lambda dem, out: [python, programs_file, "time_in_daylight", str(dem.path), str(out), day, str(degrees)],
             lambda path, dem: np.load(path) * day_length_h("suncalc", dem), ".npy",
         )  # fmt: skip
 
@@ -212,8 +221,8 @@ def hours_tools(python: str) -> list[HoursTool]:
         method, extra_arguments = (f"horizons every {degrees}°", [degrees]) if degrees else ("own walk", [])
         return HoursTool(
             f"GRASS r.sun, {method}, {minutes} min", "GRASS", "solar day",
-            lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.sun", str(dem.path),
-                              str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
+            lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, programs_file, "r.sun",
+                              str(dem.path), str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
             _read_raster,
         )  # fmt: skip
 
@@ -253,8 +262,10 @@ def measure_hours(tools: list[HoursTool], dem: QuestionDem, case: str, cells: in
             left_out[tool.name] = str(error)
             continue
         sampled_hours = hours[truth.row, truth.col]
-        error_min, as_is = (np.abs(sampled_hours - truth.hours_by_sun_model(sun)) * 60.0 for sun in (tool.sun_model, "astronomy"))
+        error_min, error_as_is_min = (
+            np.abs(sampled_hours - truth.hours_by_sun_model(sun)) * 60.0 for sun in (tool.sun_model, "astronomy")
+        )
         yield SunAnswer(
             HOURS, case, tool.name, tool.is_skugga, compute_s, run.wall_s, run.cpu_s, float(error_min.mean()),
-            float(np.percentile(error_min, 99)), float(as_is.mean()),
+            float(np.percentile(error_min, 99)), float(error_as_is_min.mean()),
         )  # fmt: skip

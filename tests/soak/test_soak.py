@@ -1,7 +1,7 @@
 """A service as operators run it, under more load than it can bear, and while its render processes are killed and stopped.
 
-Each test prints what it measured (``make test-soak``). What is held: every answer is one that the interface knows, what cannot be
-done is refused with a time to come back, and the service is whole afterwards.
+Each test prints what it measured (``make test-soak``). The tests assert three things: every answer has a status that the interface
+documents; work that cannot be done is refused with a time after which to ask again; and the service answers as before afterwards.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def test_overload_is_refused_and_latency_holds(tmp_path: Path, capsys: pytest.Ca
     with capsys.disabled():
         print(f"\nsustained: {rate:.1f} tiles a second under new suns; {sustained.summary('tiles')}")
         print(f"at four times that, {new_sun_answers.summary('new suns')}")
-        for name, answers in (("kept tiles", cached_answers), ("/healthz", health), ("304", unchanged)):
+        for name, answers in (("cached tiles", cached_answers), ("/healthz", health), ("304", unchanged)):
             print(f"meanwhile, {answers.summary(name)}")
         print(f"log: {log_bytes} bytes")
     assert set(new_sun_answers.statuses) <= EXPECTED_STATUSES

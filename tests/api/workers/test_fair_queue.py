@@ -35,7 +35,7 @@ def make_pending_job(job: Job, client: str, arrived_s: float = 0.0) -> PendingJo
 class Crowd:
     """Clients that send jobs to one process, some at a time.
 
-    ``job_seconds`` returns the time of a job. Like map clients, a client sends its next job after each answer, and does not
+    ``job_duration_s`` returns the duration of a job. Like map clients, a client sends its next job after each answer, and does not
     repeat a refused one.
     """
 
@@ -80,13 +80,13 @@ class Crowd:
             elif event_kind == "done":
                 running = None
                 self.queue.discard(event_target)
-                self.queue.add_duration(event_target.job, self.job_seconds(event_target.job))
+                self.queue.add_duration(event_target.job, self.job_duration_s(event_target.job))
                 self.answered[event_target.client] += 1
-                self.spent_s[event_target.client] += self.job_seconds(event_target.job)
+                self.spent_s[event_target.client] += self.job_duration_s(event_target.job)
                 schedule(now_s, "ask", event_target.client)
             if running is None and (running := self.queue.start_next(now_s)) is not None:
                 self.waited_s[running.client].append(now_s - running.arrived_s)
-                schedule(now_s + self.job_seconds(running.job), "done", running)
+                schedule(now_s + self.job_duration_s(running.job), "done", running)
         return self
 
 

@@ -62,16 +62,16 @@ def format_verdict(comparison: SunComparison, question: str) -> str:
         case_standings = tool_standings(comparison, question, clock)
         if not case_standings:
             continue
-        dominated, over = dominated_rows(case_standings), unmatched_peers(case_standings)
-        dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
+        dominated, unmatched = dominated_rows(case_standings), unmatched_peers(case_standings)
+        dominated_text = "; ".join(f"{skugga_row} by {peer} ({case})" for skugga_row, peer, case in dominated)
         text = (
             f"in {len(case_standings)} case{'s' * (len(case_standings) > 1)} no peer is both faster and more accurate than any row "
             f"of Skugga's."
             if not dominated
             else f"beaten in both at once: {dominated_text}. "
             + (
-                "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in over) + "."
-                if over
+                "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in unmatched) + "."
+                if unmatched
                 else "No peer beats all of its rows in any case."
             )
         )
@@ -90,18 +90,18 @@ def _better_peers_text(comparison: SunComparison, question: str, metric: str, cl
     standings_by_case = tool_standings(comparison, question, clock)
     if not standings_by_case:
         return f"- {adjective[0].upper()}{adjective[1:]}: not measured."
-    times: dict[str, list[float]] = {}
+    factors_by_tool: dict[str, list[float]] = {}
     for case_standings in standings_by_case.values():
-        our_best = min(getattr(standing, metric) for standing in case_standings if standing.tool.ours)
+        skugga_best = min(getattr(standing, metric) for standing in case_standings if standing.tool.ours)
         for standing in case_standings:
             value = getattr(standing, metric)
-            if not standing.tool.ours and value < our_best:
-                times.setdefault(standing.tool.name, []).append(our_best / value if value else float("inf"))
-    if not times:
+            if not standing.tool.ours and value < skugga_best:
+                factors_by_tool.setdefault(standing.tool.name, []).append(skugga_best / value if value else float("inf"))
+    if not factors_by_tool:
         return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: no peer, in any case."
     peers_text = "; ".join(
         f"{name} in {len(ratios)} of {len(standings_by_case)} cases, up to {max(ratios):.2g} times"
-        for name, ratios in times.items()
+        for name, ratios in factors_by_tool.items()
     )
     return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: {peers_text}."
 
