@@ -59,7 +59,7 @@ PASSES = ("coarse rays",)
 REFUSAL_REASON = "coarse rays are for what is far away, as the sun is"
 
 visibility_caches: dict[str, Cache[np.ndarray]] = {}
-"""The made-up algorithm's cache by name, filled while the algorithm is registered."""
+"""The cache of the made-up algorithm under its name, which is added when the algorithm is registered."""
 
 ray_counts: list[int] = []
 """Number of rays that each call cast."""
@@ -71,11 +71,11 @@ class CoarseRaysSettings(AlgorithmSettings):
     square_px: int
 
 
-def fill(buffer, scene, light, kinds, casters, settings, log):
+def compute_visibility(buffer, scene, light, kinds, casters, settings, log):
     """Return visibility by rays from one pixel of each square, which stands for all of the square."""
     (rays_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(rays_pass):
-        visibility = visibility_caches["kept"].get(scene, buffer.view, light, kinds, settings)
+        visibility = visibility_caches["coarse rays"].get(scene, buffer.view, light, kinds, settings)
         if isinstance(visibility, Missing):
             lit = lit_mask(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
             side = settings.square_px
@@ -86,7 +86,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
             )
             visibility = chosen_lit[np.ix_(rows, cols)].astype(np.float32)
             ray_counts.append(chosen_lit.size)
-            visibility_caches["kept"].put(scene, buffer.view, light, kinds, settings, value=visibility)
+            visibility_caches["coarse rays"].put(scene, buffer.view, light, kinds, settings, value=visibility)
         return visibility.copy()
 
 
@@ -106,7 +106,7 @@ ALGORITHM = Algorithm(
     name="coarse_rays",
     description="a ray for each square of pixels",
     plural="coarse rays",
-    fill=fill,
+    fill=compute_visibility,
     passes=PASSES,
     refusals={"omni": REFUSAL_REASON, "spot": REFUSAL_REASON},
     settings=(CoarseRaysSettings,),
@@ -137,7 +137,7 @@ def register() -> Iterator[Callable[[Algorithm], None]]:
 @pytest.fixture
 def coarse_rays(register) -> Iterator[None]:
     register(ALGORITHM)
-    visibility_caches["kept"] = Cache("tests.coarse_rays", "light", 2**26)
+    visibility_caches["coarse rays"] = Cache("tests.coarse_rays", "light", 2**26)
     ray_counts.clear()
     yield
     visibility_caches.clear()

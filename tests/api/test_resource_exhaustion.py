@@ -131,13 +131,14 @@ def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.Monkey
         work = IdleWork(lambda: False)
         monkeypatch.setattr(work, "_is_idle", lambda: True)
         work.start()
-        before = len(os.listdir("/proc/self/fd"))
+        open_file_count = len(os.listdir("/proc/self/fd"))
         with no_threads(monkeypatch):
             for _ in range(5):
                 work.add(IdleJob(os.getpid, (), fail_on_result, failed.append))
             await wait_until(lambda: len(failed) == 5)
         assert "no thread can be started" in failed[0]
-        assert len(os.listdir("/proc/self/fd")) == before
+        # Files of earlier tests may be closed meanwhile, when Python collects their objects. So the number may also be smaller.
+        assert len(os.listdir("/proc/self/fd")) <= open_file_count
         await work.close()
 
     asyncio.run(scenario())

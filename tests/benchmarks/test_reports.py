@@ -59,7 +59,7 @@ def test_a_published_report_is_one_small_file(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
     text, stored_record = report.read_text(encoding="utf-8"), reports.stored_records()[name]
     assert report.stat().st_size < MAX_BYTES
-    assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
+    assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "the page loads no other file"
     assert f"<dd>{stored_record['made']}</dd>" in text, "the page names the run of the report"
     assert all(row in text for row in stored_record["rows"])
 

@@ -147,7 +147,7 @@ def test_picture_requested_again_while_it_loads_is_shown(levels_viewer: Viewer):
         pass
     levels_viewer.page.wait_for_timeout(SECOND_DRAW_MS)
     addresses = [route.request.url for route in held_routes]
-    assert len(set(addresses)) == len(addresses), "a picture that is under way is requested once"
+    assert len(set(addresses)) == len(addresses), "a pending picture is not requested again"
     for route in held_routes:
         route.continue_()
     levels_viewer.wait_until_settled()
@@ -189,7 +189,7 @@ def test_raster_without_a_sun_opens_in_the_morning(levels_viewer: Viewer, levels
     page.get_by_text("Shadows", exact=True).click()
     levels_viewer.wait_until_settled()
     dark = levels_viewer.pixels()[20 : WINDOW_SIZE_PX["height"] // 2, LEFT_PX:].max(axis=2) < 64
-    assert dark.mean() > 0.05, "it shows shadows"
+    assert dark.mean() > 0.05, "the picture shows shadows"
 
     page.get_by_label("Date", exact=True).fill("2026-12-21")
     expect(page.locator("#offset option:checked")).to_have_text("UTC+1 · Zurich")

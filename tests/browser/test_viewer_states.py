@@ -150,11 +150,11 @@ def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewe
         viewer.page.get_by_role("button", name="Use").click()
         expect(viewer.page.get_by_label("Shadows", exact=True)).to_be_checked()
         pixels = viewer.wait_until_drawn().pixels.astype(int)
-        assert (pixels[..., 0] >= pixels[..., 1]).all(), "nothing but red and shadow"
-        assert (np.abs(pixels - (220, 60, 60)).max(axis=2) < 3).mean() > 0.2, "light is the base map alone"
+        assert (pixels[..., 0] >= pixels[..., 1]).all(), "each pixel shows the red base map or shadow over it"
+        assert (np.abs(pixels - (220, 60, 60)).max(axis=2) < 3).mean() > 0.2, "lit ground shows the unchanged base map"
         assert (pixels[..., 0] < 150).mean() > 0.15, "shadows are dark"
         outside = viewer.pixels()[100, WINDOW_SIZE_PX["width"] - 150]
-        assert np.abs(outside.astype(int) - (220, 60, 60)).max() < 3, "it goes on beyond the level"
+        assert np.abs(outside.astype(int) - (220, 60, 60)).max() < 3, "the base map continues beyond the level"
 
         viewer.page.get_by_role("button", name="Remove the base map").click()
         assert not (np.abs(viewer.wait_until_drawn().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
@@ -178,7 +178,7 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
         expect(status).to_contain_text(re.compile(r"^Drawing hours of sun: 0 of \d+ tiles"), timeout=4000)
         page.wait_for_function("() => document.body.classList.contains('working')")
         page.wait_for_timeout(300)
-        assert color_distance(BACKGROUND_COLOR) < 3, "nothing but the ground's colour"
+        assert color_distance(BACKGROUND_COLOR) < 3, "the page shows only the background colour"
         for route in held_routes:
             route.fulfill(body=tile.getvalue(), content_type="image/png")
         held_routes.clear()
@@ -229,4 +229,4 @@ def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
     viewer.page.get_by_label("Three dimensions").uncheck()
     viewer.page.wait_for_function("() => !location.hash.includes('solid') && !/map=.*\\/.*\\/.*\\//.test(location.hash)")
     viewer.wait_until_settled()
-    assert np.array_equal(viewer.wait_until_drawn().pixels, flat.pixels), "and flat again"
+    assert np.array_equal(viewer.wait_until_drawn().pixels, flat.pixels), "the map is flat again and shows the same picture"

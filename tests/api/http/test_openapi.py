@@ -16,7 +16,7 @@ import schemathesis
 from fastapi import APIRouter
 from fastapi.routing import APIRoute
 from hypothesis import HealthCheck, Phase, given
-from hypothesis import settings as drawn
+from hypothesis import settings as hypothesis_settings
 from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi.checks import (
     content_type_conformance,
@@ -215,7 +215,7 @@ def test_answers_conform_to_the_document(
         kinds.append((negative_operation, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 
-        @drawn(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
+        @hypothesis_settings(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
         @given(case=operation.as_strategy(generation_mode=mode))
         def request_and_validate(case: schemathesis.Case) -> None:
             answer = case.call(base_url=str(client.base_url), headers=NOT_MODIFIED_HEADERS, timeout=60, allow_redirects=False)

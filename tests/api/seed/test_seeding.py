@@ -224,7 +224,7 @@ def test_an_output_has_the_requested_zooms(run: Run):
     assert run()[1] == []
     assert {place[0] for place in tiles_of(run.output)} == {12, 13}
     run.zooms = ZOOMS
-    assert run()[1] == [] and len(tasks_of_full_run) > 4, "what was drawn for other zooms is kept"
+    assert run()[1] == [] and len(tasks_of_full_run) > 4, "stored tiles of other zooms are kept"
     assert {place[0] for place in tiles_of(run.output)} == {11, 12, 13, 14}
 
 
@@ -234,7 +234,7 @@ def test_suns_have_an_archive_each(run: Run):
     first_tiles, second_tiles = (tiles_of(run.output_of(number)) for number in (0, 1))
     assert set(first_tiles) == set(second_tiles) and first_tiles != second_tiles
     run.suns = (*run.suns, SunSpec(azimuth=180.0, altitude=45.0))
-    assert {task.sun for task in run()[1]} == {2}, "a sun more draws its own tiles alone"
+    assert {task.sun for task in run()[1]} == {2}, "an additional sun draws only its own tiles"
 
 
 @pytest.mark.parametrize("layer", ["mask", "terrain-rgb", "terrarium"])
@@ -244,7 +244,7 @@ def test_data_layers_are_written_as_png(run: Run, layer: str):
     tiles = tiles_of(run.output)
     assert tiles and all(body.startswith(b"\x89PNG") for body in tiles.values())
     run.layer = "shadow"
-    assert len(run()[1]) > 0, "another layer is another picture"
+    assert len(run()[1]) > 0, "the tiles of another layer are drawn"
 
 
 def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.MonkeyPatch):
@@ -295,7 +295,7 @@ def test_changed_metadata_redraws_nothing(run: Run, tmp_path: Path):
     run()
     level.write_text("# said\nversion: 1\ntitle: Other\nattribution: Me\nterrain: {source: dem.tif}\n", encoding="utf-8")
     result, drawn_tasks = run()
-    assert drawn_tasks == [] and result.written == [run.output], "the title stands in the archive"
+    assert drawn_tasks == [] and result.written == [run.output], "the title is stored in the archive, not in the tiles"
     level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 1.5}\n", encoding="utf-8")
     assert run()[1] != []
 
