@@ -34,7 +34,7 @@ import numpy as np
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
-from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, raster_paths
+from benchmarks.big_rasters import EPSG, MIDDLE_XY_M, make_rasters, mountain_xy, raster_paths
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
 from skugga.api.overviews import make_overviews, reason_for_no_overviews
@@ -130,7 +130,7 @@ def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
     return {"zoom": f"{number} ({zoom})", "idle_mib": idle_mib, "peak_mib": process_memory_mib("VmHWM"), "first_s": first_s}
 
 
-def cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
+def measure_cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
     """Return CPU seconds per block for ``count`` blocks round the middle, ``spacing`` blocks apart.
 
     Caches hold data of the whole level, but no ground of these blocks.
@@ -148,22 +148,24 @@ def cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spa
     return (time.process_time() - start) / count
 
 
-def cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
+def measure_cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds per block, a value for each repeat, by number of blocks."""
     state = WorkerState(warm_up())
     zoom = zooms_by_label(state.scenes.get(level_key(raster)))["own"]
-    cpu_s_per_block(raster, state, zoom, 4)
-    return {str(count): [cpu_s_per_block(raster, state, zoom, count, spacing) for _ in range(repeats)] for count in BLOCK_COUNTS}
+    measure_cpu_s_per_block(raster, state, zoom, 4)
+    return {
+        str(count): [measure_cpu_s_per_block(raster, state, zoom, count, spacing) for _ in range(repeats)] for count in BLOCK_COUNTS
+    }
 
 
-def cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
+def measure_cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds of the middle block, a value for each repeat, by raster. The rasters take turns."""
     state = WorkerState(warm_up())
     zoom = zooms_by_label(state.scenes.get(level_key(rasters[0])))["own"]
     result: dict[str, list[float]] = {}
     for repeat in range(repeats + 1):
         for raster in rasters:
-            cpu_s = cpu_s_per_block(raster, state, zoom, 1)
+            cpu_s = measure_cpu_s_per_block(raster, state, zoom, 1)
             if repeat:
                 result.setdefault(raster.name, []).append(cpu_s)
     return result
@@ -174,7 +176,7 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
-    view = raster_view(scene, (MIDDLE_XY[0] - half, MIDDLE_XY[1] - half, MIDDLE_XY[0] + half, MIDDLE_XY[1] + half))
+    view = raster_view(scene, (MIDDLE_XY_M[0] - half, MIDDLE_XY_M[1] - half, MIDDLE_XY_M[0] + half, MIDDLE_XY_M[1] + half))
     blocks = len(blocks_of(view.view))
     opened_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
@@ -189,7 +191,7 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
+def find_shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     """Return where the mountain's shadow ends along its middle line, in km from its top, for tiles of each zoom and for ``shade``.
 
     The level's anchor is 60 km west of the mountain. There the sun is 2 degrees high.
@@ -215,13 +217,13 @@ def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     assert served is not None
     for zoom in range(served.first, served.last + 1):
         grid = tile_grid(matrix_sets.get(TILE_MATRIX_SET), zoom)
-        result[f"zoom {zoom}"] = _shadow_end(scene, grid, lon_lat_by_km)
+        result[f"zoom {zoom}"] = _find_shadow_end(scene, grid, lon_lat_by_km)
     shade_view = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
-    result["shade"] = _shadow_end(scene, shade_view.grid, lon_lat_by_km)
+    result["shade"] = _find_shadow_end(scene, shade_view.grid, lon_lat_by_km)
     return result
 
 
-def _shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float, float]]) -> str:
+def _find_shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float, float]]) -> str:
     """Return, as text, the two neighbouring distances in km between which places change from shadow to sun.
 
     ``lon_lat_by_km`` holds longitude and latitude of places by their distance.
@@ -245,10 +247,12 @@ Measurement = Callable[[list[Path], str, int], Any]
 MEASUREMENTS: dict[str, Measurement] = {
     "open": lambda rasters, argument, _: measure_opening(rasters[int(argument)]),
     "worker": lambda rasters, argument, _: measure_first_block(rasters[int(argument.split(":")[0])], argument.split(":")[1]),
-    "flat": lambda rasters, argument, repeats: cpu_by_block_count(rasters[int(argument[0])], BLOCK_SPACINGS[argument[2:]], repeats),
-    "sizes": lambda rasters, _, repeats: cpu_by_raster_size(rasters, repeats),
+    "flat": lambda rasters, argument, repeats: measure_cpu_by_block_count(
+        rasters[int(argument[0])], BLOCK_SPACINGS[argument[2:]], repeats
+    ),
+    "sizes": lambda rasters, _, repeats: measure_cpu_by_raster_size(rasters, repeats),
     "shade": lambda rasters, argument, _: measure_shade(rasters[-1], float(argument)),
-    "far": lambda rasters, _, __: shadow_end_by_zoom(rasters[-1]),
+    "far": lambda rasters, _, __: find_shadow_end_by_zoom(rasters[-1]),
 }
 """Measurements by name: functions of the rasters, the measurement's argument and the number of repeats."""
 

@@ -95,7 +95,7 @@ def frame_targets(frames: dict[FrameKey, RowsBySide], first_frames: dict[str, Ro
     """Return the targets whose figures were measured."""
     result: list[Target] = []
 
-    def add(
+    def add_target(
         target_name: str,
         upper_bound: float,
         rows_now: Sequence[Row] | None,
@@ -106,20 +106,20 @@ def frame_targets(frames: dict[FrameKey, RowsBySide], first_frames: dict[str, Ro
             wall, cpu = (paired_ratio(rows_now, base_rows, value) for value in ("ms", "cpu_ms"))
             result.append(Target(target_name, upper_bound, wall, cpu, is_required=is_required))
 
-    def rows(picture: str, change: str, side: str = NOW_SIDE, plan: str = "planned") -> list[Row] | None:
+    def rows_of(picture: str, change: str, side: str = NOW_SIDE, plan: str = "planned") -> list[Row] | None:
         return frames.get(FrameKey(picture, plan, change), {}).get(side)
 
     for move in ("new", "resting"):
         label = f"SpatialAce as planned, {CHANGE_TEXTS[move]} moved"
         for name, taps in (("512, 1 tap", "1 tap"), ("512, 3 x 3 taps", "3 x 3 taps")):
-            yardstick_rows = rows("SpatialAce", name, YARDSTICK_SIDE, "yardstick")
+            yardstick_rows = rows_of("SpatialAce", name, YARDSTICK_SIDE, "yardstick")
             is_required = move == "new" and taps == "1 tap"
-            add(f"{label} / yardstick, 512 map, {taps}", 3.0, rows("SpatialAce", move), yardstick_rows, is_required)
-        add(f"{label} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE_SIDE), move == "new")
+            add_target(f"{label} / yardstick, 512 map, {taps}", 3.0, rows_of("SpatialAce", move), yardstick_rows, is_required)
+        add_target(f"{label} / before", 0.35, rows_of("SpatialAce", move), rows_of("SpatialAce", move, BASE_SIDE), move == "new")
     for picture in ("valley", "village"):
         for move in ("new", "resting"):
             label = f"wooded {picture} as planned, {CHANGE_TEXTS[move]} moved / before"
-            add(label, 0.4, rows(picture, move), rows(picture, move, BASE_SIDE), move == "new")
+            add_target(label, 0.4, rows_of(picture, move), rows_of(picture, move, BASE_SIDE), move == "new")
     for picture, sides in first_frames.items():
         rows_now = sides[NOW_SIDE]
         for value, label in (("ms", "frame"), ("answer_ms", "frame with its plan")):
@@ -127,10 +127,10 @@ def frame_targets(frames: dict[FrameKey, RowsBySide], first_frames: dict[str, Ro
             cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in rows_now)
             result.append(Target(f"{picture}: first {label} after start / a warm one", 2.0, ratio, cpu, is_required=value == "ms"))
     for picture in ("SpatialAce", "valley", "village"):
-        add(f"{picture}: the sun moves / sun and camera do", 0.6, rows(picture, "sun"), rows(picture, "new"))
-        add(f"{picture}: the camera moves / sun and camera do", 0.7, rows(picture, "camera"), rows(picture, "new"))
-    million = rows("a million trees", "new")
-    add("a million trees / before", 0.5, million, rows("a million trees", "new", BASE_SIDE))
+        add_target(f"{picture}: the sun moves / sun and camera do", 0.6, rows_of(picture, "sun"), rows_of(picture, "new"))
+        add_target(f"{picture}: the camera moves / sun and camera do", 0.7, rows_of(picture, "camera"), rows_of(picture, "new"))
+    million = rows_of("a million trees", "new")
+    add_target("a million trees / before", 0.5, million, rows_of("a million trees", "new", BASE_SIDE))
     if million:
         result.append(Target("a million trees: peak memory", 1.2, max(row["peak_gb"] for row in million), unit=" GB"))
     return result
@@ -197,7 +197,7 @@ def _frame_table(frames: dict[FrameKey, RowsBySide], differences: dict[FrameKey,
         rows_now, base_rows = sides.get(NOW_SIDE) or sides[YARDSTICK_SIDE], sides.get(BASE_SIDE)
         yardstick_rows = frames.get(FrameKey(key.picture, "yardstick", "512, 1 tap"), {}).get(YARDSTICK_SIDE)
 
-        def format_both(
+        def format_before_and_now(
             value: Callable[[Sequence[Row]], str], rows_now: Sequence[Row] = rows_now, base_rows: Sequence[Row] | None = base_rows
         ) -> str:
             return (
@@ -213,8 +213,8 @@ def _frame_table(frames: dict[FrameKey, RowsBySide], differences: dict[FrameKey,
             "" if base_rows is None else f"{median_of(base_rows, 'cpu_ms'):.1f}", f"{median_of(rows_now, 'cpu_ms'):.1f}",
             "" if base_rows is None else f"{paired_ratio(rows_now, base_rows, 'cpu_ms'):.2f}",
             "" if yardstick_rows is None else f"{paired_ratio(rows_now, yardstick_rows):.1f}",
-            format_both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
-            format_both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
+            format_before_and_now(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
+            format_before_and_now(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
             *_equality_cells(differences.get(key)),
         ])  # fmt: skip
     return _table(head, table_rows)

@@ -70,7 +70,7 @@ from benchmarks.frame_tables import (
 from benchmarks.scenes import write_wooded_hills
 
 ROOT = Path(__file__).resolve().parents[1]
-WORKER = Path(__file__).with_name("frame_worker.py")
+WORKER_FILE = Path(__file__).with_name("frame_worker.py")
 
 MILLION_TREES = "a million trees"
 YARDSTICK_VARIANTS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
@@ -125,7 +125,7 @@ class FrameProcess:
 
     def __init__(self, process: subprocess.Popen[str], stderr: IO[bytes]) -> None:
         self._process, self._stderr = process, stderr
-        self.ready = self._answer()
+        self.ready = self._read_answer()
 
     def request(self, operation: str, **parameters: Any) -> Row:
         """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if it fails."""
@@ -135,9 +135,9 @@ class FrameProcess:
             self._process.stdin.flush()
         except BrokenPipeError:
             pass
-        return self._answer()
+        return self._read_answer()
 
-    def _answer(self) -> Row:
+    def _read_answer(self) -> Row:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
@@ -151,7 +151,7 @@ class FrameProcess:
 def frame_process(folder: Path, picture: MeasuredPicture, level: str) -> Iterator[FrameProcess]:
     """Run the process of a side (this checkout, the other commit, or the yardstick) as a context manager."""
     size = f"{picture.size[0]}x{picture.size[1]}"
-    command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
+    command = [sys.executable, "-P", str(WORKER_FILE), level, picture.view, size, json.dumps(picture.plans)]
     with tempfile.TemporaryFile() as stderr:
         process = subprocess.Popen(
             command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, text=True,
@@ -302,7 +302,7 @@ def measure(args: argparse.Namespace) -> FrameMeasurements:
     return measurements
 
 
-def _commit(folder: Path) -> str:
+def _commit_description(folder: Path) -> str:
     process = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
     return process.stdout.strip() or "unknown"
 
@@ -326,7 +326,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     measurements = measure(args)
     result = {
         "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats,
-        "now": _commit(ROOT), "base": _commit(args.base) if args.base else None, "plans": measurements.plans,
+        "now": _commit_description(ROOT), "base": _commit_description(args.base) if args.base else None,
+        "plans": measurements.plans,
         "firsts": measurements.first_frames,
         "frames": [
             {

@@ -34,7 +34,7 @@ from skugga.terrain.scene import Scene, build_scene
 AUTO_ALGORITHM = "auto"
 """Label of the plan of the fixed rules, beside the names of algorithms."""
 
-LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
+FRAME_PRODUCTS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
 """Products of every frame."""
 
 
@@ -62,7 +62,7 @@ def view_hashes(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, 
         return
     yield "plan", array_hash(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
     yield "reach", array_hash(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
-    for layer in LAYERS:
+    for layer in FRAME_PRODUCTS:
         yield layer, array_hash(product_of_frame(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
         yield f"visibility of {light}", array_hash(visibility)

@@ -33,10 +33,11 @@ from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-MAX_CELLS = 4_000_000
+MAX_RAY_CHECK_CELLS = 4_000_000
 """Cells of the largest raster that is compared with rays."""
 
 ALTITUDE_OFFSET_DEG = 0.02
+"""Angle between the horizon and the rays that check it, above and below it."""
 
 
 def measure_ms(function: Callable[[], object]) -> tuple[float, float]:
@@ -125,7 +126,7 @@ def measure_level(name: str, count: int, day: date) -> str:
     warm = np.array([measure_ms(lambda at=at: compute_day_report(scene, at, crs, day)) for at in places[1:]])
     horizons = np.array([measure_ms(lambda at=at: compute_horizon(scene, at, crs)) for at in places[1:]])
     agreement_text = "-"
-    if scene.elevation.rows * scene.elevation.cols <= MAX_CELLS and scene.elevation.is_north_up:
+    if scene.elevation.rows * scene.elevation.cols <= MAX_RAY_CHECK_CELLS and scene.elevation.is_north_up:
         try:
             agreement_text = f"{100.0 * ray_agreement_share(scene, places[:8], crs):.2f} %"
         except InputError:

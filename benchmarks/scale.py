@@ -98,6 +98,7 @@ PYRAMID_AREAS = (
 )
 
 TIMES_PER_DAY = 24
+"""Number of times of a day for which the tables count the tiles of an area."""
 
 
 class NoOpRunner:

@@ -71,16 +71,16 @@ class AccuracyRow:
         Names of the folder and of the raster.
     step_min
         Minutes between two suns; ``None`` for the automatic step.
-    hours, first, last
+    hours_error, first_sun_error, last_sun_error
         Errors of the hours of sun, of the time of the first sun and of the last sun.
     """
 
     folder: str
     raster: str
     step_min: float | None
-    hours: ErrorMinutes
-    first: ErrorMinutes
-    last: ErrorMinutes
+    hours_error: ErrorMinutes
+    first_sun_error: ErrorMinutes
+    last_sun_error: ErrorMinutes
 
 
 def _reject_planning(scene: Scene) -> NoReturn:
@@ -207,7 +207,9 @@ def markdown_table(rows: list[AccuracyRow]) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        error_cells = " | ".join(f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours, row.first, row.last))
+        error_cells = " | ".join(
+            f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours_error, row.first_sun_error, row.last_sun_error)
+        )
         lines.append(f"| {row.folder} | {row.raster} | {_format_step(row.step_min)} | {error_cells} |")
     return "\n".join(lines)
 

@@ -93,7 +93,7 @@ def check_convention(tool: SweepTool) -> None:
             )
 
 
-class Worker:
+class SweepProcess:
     """A process that times several tools, one after another, on a terrain."""
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ def measure_times(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict
 
     The tools take turns.
     """
-    workers = {tool: Worker() for tool in tools}
+    workers = {tool: SweepProcess() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.npy"
         np.save(path, fractal_heights_m(side))

@@ -84,7 +84,7 @@ def short_table(comparison: PeerComparison) -> list[str]:
     """Format the short table: seconds for the largest raster, and means over the suns off the grid's axes and diagonals."""
     rows = []
     for tool in comparison.tools:
-        if tool.ours and tool.name not in SHORT_TABLE_ROWS:
+        if tool.ours and tool.name not in SHORT_TABLE_TOOLS:
             continue
         answers = comparison.results_of(tool, comparison.largest_raster.name, on_axis=False)
         computing, process_s = (float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in answers])) for clock in CLOCKS)
@@ -97,7 +97,7 @@ def short_table(comparison: PeerComparison) -> list[str]:
     return markdown_table(rows)
 
 
-SHORT_TABLE_ROWS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
+SHORT_TABLE_TOOLS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
 

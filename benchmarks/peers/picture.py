@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, standings_by_case
+from benchmarks.peers.figures import ComparedRaster, PeerComparison, ToolStanding, standings_by_case
 
 SKUGGA_COLOR, PEER_COLOR, TEXT_COLOR, GRID_COLOR = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which are safe for colour-blind readers; the shapes of the points differ, too."""
@@ -47,7 +47,7 @@ def write_plot(comparison: PeerComparison, path: Path) -> None:
     Image.open(png).convert("RGB").save(path, quality=90, method=6)
 
 
-def _raster_standings(comparison: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
+def _raster_standings(comparison: PeerComparison, terrain: ComparedRaster) -> list[ToolStanding]:
     return standings_by_case(comparison, "computing")[f"{terrain.name}, mean off the axes"]
 
 
@@ -55,7 +55,7 @@ def _plot_xy(standing: ToolStanding) -> tuple[float, float]:
     return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, ZERO_ERROR_PERCENT)
 
 
-def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> None:
+def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: ComparedRaster) -> None:
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
     axes.grid(color=GRID_COLOR)

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.benchmark_views import IN_SHADOW_VIEW
 from benchmarks.contact_sheet import named_view
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.grades import ERROR_SIZE_PX, MAX_ZERO_ERROR_SHARE, algorithm_errors, errors_by_camera_move
+from benchmarks.seeds.grades import ERROR_SIZE_PX, MAX_ZERO_ERROR_SHARE, measure_algorithm_errors, measure_errors_by_camera_move
 from benchmarks.seeds.times import LIGHT_BY_SUFFIX, measure_times, time_ratio
 from benchmarks.seeds.verdicts import (
     ABBREVIATIONS,
@@ -51,7 +51,7 @@ def measure() -> Figures:
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
         },
         "near": near_times,
-        "paths": {scene: errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
+        "paths": {scene: measure_errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
         "outdoors": {
             " ".join(level_and_view): _view_errors(*level_and_view, OUTDOOR_SIZE_PX, (SM, PSM)) for level_and_view in OUTDOOR_VIEWS
         },
@@ -66,10 +66,10 @@ def measure() -> Figures:
 def _view_errors(level: str, view: str, size: tuple[int, int], algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
     """Return the errors of algorithms in a view of a bundled level."""
     scene = bundled_scene(level)
-    return algorithm_errors(trace_view_truth(scene, named_view(scene, view, size), "main"), algorithms)
+    return measure_algorithm_errors(trace_view_truth(scene, named_view(scene, view, size), "main"), algorithms)
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     views, near_times, paths = figures["views"], figures["near"], figures["paths"]
     times_under_spot = {scene: views[scene] for scene in SCENE_TITLES}
     volume_time_ratios = {name: time_ratio(times, SV, SM) for name, times in views.items()}

@@ -147,8 +147,8 @@ def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
 
 
-def section(figures: Figures) -> Section:
-    def shares(values: dict[str, float]) -> str:
+def make_section(figures: Figures) -> Section:
+    def format_shares(values: dict[str, float]) -> str:
         return format_by_scene(values, format_percent)
 
     def values_of(row: str, metric: str, scenes: tuple[str, ...] = tuple(VIEWS)) -> dict[str, float]:
@@ -179,8 +179,9 @@ def section(figures: Figures) -> Section:
     )
     no_panning = at_most_times(missed_cast[0], MAX_EQUAL_RATIO, missed_cast[1])
     cull_reason = (
-        f"on the ground {shares(missed_ground[0])} is missed, with the slope's bias {shares(missed_ground[1])}; on the bodies "
-        f"{shares(missed_bodies[0])}, and {shares(missed_bodies[1])}"
+        f"on the ground {format_shares(missed_ground[0])} is missed, with the slope's bias {format_shares(missed_ground[1])}; on "
+        "the bodies "
+        f"{format_shares(missed_bodies[0])}, and {format_shares(missed_bodies[1])}"
     )
     partial_shares = {taps: values_of(f"receiver_plane, {taps}", "partial") for taps in TAPS_PER_SIDE}
     taps_soften_edges = all_of(
@@ -197,7 +198,8 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "with too little bias there is acne",
-            f"false shadow without bias: {shares(acne)}; with the slope's: {shares(values_of(SLOPE_BIAS_ROW, 'false_shadow'))} "
+            f"false shadow without bias: {format_shares(acne)}; with the slope's: "
+            f"{format_shares(values_of(SLOPE_BIAS_ROW, 'false_shadow'))} "
             "(held if "
             "at least "
             f"{MIN_ACNE_RATIO:g} times that)",
@@ -211,8 +213,9 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "with too much there is peter-panning: shadow begins away from what throws it",
-            f"missed shadow at {BIAS_SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
-            f"{shares(values_of(SLOPE_BIAS_ROW, 'missed_shadow'))} (held if at least {MIN_PETER_PANNING_RATIO:g} times that)",
+            f"missed shadow at {BIAS_SCALES[-1]:g} times the slope's bias: {format_shares(panning)}; at the slope's own: "
+            f"{format_shares(values_of(SLOPE_BIAS_ROW, 'missed_shadow'))} (held if at least {MIN_PETER_PANNING_RATIO:g} times "
+            "that)",
             shows_panning,
             choose_reason(
                 shows_panning,
@@ -273,8 +276,9 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "in a map of the back faces of closed meshes alone, with the normals asked, no bias is needed",
-            f"wrong of the cast shadow, front faces culled and no bias: {shares(culled)}; with the slope's bias and no culling: "
-            f"{shares(biased)}; neither: {shares(unbiased)} (held if at most {MAX_EQUAL_RATIO:g} times the second)",
+            f"wrong of the cast shadow, front faces culled and no bias: {format_shares(culled)}; with the slope's bias and no "
+            "culling: "
+            f"{format_shares(biased)}; neither: {format_shares(unbiased)} (held if at most {MAX_EQUAL_RATIO:g} times the second)",
             culling_replaces_bias,
             choose_reason(
                 culling_replaces_bias,
@@ -285,8 +289,8 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "and there is no peter-panning then",
-            f"cast shadow that is missed, front faces culled and no bias: {shares(missed_cast[0])}; with the slope's bias: "
-            f"{shares(missed_cast[1])} (held if at most {MAX_EQUAL_RATIO:g} times that)",
+            f"cast shadow that is missed, front faces culled and no bias: {format_shares(missed_cast[0])}; with the slope's bias: "
+            f"{format_shares(missed_cast[1])} (held if at most {MAX_EQUAL_RATIO:g} times that)",
             no_panning,
             choose_reason(
                 no_panning,
@@ -299,12 +303,13 @@ def section(figures: Figures) -> Section:
             COPENHAGEN_REPORT,
             "2 x 2 and 3 x 3 taps make edges ever softer",
             f"points in half shadow, by taps a side: "
-            f"{'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in partial_shares.items())} "
+            f"{'; '.join(f'{taps}: {format_shares(tap_values)}' for taps, tap_values in partial_shares.items())} "
             "(held if none with one, and the more with more)",
             taps_soften_edges,
             "a point at an edge is lit by the share of its taps that are; a bias made for one tap does not do for more: at 3 x 3 "
-            f"visibility is off by {shares(values_of('polygon_offset, 3', 'off'))} with `polygon_offset`, with `receiver_plane` by "
-            f"{shares(values_of('receiver_plane, 3', 'off'))}",
+            f"visibility is off by {format_shares(values_of('polygon_offset, 3', 'off'))} with `polygon_offset`, with "
+            "`receiver_plane` by "
+            f"{format_shares(values_of('receiver_plane, 3', 'off'))}",
         ),
     ]
     keys = ("wrong_cast", "false_shadow", "missed_shadow", "partial", "off")

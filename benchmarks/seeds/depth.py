@@ -114,7 +114,7 @@ MAX_CHANGED_SHARE = 1e-4
 """Largest share of the cast shadow that may differ between two numbers of bits with equal accuracy."""
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     cases = {(name, bias): case for name, by_bias in figures.items() if isinstance(by_bias, dict) for bias, case in by_bias.items()}
     rows_with_fewer_bits = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, DEPTH_BITS[:-1])]
     rows_over_bound = [(key, bits, row) for key, bits, row in rows_with_fewer_bits if row["changed"] > row["bound"]]

@@ -55,7 +55,7 @@ def format_devices(measured: FiguresByDevice) -> str:
 def format_experiment(name: str, experiment: Experiment, measured: FiguresByDevice) -> str | None:
     """Format an experiment's section as Markdown, with the figures of all devices that ran it; ``None`` without figures."""
     sections = {
-        device: experiment.section(device_figures["experiments"][name])
+        device: experiment.make_section(device_figures["experiments"][name])
         for device, device_figures in measured.items()
         if name in device_figures["experiments"]
     }

@@ -58,7 +58,7 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 """The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
 
 
-def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
+def measure_algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
     """Return errors by algorithm, with two figures on the wrong pixels.
 
     ``on_foliage`` is the share of wrong pixels on foliage. ``texel_px`` is the median size of a shadow map texel at wrong pixels.
@@ -76,7 +76,7 @@ def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = TH
 
 
 @cache
-def errors_by_camera_move(level: str) -> list[Figures]:
+def measure_errors_by_camera_move(level: str) -> list[Figures]:
     """Return the errors in a level's main view from several camera positions.
 
     The camera moves to its right by each of ``CAMERA_MOVES``, shares of the median distance of the visible points.
@@ -86,12 +86,12 @@ def errors_by_camera_move(level: str) -> list[Figures]:
     assert isinstance(view, PerspectiveView)
     aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
     moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
-    return [algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
+    return [measure_algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
 
 
 def measure() -> Figures:
     return {
-        "paths": {scene: errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
+        "paths": {scene: measure_errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
         "times": {
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
         },
@@ -175,7 +175,7 @@ def contradicted_pairs(column: str, measured: dict[tuple[str, str], float]) -> d
     return result
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     measured = _figures_by_column(figures)
     rows = []
     for scene in SCENE_TITLES:

@@ -37,7 +37,7 @@ THESIS_MAP_SIZE = 2048
 WIDE_CUTOFF_DEG = 58.0
 """The cut-off angle of the thesis's water tower, by its own listing."""
 
-SHARP_EDGE_PX = 1.0
+MAX_SHARP_EDGE_PX = 1.0
 """A shadow is sharp if the 95th percentile of its edge displacement is at most this, the smallest nonzero value."""
 
 MAX_PREDICTION_RATIO = 1.35
@@ -103,7 +103,7 @@ def measure() -> Figures:
     return {"rows": rows}
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     rows = figures["rows"]
     least_deg, wide_deg = (min(row["cutoff_deg"] for row in rows), max(row["cutoff_deg"] for row in rows))
     narrow_rows, wide_rows = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))
@@ -115,10 +115,10 @@ def section(figures: Figures) -> Section:
         for part in (narrow_rows, wide_rows)
         for a, b in zip(part, part[1:], strict=False)
     )
-    sharp = fine_row["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
+    sharp = fine_row["edge_p95"] <= MAX_SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
     edges_become_sharp = all_of((is_decreasing, sharp))
     wide_is_worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(narrow_rows, wide_rows, strict=True))
-    wide_stays_jagged = all_of((wide_is_worse, fine_wide["edge_p95"] > SHARP_EDGE_PX))
+    wide_stays_jagged = all_of((wide_is_worse, fine_wide["edge_p95"] > MAX_SHARP_EDGE_PX))
     prediction_holds = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), MAX_PREDICTION_RATIO)
     displacement_text = f"95 % of the edges are off by at most {fine_row['edge_p95']:.1f} px"
     claims = [
@@ -129,7 +129,7 @@ def section(figures: Figures) -> Section:
             f"{format_percent(fine_row['wrong_cast'])} at "
             f"{THESIS_MAP_SIZE}, where {displacement_text} (held if each size is better than the one before, and `edge_p95` at "
             "most "
-            f"{SHARP_EDGE_PX:g} px there)",
+            f"{MAX_SHARP_EDGE_PX:g} px there)",
             edges_become_sharp,
             choose_reason(
                 edges_become_sharp,
@@ -145,7 +145,7 @@ def section(figures: Figures) -> Section:
             f"{format_percent(fine_wide['wrong_cast'])} wrong at {THESIS_MAP_SIZE} under {wide_deg:.0f}°, beside "
             f"{format_percent(fine_row['wrong_cast'])} under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held "
             "if worse "
-            f"at every size, and over {SHARP_EDGE_PX:g} px)",
+            f"at every size, and over {MAX_SHARP_EDGE_PX:g} px)",
             wide_stays_jagged,
             choose_reason(
                 wide_stays_jagged,

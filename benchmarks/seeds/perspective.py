@@ -43,10 +43,10 @@ SUN_ALTITUDE_DEG = 28.0
 FLOOR_SIDE_M = 280.0
 """Side of the floor, metres. The bundled floor of 200 m does not reach a light ahead of the viewer."""
 
-EQUAL_FACTOR = 1.25
+MAX_EQUAL_FACTOR = 1.25
 """Errors that differ by at most this factor count as about equal."""
 
-WORSE_FACTOR = 1.5
+MIN_WORSE_FACTOR = 1.5
 
 NEAR_SPOT_DISTANCE_SHARES = (1.5, 0.5, 0.25)
 """Distances of the spot light from the objects in figure 55, as shares of the camera's distance."""
@@ -236,7 +236,7 @@ def measure_bad_case() -> Figures:
     return {"rows": rows}
 
 
-def section_light_direction(figures: Figures) -> Section:
+def make_light_direction_section(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["map"]): row for row in figures["rows"]}
 
     def ratio(light: str, map_name: str, other: str, key: str = "wrong_cast") -> float:
@@ -250,7 +250,7 @@ def section_light_direction(figures: Figures) -> Section:
     far_is_worse = at_least(farthest, 1.0)
     front_ratios = {light: ratio(light, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP) for light in (SPOT_FRONT, NEAR_SPOT_FRONT, SUN_FRONT)}
     front_is_equal = all_of(
-        (at_most(front_ratios[SPOT_FRONT], EQUAL_FACTOR), at_least(front_ratios[SPOT_FRONT], 1.0 / EQUAL_FACTOR))
+        (at_most(front_ratios[SPOT_FRONT], MAX_EQUAL_FACTOR), at_least(front_ratios[SPOT_FRONT], 1.0 / MAX_EQUAL_FACTOR))
     )
     edge_error_px = {
         light: row_by_key[light, UNIFORM_MAP]["cast_edge_mean"] for light in (SPOT_RIGHT, SPOT_FRONT, NEAR_SPOT_FRONT, SPOT_BEHIND)
@@ -260,7 +260,7 @@ def section_light_direction(figures: Figures) -> Section:
         ratio(SPOT_AT_EYE, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP),
     )
     uniform_suits_lamp_at_eye = all_of(
-        (at_least(ratio_at_eye, 1.0 / EQUAL_FACTOR), at_most(edge_error_at_eye_px, min(edge_error_px.values())))
+        (at_least(ratio_at_eye, 1.0 / MAX_EQUAL_FACTOR), at_most(edge_error_at_eye_px, min(edge_error_px.values())))
     )
     perspective_gains = {
         light: ratio(light, FITTED_UNIFORM_MAP, BEST_SLIDE_BACK) for light in (SPOT_RIGHT, WIDE_SPOT_RIGHT, SUN_RIGHT)
@@ -294,7 +294,7 @@ def section_light_direction(figures: Figures) -> Section:
             "with the light in front both are about equal: near objects are far from a spot, and the two perspectives cancel",
             f"wrong with perspective over without, both fitted: {format_ratio(front_ratios[SPOT_FRONT])} under a spot "
             f"{LIGHTS[SPOT_FRONT][1]:.0f} m "
-            f"ahead (held if within a factor of {EQUAL_FACTOR}), {format_ratio(front_ratios[NEAR_SPOT_FRONT])} under one "
+            f"ahead (held if within a factor of {MAX_EQUAL_FACTOR}), {format_ratio(front_ratios[NEAR_SPOT_FRONT])} under one "
             f"{LIGHTS[NEAR_SPOT_FRONT][1]:.0f} m ahead, "
             f"{format_ratio(front_ratios[SUN_FRONT])} under the sun",
             front_is_equal,
@@ -317,7 +317,7 @@ def section_light_direction(figures: Figures) -> Section:
             "by "
             f"{min(edge_error_px.values()):.2f} to {max(edge_error_px.values()):.2f} px; wrong with perspective over without: "
             f"{format_ratio(ratio_at_eye)} "
-            f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL_FACTOR})",
+            f"(held if off by the least, and perspective lowers errors by at most a factor of {MAX_EQUAL_FACTOR})",
             uniform_suits_lamp_at_eye,
             choose_reason(
                 uniform_suits_lamp_at_eye,
@@ -374,7 +374,7 @@ def section_light_direction(figures: Figures) -> Section:
     )
 
 
-def section_bad_case(figures: Figures) -> Section:
+def make_bad_case_section(figures: Figures) -> Section:
     row_by_key = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
     places = list(dict.fromkeys(key[:3] for key in row_by_key))
     near_places = [place for place in places if place[2] < 1.0]
@@ -386,20 +386,20 @@ def section_bad_case(figures: Figures) -> Section:
         ]
 
     worst = {variant: max(ratios_to_uniform(variant)) for variant in MAP_VARIANTS}
-    is_bad = at_least(worst[PERSPECTIVE_MAP], WORSE_FACTOR)
+    is_bad = at_least(worst[PERSPECTIVE_MAP], MIN_WORSE_FACTOR)
     stretching_is_cause = all_of(
-        (at_least(worst[SHORTEST_SLIDE_BACK], WORSE_FACTOR), at_most(worst[FITTED_UNIFORM_MAP], WORSE_FACTOR))
+        (at_least(worst[SHORTEST_SLIDE_BACK], MIN_WORSE_FACTOR), at_most(worst[FITTED_UNIFORM_MAP], MIN_WORSE_FACTOR))
     )
     uniform_fallback_count = sum(row_by_key[*place, PERSPECTIVE_MAP]["note"].startswith("a uniform map") for place in near_places)
     claims = [
         Claim(
             f"{THESIS}, figure 55",
             "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
-            f"in {sum(ratio > WORSE_FACTOR for ratio in ratios_to_uniform(PERSPECTIVE_MAP))} of {len(near_places)} such places "
+            f"in {sum(ratio > MIN_WORSE_FACTOR for ratio in ratios_to_uniform(PERSPECTIVE_MAP))} of {len(near_places)} such places "
             "over "
-            f"{WORSE_FACTOR:g} "
+            f"{MIN_WORSE_FACTOR:g} "
             f"times the errors of the uniform map; at worst {format_ratio(worst[PERSPECTIVE_MAP])} times (held if over "
-            f"{WORSE_FACTOR:g} anywhere)",
+            f"{MIN_WORSE_FACTOR:g} anywhere)",
             is_bad,
             choose_reason(
                 is_bad,
@@ -417,7 +417,7 @@ def section_bad_case(figures: Figures) -> Section:
             "the errors of the "
             f"uniform map; the same receivers without perspective up to {format_ratio(worst[FITTED_UNIFORM_MAP])} times (held if "
             "the former is "
-            f"over, the latter at most {WORSE_FACTOR:g})",
+            f"over, the latter at most {MIN_WORSE_FACTOR:g})",
             stretching_is_cause,
             choose_reason(
                 stretching_is_cause,

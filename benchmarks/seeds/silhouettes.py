@@ -45,7 +45,7 @@ REPEATS = 7
 SHADOWED_EYE_VIEW = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
 
-SAME_PICTURE_SHARE = 1e-4
+MAX_SAME_PICTURE_SHARE = 1e-4
 """Pictures count as the same if at most this share of their pixels differs."""
 
 MAX_WRONG_SHARE = 0.001
@@ -192,7 +192,7 @@ def _measure_shadowed_eye() -> dict[str, float]:
     return wrong_shares
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     scenes, shadowed_eye_errors = figures["scenes"], figures["inside"]
     rows = scenes.values()
 
@@ -207,7 +207,7 @@ def section(figures: Figures) -> Section:
 
     differing_polygons, differing_sides = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
     fewer_volumes = all_of(
-        [*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(differing_polygons, SAME_PICTURE_SHARE)]
+        [*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(differing_polygons, MAX_SAME_PICTURE_SHARE)]
     )
     search_is_slower = any_of(at_least(relative_cost(row, "search"), 1.0) for row in rows)
     edge_table_is_faster = all_of(at_most(relative_cost(row, "structure"), 1.0) for row in rows)
@@ -223,7 +223,7 @@ def section(figures: Figures) -> Section:
             "sides that are drawn, as a share of those without: "
             f"{format_for_scenes(lambda row: row['sides'] / row['sides_polygons'])}; of "
             f"the pixels {format_max_percent(differing_polygons)} differ (held if fewer everywhere, and at most "
-            f"{format_percent(SAME_PICTURE_SHARE)} differ)",
+            f"{format_percent(MAX_SAME_PICTURE_SHARE)} differ)",
             fewer_volumes,
             choose_reason(
                 fewer_volumes,
@@ -269,7 +269,7 @@ def section(figures: Figures) -> Section:
             fewer_faces,
             (
                 "a cap lies on a surface that is drawn, and is never before what is seen. "
-                if differing_sides <= SAME_PICTURE_SHARE
+                if differing_sides <= MAX_SAME_PICTURE_SHARE
                 else ""
             )
             + "The engine draws caps for z-pass too, and leaves out faces wholly on the side of the points that does not count "

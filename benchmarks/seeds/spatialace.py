@@ -52,7 +52,7 @@ THESIS_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68
 BLOCK_PX = 16
 """Side of the blocks whose shadow shares are compared."""
 
-TERMINATOR_TEXELS = 2.0
+TERMINATOR_DISTANCE_TEXELS = 2.0
 """Distance behind the first hit of a ray from the sun, in texels, up to which a point counts as near the terminator."""
 
 MIN_STEEP_GROWTH, MAX_FLAT_GROWTH, MIN_LARGE_GAIN = 1.5, 1.1, 2.0
@@ -84,7 +84,7 @@ def measure() -> Figures:
 
     return {
         "times": {f"{name} {size}": {"ratio": row["ratio"], "draws": row["map_draws"]} for (name, size), row in rows.items()},
-        "passes_ms": _passes_ms(truth_view, {size: truth_view.plan(filtered_overrides(size, 16)) for size in MAP_SIZES}),
+        "passes_ms": _measure_passes_ms(truth_view, {size: truth_view.plan(filtered_overrides(size, 16)) for size in MAP_SIZES}),
         "quality": {str(size): quality(filtered_overrides(size, 16)) for size in MAP_SIZES},
         "deeper": {str(size): quality(filtered_overrides(size, 24)) for size in MAP_SIZES},
         "without": quality({"algorithm": "none"}),
@@ -97,7 +97,7 @@ def measure() -> Figures:
     }
 
 
-def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
+def _measure_passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
     """Return by map size the median milliseconds of drawing a shadow map and of looking it up. The sizes take turns."""
 
     def draw_frame(plan: Plan) -> PassLog:
@@ -122,7 +122,7 @@ def _measure_away_facing_surfaces(truth_view: ViewWithTruth, plan: Plan) -> dict
     Their normals are flipped, so that the map treats them as receivers. The figures are:
 
     * ``lit``: the share of such surfaces that the map leaves lit.
-    * ``near``: the share that lies within ``TERMINATOR_TEXELS`` texels, along the rays, behind the first hit from the sun.
+    * ``near``: the share that lies within ``TERMINATOR_DISTANCE_TEXELS`` texels, along the rays, behind the first hit from the sun.
     * ``lit_near``: the same share among the surfaces that are left lit.
     """
     faces_away = truth_view.faces_away
@@ -134,7 +134,7 @@ def _measure_away_facing_surfaces(truth_view: ViewWithTruth, plan: Plan) -> dict
     settings = shared_settings(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     texel_m = max(settings.cascades[0].texel_m)
-    near_terminator = sees_sun_when_moved(truth_view, flipped, TERMINATOR_TEXELS * texel_m) & faces_away
+    near_terminator = sees_sun_when_moved(truth_view, flipped, TERMINATOR_DISTANCE_TEXELS * texel_m) & faces_away
     return {
         "texel_m": texel_m,
         "turned": float(faces_away.sum() / truth_view.buffer.valid.sum()),
@@ -144,7 +144,7 @@ def _measure_away_facing_surfaces(truth_view: ViewWithTruth, plan: Plan) -> dict
     }
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     frames, pass_times_ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
     first, last = str(MAP_SIZES[0]), str(MAP_SIZES[-1])
     growth = {mode: frames[f"{mode} {last}"]["ratio"] / frames[f"{mode} {first}"]["ratio"] for mode in THESIS_FPS}
@@ -250,7 +250,8 @@ def section(figures: Figures) -> Section:
             "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
             f"of the surface turned away a biased map of {THESIS_MAP_SIZE} alone leaves {format_percent(hidden_figures['lit'])} "
             "lit, and "
-            f"{format_whole_percent(hidden_figures['lit_near'])} of that lies within {TERMINATOR_TEXELS:g} texels, along the "
+            f"{format_whole_percent(hidden_figures['lit_near'])} of that lies within {TERMINATOR_DISTANCE_TEXELS:g} texels, along "
+            "the "
             "rays, of what "
             f"the sun meets first, where {format_whole_percent(hidden_figures['near'])} of all that is turned away lies; decided "
             "by the "

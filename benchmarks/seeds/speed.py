@@ -72,7 +72,7 @@ MAX_INDEPENDENT_RATIO = 1.25
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
 
 
-def times_by_picture_size(level: str) -> Figures:
+def measure_times_by_picture_size(level: str) -> Figures:
     """Return times in a level's main view by algorithm and picture size: full size, and a quarter of the pixels."""
     runs = {}
     for size in (SIZE_PX, HALF_SIZE_PX):
@@ -107,7 +107,7 @@ def measure_stages() -> Figures:
         "views": {
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
         },
-        "sizes": times_by_picture_size("thesis_water_tower"),
+        "sizes": measure_times_by_picture_size("thesis_water_tower"),
         "frames": measure_whole_frames("thesis_water_tower"),
     }
 
@@ -117,7 +117,7 @@ def measure_stencil() -> Figures:
     return {"levels": {level: measure_times(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
 
 
-def section_stages(figures: Figures) -> Section:
+def make_stages_section(figures: Figures) -> Section:
     tables, claims = [], []
     for sun, light in LIGHT_BY_SUFFIX.items():
         views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENE_TITLES}
@@ -375,7 +375,7 @@ def _frame_claims(frames: Figures) -> list[Claim]:
     ]
 
 
-def section_stencil(figures: Figures) -> Section:
+def make_stencil_section(figures: Figures) -> Section:
     rows = [
         {
             "scene": scene_title(level),

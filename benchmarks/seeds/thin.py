@@ -12,7 +12,7 @@ FRAME_SIZE_PX = (1280, 1024)
 
 MAP_SIZES = (128, 256, 512, 1024)
 SHOWN_MAP_SIZES = (128, 512)
-MASKS = ("original", "conservative")
+HYBRID_MASKS = ("original", "conservative")
 
 MAX_WRONG_SHARE = 0.001
 """Maximum wrong share of the cast shadow of an exact algorithm. The rasteriser snaps edges to 1/256 of a pixel."""
@@ -24,7 +24,7 @@ def measure() -> Figures:
     """Measure the shadow of the water tower's ladder and braces with hybrids, by map size."""
     rows, pictures = [], []
     truth_view = view_with_truth(bundled_scene("thesis_water_tower"), "close", FRAME_SIZE_PX)
-    for mask in MASKS:
+    for mask in HYBRID_MASKS:
         for map_size in MAP_SIZES:
             drawn_variant = draw_variant(truth_view, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
             rows.append({"mask": mask, "map_size": map_size, **drawn_variant.figures})
@@ -35,8 +35,8 @@ def measure() -> Figures:
     return {"rows": rows}
 
 
-def section(figures: Figures) -> Section:
-    original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in MASKS)
+def make_section(figures: Figures) -> Section:
+    original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in HYBRID_MASKS)
     coarse_row, fine_row = original[0], original[-1]
     worst = max(row["wrong_cast"] for row in conservative)
     small_map_misses = all_of(

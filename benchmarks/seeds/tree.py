@@ -139,7 +139,7 @@ def measure() -> Figures:
     }
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
 
     def worst(algorithm: str, metric: str) -> float:

@@ -21,10 +21,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 from benchmarks.sun_questions.commands_and_rasters import RASTERS, read_dem, tool_versions
-from benchmarks.sun_questions.day_hours import HOURS, convention_check, hours_tools, measure_hours
+from benchmarks.sun_questions.day_hours import HOURS_QUESTION, convention_check, hours_tools, measure_hours
 from benchmarks.sun_questions.figures import ConventionCheck, QuestionCase, SunAnswer, SunComparison
-from benchmarks.sun_questions.many_masks import MASKS, measure_masks
-from benchmarks.sun_questions.one_horizon import HORIZON, horizon_tools, measure_horizons, points_by_kind
+from benchmarks.sun_questions.many_masks import MASKS_QUESTION, measure_masks
+from benchmarks.sun_questions.one_horizon import HORIZON_QUESTION, horizon_tools, measure_horizons, points_by_kind
 from benchmarks.sun_questions.page import format_sun_page
 from benchmarks.sweep_speed import processor_name
 
@@ -32,7 +32,7 @@ FOLDER = Path(__file__).parent
 FIGURES_FILE = FOLDER / "sun_questions.json"
 PAGE = FOLDER.parents[1] / "docs" / "sun-questions.md"
 
-QUESTION_BY_OPTION = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
+QUESTION_BY_OPTION = {"hours": HOURS_QUESTION, "point": HORIZON_QUESTION, "masks": MASKS_QUESTION}
 
 
 REPEATS = 2
@@ -65,7 +65,7 @@ class Measurements:
             if dem is not None:
                 rows, cols = dem.height_m.shape
                 self._add_case(
-                    HOURS,
+                    HOURS_QUESTION,
                     name,
                     f"{description}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled",
                 )
@@ -79,7 +79,9 @@ class Measurements:
             if dem is not None:
                 rows, cols = dem.height_m.shape
                 for place in points_by_kind(dem):
-                    self._add_case(HORIZON, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m")
+                    self._add_case(
+                        HORIZON_QUESTION, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m"
+                    )
                 for answer in measure_horizons(horizon_tools(self._python), dem, REPEATS, self.left_out):
                     self._add_answer(answer)
 
@@ -90,7 +92,7 @@ class Measurements:
         if dem is not None:
             rows, cols = dem.height_m.shape
             self._add_case(
-                MASKS, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled"
+                MASKS_QUESTION, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled"
             )
             for answer in measure_masks(self._python, dem, 2 * self._cells, self.left_out):
                 self._add_answer(answer)

@@ -27,7 +27,7 @@ from skugga.terrain.ground.sheet import sheet_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
-MASKS = "31 masks of a day"
+MASKS_QUESTION = "31 masks of a day"
 
 MASK_COUNT, MASK_STEP_MIN, FIRST_MASK_FROM_NOON_MIN = 31, 23, -345
 """Number of masks, minutes between two masks, and minutes from mean noon to the first mask."""
@@ -151,7 +151,7 @@ def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[Su
         job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
         runs.append(tool.run(job))
         if tool.decode_mask is not None:
-            mask_samples.append(tool.mask(job)[truth.row, truth.col])
+            mask_samples.append(tool.read_mask(job)[truth.row, truth.col])
     error_share = error_as_is = None
     if mask_samples:
         lit_stack = np.stack(mask_samples)
@@ -164,7 +164,7 @@ def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[Su
         fastest_start = min(runs, key=lambda run: run.wall_s - (run.compute_s or 0.0))
         compute_s, overhead_s = sum(computing) * seconds_factor, fastest_start.wall_s - (fastest_start.compute_s or 0.0)
         yield SunAnswer(
-            MASKS,
+            MASKS_QUESTION,
             dem.name,
             f"{tool.name}, one process at best",
             False,
@@ -188,7 +188,9 @@ def _mask_answer(
     seconds_factor: float = 1.0,
 ) -> SunAnswer:
     wall_s, cpu_s = (seconds_factor * sum(getattr(run, cost) for run in runs) for cost in ("wall_s", "cpu_s"))
-    return SunAnswer(MASKS, dem.name, name, is_skugga, None, wall_s, cpu_s, error_share, None, error_as_is, seconds_factor > 1.0)
+    return SunAnswer(
+        MASKS_QUESTION, dem.name, name, is_skugga, None, wall_s, cpu_s, error_share, None, error_as_is, seconds_factor > 1.0
+    )
 
 
 def _read_and_delete(path: Path, truth: MaskTruth, decode_mask: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

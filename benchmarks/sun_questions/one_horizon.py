@@ -14,7 +14,7 @@ from benchmarks.peers.tools import run_process
 from benchmarks.sun_questions.commands_and_rasters import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
 
-HORIZON = "horizon at a point"
+HORIZON_QUESTION = "horizon at a point"
 
 AZIMUTH_STEP_DEG = 0.5
 """Degrees between two directions of a horizon of 720 directions."""
@@ -34,7 +34,7 @@ EPSILON = 1e-9
 MARGIN_SHARE = 0.15
 """Minimum distance of points from the rim, as a share of the raster's sides."""
 
-STREET_CELLS = 15
+MAX_WALL_DISTANCE_CELLS = 15
 """Maximum distance of the walls on both sides of a street, cells."""
 
 
@@ -138,10 +138,11 @@ def points_by_kind(dem: QuestionDem) -> dict[str, tuple[int, int]]:
 
     if dem.name == "Essen":
         wall_heights_m = [
-            np.max([np.roll(inner, side * n, axis=1) for n in range(3, STREET_CELLS)], axis=0) - inner for side in (-1, 1)
+            np.max([np.roll(inner, side * n, axis=1) for n in range(3, MAX_WALL_DISTANCE_CELLS)], axis=0) - inner
+            for side in (-1, 1)
         ]
         lower_wall_m = np.minimum(*wall_heights_m)
-        lower_wall_m[:, :STREET_CELLS] = lower_wall_m[:, -STREET_CELLS:] = 0.0
+        lower_wall_m[:, :MAX_WALL_DISTANCE_CELLS] = lower_wall_m[:, -MAX_WALL_DISTANCE_CELLS:] = 0.0
         return {"street": cell_of_max(lower_wall_m)}
     down, right = np.gradient(inner)
     return {"summit": cell_of_max(inner), "valley": cell_of_max(-inner), "slope": cell_of_max(np.hypot(down, right))}
@@ -251,7 +252,7 @@ def measure_horizons(tools: list[HorizonTool], dem: QuestionDem, repeats: int, l
             compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
             unmeasured_s = compute_s * (1.0 / tool.direction_share - 1.0)
             yield SunAnswer(
-                HORIZON, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + unmeasured_s,
+                HORIZON_QUESTION, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + unmeasured_s,
                 float(np.median([run.wall_s for run in whole_runs])) + unmeasured_s,
                 float(np.median([run.cpu_s for run in whole_runs])) + unmeasured_s,
                 float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(error_as_is_deg.mean()),

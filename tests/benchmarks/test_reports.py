@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from benchmarks.reports import __main__ as reports
-from benchmarks.reports.measure import MAX_BYTES, stored_figures, write_report
+from benchmarks.reports.measure import MAX_REPORT_BYTES, stored_figures, write_report
 from benchmarks.reports.page import format_comparisons, omitted_row_commands
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
@@ -58,7 +58,7 @@ def test_the_page_links_exactly_the_existing_reports() -> None:
 def test_a_published_report_is_one_small_file(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
     text, stored_record = report.read_text(encoding="utf-8"), reports.stored_records()[name]
-    assert report.stat().st_size < MAX_BYTES
+    assert report.stat().st_size < MAX_REPORT_BYTES
     assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "the page loads no other file"
     assert f"<dd>{stored_record['made']}</dd>" in text, "the page names the run of the report"
     assert all(row in text for row in stored_record["rows"])
@@ -129,10 +129,10 @@ def test_names_of_rows_in_sentences_are_code() -> None:
 
 def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report("å" * (MAX_BYTES // 2 - 1), path)
+    write_report("å" * (MAX_REPORT_BYTES // 2 - 1), path)
     with pytest.raises(RuntimeError, match="less than 1000000"):
-        write_report("å" * (MAX_BYTES // 2), path)
-    assert path.stat().st_size == MAX_BYTES - 2
+        write_report("å" * (MAX_REPORT_BYTES // 2), path)
+    assert path.stat().st_size == MAX_REPORT_BYTES - 2
 
 
 def test_a_failed_scene_is_reported_and_the_others_are_made(

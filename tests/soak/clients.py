@@ -62,11 +62,11 @@ class Connection:
         response_headers: dict[str, str] = {}
         request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
-            first_line = b"" if self._streams is None else await self._ask(request)
+            first_line = b"" if self._streams is None else await self._send(request)
             if not first_line:  # the service closes connections that were idle for some seconds
                 self.close()
                 self._streams = await asyncio.open_connection("127.0.0.1", self._port, local_addr=(self._address, 0))
-                first_line = await self._ask(request)
+                first_line = await self._send(request)
             reader, _ = self._streams
             status = int(first_line.split()[1])
             while (line := (await reader.readline()).decode("latin-1").strip()) != "":
@@ -117,7 +117,7 @@ async def open_loop(
 ) -> Answers:
     """Send requests at a steady rate, whether or not earlier ones have been answered.
 
-    Answers to the requests of the first ``skip_s`` seconds are not recorded.
+    Answers to the requests of the first ``warm_up_s`` seconds are not recorded.
     """
     answers, warm_up_answers, idle_connections, running = Answers(), Answers(), list[Connection](), set[asyncio.Task[None]]()
 

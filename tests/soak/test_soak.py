@@ -77,7 +77,7 @@ def test_overload_is_refused_and_latency_holds(tmp_path: Path, capsys: pytest.Ca
 
         async def overload() -> list[Answers]:
             return await asyncio.gather(
-                open_loop(port, lambda: next(suns), 4.0 * rate, DURATION_S, skip_s=WARM_UP_S),
+                open_loop(port, lambda: next(suns), 4.0 * rate, DURATION_S, warm_up_s=WARM_UP_S),
                 open_loop(port, lambda: TILE, 20.0, DURATION_S + WARM_UP_S),
                 open_loop(port, lambda: "/healthz", 20.0, DURATION_S + WARM_UP_S),
                 open_loop(port, lambda: TILE, 20.0, DURATION_S + WARM_UP_S, f"If-None-Match: {etag}\r\n"),
