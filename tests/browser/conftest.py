@@ -41,7 +41,7 @@ WINDOW_SIZE_PX = ViewportSize(width=1280, height=800)
 READY_TIMEOUT_S, DRAWN_TIMEOUT_S = 180, 90
 """Timeouts of the service's start, at which a render worker may compile, and of drawing a map."""
 
-STILL_FRAMES = 3
+EQUAL_SCREENSHOT_COUNT = 3
 """Number of equal screenshots in a row after which the map counts as drawn. Tiles fade in after they arrive."""
 
 MARGIN_PX = 6
@@ -126,7 +126,7 @@ class Viewer(WatchedPage):
         """Return the level on the map, once all tiles are drawn and the picture is still."""
         end = time.monotonic() + DRAWN_TIMEOUT_S
         before, equal_count = None, 0
-        while equal_count < STILL_FRAMES:
+        while equal_count < EQUAL_SCREENSHOT_COUNT:
             self.wait_until_settled()
             pixels = self.pixels(self.level_rectangle())
             equal_count = equal_count + 1 if before is not None and np.array_equal(before, pixels) else 1

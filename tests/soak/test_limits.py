@@ -169,7 +169,7 @@ def film_orders() -> Iterator[dict[str, Any]]:
     return (DAY | {"fps": 1 + number % 30, "size": [320 + 2 * (number // 30), 240]} for number in itertools.count())
 
 
-class Load:
+class BackgroundLoad:
     """Clients in threads that request pictures and films of a service until they are stopped."""
 
     def __init__(self, port: int, observed_answers: ObservedAnswers) -> None:
@@ -295,7 +295,7 @@ def remaining_after_wait(processes: Callable[[], list[int]], timeout_s: float = 
 # Threads
 
 
-def as_limited_user() -> list[str]:
+def limited_user_command() -> list[str]:
     """Return a command that runs another one as a user whose number of processes is limited.
 
     Root's is not. The other user may read and write all files, since the interpreter can be in root's home folder.
@@ -314,7 +314,7 @@ def as_limited_user() -> list[str]:
 def set_process_limit(pid: int, limit: int) -> None:
     """Set the soft limit of the processes and threads of a process's user (RLIMIT_NPROC), for the calls of that process."""
     soft = "unlimited" if limit == resource.RLIM_INFINITY else str(limit)
-    subprocess.run([*as_limited_user(), "prlimit", f"--pid={pid}", f"--nproc={soft}:"], check=True, timeout=30)
+    subprocess.run([*limited_user_command(), "prlimit", f"--pid={pid}", f"--nproc={soft}:"], check=True, timeout=30)
 
 
 def test_service_survives_moments_without_threads(tmp_path: Path, capsys: pytest.CaptureFixture):
@@ -326,14 +326,14 @@ def test_service_survives_moments_without_threads(tmp_path: Path, capsys: pytest
     if shutil.which("prlimit") is None:
         pytest.skip("prlimit is not installed")
     observed_answers, ready_after_s = ObservedAnswers(), []
-    with service(tmp_path, as_limited_user(), SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
+    with service(tmp_path, limited_user_command(), SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
         original = fetch_picture(port, TILE)
         replace_raster(tmp_path, upside_down=True)
         wait_for_picture(port, lambda body: body != original)
         finished_film = address_of_ended_film(
             port, send(port, "/levels/hills/animations", DAY | {"size": [256, 256]}), ObservedAnswers()
         )
-        load = Load(port, observed_answers)
+        load = BackgroundLoad(port, observed_answers)
         original_limit = resource.getrlimit(resource.RLIMIT_NPROC)[0]
         for moment in range(MOMENT_COUNT):
             start_s = time.monotonic()
@@ -376,7 +376,7 @@ def test_service_survives_few_file_handles(tmp_path: Path, capsys: pytest.Captur
             open_counts = {pid: descriptor_count(pid) for pid in pids}
             counts.append(open_counts[process.pid])
             limits = {pid: 64 if spare is None else count + spare for pid, count in open_counts.items()}
-            load = Load(port, observed_answers)
+            load = BackgroundLoad(port, observed_answers)
             with load.running():
                 time.sleep(0.5)
                 with soft_limit(resource.RLIMIT_NOFILE, limits):
@@ -420,7 +420,7 @@ def test_service_survives_little_memory(tmp_path: Path, capsys: pytest.CaptureFi
     with service(tmp_path, SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
         original = fetch_picture(port, TILE)
         for number, spare_mib in enumerate((256, 64, 8, 0)):
-            load = Load(port, observed_answers)
+            load = BackgroundLoad(port, observed_answers)
             with load.running():
                 time.sleep(0.5)
                 sizes = {pid: address_space(pid) for pid in [process.pid, *render_processes(process.pid)]}
@@ -505,7 +505,7 @@ def test_full_disk_leaves_no_damaged_output(tmp_path: Path, capsys: pytest.Captu
             archive = disk / "hills.pmtiles"
             for free_bytes in (0, 4096, 2**16):
                 filler = fill_disk(disk, free_bytes)
-                with Load(port, observed_answers).running():
+                with BackgroundLoad(port, observed_answers).running():
                     status, output = run_command(seed_arguments(tmp_path / "hills.yaml", archive), environment)
                     messages.append(output.strip().splitlines()[-1])
                     assert status == 1 and "No space left on device" in output and "Traceback" not in output, (status, output)
@@ -590,7 +590,7 @@ def test_killed_render_processes_change_no_picture(request_kind: str, tmp_path: 
         wait_until_ready(port)
         duration_s = 3.0 if request_kind == "film" else 0.4
         start_s = time.monotonic()
-        load = Load(port, observed_answers)
+        load = BackgroundLoad(port, observed_answers)
         with load.running():
             while kill_count < KILL_COUNT:
                 time.sleep(rng.uniform(0.2, 0.2 + duration_s))

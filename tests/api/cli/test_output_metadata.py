@@ -26,7 +26,7 @@ def raster(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def terminal(monkeypatch) -> None:
+def stderr_is_terminal(monkeypatch) -> None:
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
 
 
@@ -111,7 +111,7 @@ def test_the_default_light_is_reported_without_a_terminal(run, raster, tmp_path)
     assert run("shade", str(level), "-o", str(tmp_path / "mask.tif")) == (0, "", "")
 
 
-def test_a_terminal_shows_what_was_written(run, raster, tmp_path, terminal):
+def test_a_terminal_shows_what_was_written(run, raster, tmp_path, stderr_is_terminal):
     out = tmp_path / "mask.tif"
     status, _, err = run("shade", str(raster), *SUN, "-o", str(out))
     assert status == 0 and err.count("\n") == 1

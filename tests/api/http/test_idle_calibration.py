@@ -22,7 +22,12 @@ from tests.api.workers.test_pool import TIMEOUT_S, is_running
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 OTHER_TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0] - 1}/{CORNER[1]}.png"
 PLAN = "/levels/hills/plan"
-BROKEN_CALIBRATIONS = [fake_calibrations.failing, fake_calibrations.dying, fake_calibrations.buggy, fake_calibrations.other_device]
+BROKEN_CALIBRATIONS = [
+    fake_calibrations.raise_graphics_error,
+    fake_calibrations.exit_process,
+    fake_calibrations.divide_by_zero,
+    fake_calibrations.return_other_device,
+]
 
 Serve = Callable[..., Client]
 
@@ -72,7 +77,7 @@ def log_count(caplog: pytest.LogCaptureFixture, words: str) -> int:
 
 
 def test_calibration_replaces_rules_by_predictions(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
+    client = serve(functools.partial(fake_calibrations.return_when_file_exists, tmp_path / "go"))
     rules_tile = client.get(TILE)
     assert (rules_tile.status_code, rules_tile.content, plan_policy(client)) == (200, b"", "rules")
     assert rules_tile.headers["cache-control"] == "public, max-age=60"
@@ -98,17 +103,17 @@ def test_calibration_replaces_rules_by_predictions(serve: Serve, tmp_path: Path,
 
 
 def test_saved_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
-    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"), target=fake_workers.planning)
+    client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"), target=fake_workers.planning)
     save_profile(fake_calibrations.profile())
     wait_until(lambda: calibration_state(client) == "calibrated")
-    second_client = serve(functools.partial(fake_calibrations.failing, tmp_path / "failed"))
+    second_client = serve(functools.partial(fake_calibrations.raise_graphics_error, tmp_path / "failed"))
     wait_until(lambda: calibration_state(second_client) == "calibrated")
     assert client.get(TILE).headers["etag"] == second_client.get(TILE).headers["etag"]
     assert not (tmp_path / "failed").exists()
 
 
 def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"))
     pool = client.service.pool
     wait_until(lambda: (tmp_path / "begun").exists() and pool.idle_work.pid is not None)
     pid, versions = pool.idle_work.pid, []
@@ -128,7 +133,7 @@ def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, 
 def test_estimate_does_not_replace_a_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     """An estimate is used until the device is calibrated. A later estimate is ignored."""
     estimate = fake_calibrations.profile().model_copy(update={"is_estimate": True})
-    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"))
     save_profile(estimate)
     wait_until(lambda: log_count(caplog, "the estimate") == 1)
     assert calibration_state(client) in ("waiting", "running") and plan_policy(client) == "predict"
@@ -144,7 +149,7 @@ def test_file_watch_survives_a_lack_of_threads(
     serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     """A calibration that is saved afterwards is loaded."""
-    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"))
     stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 
     def failing_stamp(path: Path) -> tuple[int, int, int] | None:
@@ -162,7 +167,7 @@ def test_file_watch_survives_a_lack_of_threads(
 def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "cache").write_text("in the way")  # no folder can be made in place of a file, not even by root
     (tmp_path / "go").touch()
-    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"), recycle_blocks=1)
+    client = serve(functools.partial(fake_calibrations.return_when_file_exists, tmp_path / "go"), recycle_blocks=1)
     wait_until(lambda: log_count(caplog, "cannot be written") == 1)
     (record,) = [record for record in caplog.records if "cannot be written" in record.getMessage()]
     path = profile_path(fake_workers.RENDERER, fake_workers.VERSION)
@@ -193,13 +198,13 @@ def test_failed_calibration_is_logged_once(serve: Serve, tmp_path: Path, caplog:
 
 def test_calibration_timeout_fails(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
     monkeypatch.setattr(idle_work, "JOB_TIMEOUT_S", 0.2)
-    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"))
     wait_until(lambda: calibration_state(client) == "failed")
     assert log_count(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle_work.pid is None
 
 
 def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), calibrate_when_idle=False)
+    client = serve(functools.partial(fake_calibrations.raise_graphics_error, tmp_path / "begun"), calibrate_when_idle=False)
     assert calibration_state(client) == "off" and log_count(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
     assert client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
@@ -207,14 +212,14 @@ def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pyte
 
 
 def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path):
-    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.scripted)
+    client = serve(functools.partial(fake_calibrations.raise_graphics_error, tmp_path / "begun"), target=fake_workers.scripted)
     assert calibration_state(client) == "none" and client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
 
 
 def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    client = serve(functools.partial(fake_calibrations.when_file_exists, tmp_path / "go"))
+    client = serve(functools.partial(fake_calibrations.return_when_file_exists, tmp_path / "go"))
     idle = client.service.pool.idle_work
     wait_until(lambda: idle.pid is not None and not idle.paused)
     monkeypatch.setattr(idle_work, "IDLE_DELAY_S", TIMEOUT_S)
@@ -234,7 +239,7 @@ def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, mon
 def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(idle_work, "IDLE_DELAY_S", 0.05)
-    calibrate = functools.partial(fake_calibrations.endless, tmp_path / "begun")
+    calibrate = functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun")
     app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, calibrate)
     with running(app) as client:
         wait_until(lambda: (tmp_path / "begun").exists() and "\n" in (tmp_path / "begun").read_text())

@@ -28,7 +28,7 @@ MAP = {
 }  # fmt: skip
 FEATURE_INFO_QUERY = {**MAP, "REQUEST": "GetFeatureInfo", "QUERY_LAYERS": "hills:color", "I": "100", "J": "50"}
 
-CHILD_ORDER = {
+CHILD_ELEMENT_ORDER = {
     "Service": ["Name", "Title", "Abstract", "OnlineResource", "Fees", "AccessConstraints", "LayerLimit", "MaxWidth", "MaxHeight"],
     "Capability": ["Request", "Exception", "Layer"],
     "Request": ["GetCapabilities", "GetMap", "GetFeatureInfo"],
@@ -64,7 +64,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 def test_wms_capabilities_follow_the_schema(client: Client, root: ElementTree.Element):
-    check_order(root, CHILD_ORDER)
+    check_order(root, CHILD_ELEMENT_ORDER)
     assert root.get("version") == "1.3.0"
     layers = layers_of(root)
     assert set(layers) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in ("color", "shadow", "mask", "sunhours")}

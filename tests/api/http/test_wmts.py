@@ -34,7 +34,7 @@ KEYS = {
 
 LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sunhours"}
 
-CHILD_ORDER = {
+CHILD_ELEMENT_ORDER = {
     "Layer": [
         "Title", "Abstract", "WGS84BoundingBox", "Identifier", "Style", "Format", "Dimension", "TileMatrixSetLink", "ResourceURL",
     ],
@@ -87,7 +87,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 def test_wmts_capabilities_follow_the_schema(root: ElementTree.Element):
-    check_order(root, CHILD_ORDER)
+    check_order(root, CHILD_ELEMENT_ORDER)
     names = [node.findtext("o:Identifier", "", NAMESPACES) for node in root.iterfind("w:Contents/w:Layer", NAMESPACES)]
     assert set(names) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in LAYERS} and len(set(names)) == len(names)
     for layer in root.iterfind("w:Contents/w:Layer", NAMESPACES):
