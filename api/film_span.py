@@ -16,7 +16,7 @@ DEFAULT_FPS, MIN_FPS, MAX_FPS = 25.0, 0.1, 120.0
 
 MIN_STEP_S = 0.001
 
-_ALLOWED_ENDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, such as 0s or 10m, under a fixed sun"
+_ALLOWED_ENDS = f"{ALLOWED_TIMES}; or a time on the level's clock, such as 0s or 10m, under a fixed sun"
 _STEP_TOLERANCE = 1e-6
 """Tolerance of the span's length, as a fraction of a step, since steps such as 1/30 s are rounded."""
 
@@ -72,7 +72,7 @@ def film_span(
     elif isinstance(first, timedelta) and isinstance(last, timedelta):
         length_s = (last - first).total_seconds()
     else:
-        raise InputError("to", end, f"the same kind as from, {start}: both with a date, or both readings of the clock")
+        raise InputError("to", end, f"the same kind as from, {start}: both with a date, or both times on the level's clock")
     if length_s < 0.0:
         raise InputError("to", end, f"a time that is not before from, {start}")
     if step is None and isinstance(first, datetime):

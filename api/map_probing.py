@@ -103,7 +103,7 @@ def probe_maps(
     altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
     sun_class = map_class(1.0, altitude_deg)
     if sun_class is None:
-        raise InputError("altitude", altitude_deg, "a sun above the horizon, under which maps are probed")
+        raise InputError("altitude", altitude_deg, "more than 0 degrees: maps are probed under a sun above the horizon")
     classes = []
     for scale in probed_scales(scene):
         probed = probe_blocks(scene, 2.0**scale, device, overrides, budget_s)

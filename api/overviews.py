@@ -49,7 +49,7 @@ def reason_for_no_overviews(raster: Path) -> str | None:
         if lacks_overviews(rows, cols, factors):
             return None
         if factors and lacks_overviews(rows, cols, []):
-            return f"{raster.name} has overviews of {', '.join(map(str, factors))} cells, and needs no others"
+            return f"{raster.name} has overviews with the factors {', '.join(map(str, factors))}, and needs no others"
         return f"{raster.name} needs no overviews: {cols} x {rows} cells are few enough to be read as they are"
 
 

@@ -121,6 +121,6 @@ def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
             raise InputError(
                 f"{path}: proj:code, proj:transform, proj:shape",
                 given_text,
-                "a CRS, six or nine numbers, and rows and columns",
+                "a CRS code, a transform of six or nine numbers, and a shape of rows and columns",
             ) from None
         yield RasterCells(str(path), crs, Affine(a, b, c, d, e, f), rows, cols)

@@ -93,7 +93,7 @@ COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
 """Ways of counting shadow volumes, as overrides by name. The first draws both sides of faces at a time, with z-pass where it is
 valid."""
 
-STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW_VIEW, "close"), "rocks": ("main",), "street": ("main",)}
+STENCIL_VIEWS_BY_SCENE = {"boxgrid": ("main", IN_SHADOW_VIEW, "close"), "rocks": ("main",), "street": ("main",)}
 """Views for the ways of counting. (The box grids' close views have their eyes in the shadow, too.)"""
 
 TARGETS = [
@@ -128,11 +128,11 @@ def measure_frames_by_map_size(repeats: int, map_sizes: Sequence[int], **setting
     assert scene.sun is not None
     azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
 
-    def plan_under(scene_with_sun: Scene, algorithm: str, map_size: int) -> Plan:
+    def plan_under(lit_scene: Scene, algorithm: str, map_size: int) -> Plan:
         overrides = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
-        return make_plan(describe(scene_with_sun, view, "main"), scene_with_sun.loaded.level, overrides)
+        return make_plan(describe(lit_scene, view, "main"), lit_scene.loaded.level, overrides)
 
-    def under(number: int) -> Scene:
+    def scene_with_sun_number(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
 
     unshadowed_plan = plan_under(scene, "none", map_sizes[0])
@@ -140,17 +140,17 @@ def measure_frames_by_map_size(repeats: int, map_sizes: Sequence[int], **setting
 
     def frames_of_turn(number: int) -> Iterator[tuple[tuple[str, int], Scene, Plan]]:
         yield ("none", 0), scene, unshadowed_plan
-        for place, size in enumerate(map_sizes, start=1):
-            moved_scene = under(number * len(map_sizes) + place)
+        for size_number, size in enumerate(map_sizes, start=1):
+            moved_scene = scene_with_sun_number(number * len(map_sizes) + size_number)
             yield ("redrawn", size), moved_scene, plan_under(moved_scene, "shadow_map", size)
             yield ("kept", size), scene, cached_plans[size]
 
     times: dict[tuple[str, int], list[float]] = {}
     frame_by_key: dict[tuple[str, int], Frame] = {}
     for number in range(repeats + 2):
-        for key, lit, plan in frames_of_turn(number):
+        for key, frame_scene, plan in frames_of_turn(number):
             start = time.perf_counter()
-            frame_by_key[key] = render_frame(lit, view, plan)
+            frame_by_key[key] = render_frame(frame_scene, view, plan)
             if number >= 2:  # the first turns compile, allocate, and draw the map that is cached
                 times.setdefault(key, []).append(time.perf_counter() - start)
     rows = {}
@@ -202,10 +202,10 @@ def measure_cascades() -> list[Row]:
     """Measure the errors of four cascades and of one map of the same memory."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        scene_and_view = ridges_scene(Path(folder))
-        view = scene_and_view.view("main")
+        base_scene = ridges_scene(Path(folder))
+        view = base_scene.view("main")
         for azimuth, altitude in SUN_ANGLES_DEG:
-            scene = scene_and_view.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+            scene = base_scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
             descriptor = describe(scene, view, "main")
             for count, size in ((1, 2048), (4, 1024)):
                 overrides = {"algorithm": "shadow_map", "cascades": count, "map_size": size, "depth_bits": 24}
@@ -226,8 +226,8 @@ def measure_thesis_scenes(args: argparse.Namespace) -> list[Row]:
 
 def measure_stencil(args: argparse.Namespace) -> list[Row]:
     """Measure the ways of counting shadow volumes in the stencil buffer."""
-    levels = args.scenes or [level for level in THESIS_LEVELS if _scene_name(level) in STENCIL_VIEWS]
-    shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene_name(level), ("main",))]
+    levels = args.scenes or [level for level in THESIS_LEVELS if _scene_name(level) in STENCIL_VIEWS_BY_SCENE]
+    shots = [(level, name) for level in levels for name in STENCIL_VIEWS_BY_SCENE.get(_scene_name(level), ("main",))]
     return [row for level, name in shots for row in _interleaved_rows(level, name, COUNTING_VARIANTS, args)]
 
 
@@ -237,14 +237,14 @@ def _scene_name(level: str) -> str:
 
 def _interleaved_rows(level: str, name: str, overrides_by_name: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
     """Return a row for each plan. Ratios are those of its times to the times of the first plan."""
-    view_shot = benchmark_view(level, name, args.size)
-    plans = make_plans(view_shot, overrides_by_name)
-    runs = {key: (view_shot, plan) for key, plan in plans.items()}
+    timed_view = benchmark_view(level, name, args.size)
+    plans = make_plans(timed_view, overrides_by_name)
+    runs = {key: (timed_view, plan) for key, plan in plans.items()}
     measured_times = run_interleaved(runs, args.repeats, time.process_time if args.cpu else time.perf_counter)
     times, logs, shadow_masks = measured_times.times_ms, measured_times.logs, measured_times.shadow_masks
     first = [*plans][0]
     medians = {key: float(np.median(milliseconds)) for key, milliseconds in times.items()}
-    valid, rows = view_shot.valid, []
+    valid, rows = timed_view.valid, []
     tiles = int(marked_tiles(*np.nonzero(valid), valid.shape).sum())
     for key in plans:
         records = logs[key].records.values()
@@ -272,13 +272,15 @@ def evaluate_targets(rows: Sequence[Row]) -> list[Row]:
     """
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     result = []
-    for scene, view, variant, other, comparison, limit in TARGETS:
-        for under in (scene, f"{scene}_sun"):
-            a, b = row_by_key.get((under, view, variant)), row_by_key.get((under, view, other))
+    for scene, view, variant, reference, comparison, limit in TARGETS:
+        for scene_name in (scene, f"{scene}_sun"):
+            a, b = row_by_key.get((scene_name, view, variant)), row_by_key.get((scene_name, view, reference))
             if a is not None and b is not None:
-                measured, kept_ratio = (a[mode] / b[mode] for mode in ("redrawn", "kept"))
+                measured, cached_ratio = (a[mode] / b[mode] for mode in ("redrawn", "kept"))
                 met = measured < limit if comparison == "under" else measured <= limit
-                result.append(_target_row(under, view, f"{variant} / {other}: {comparison} {limit}", measured, kept_ratio, met))
+                result.append(
+                    _target_row(scene_name, view, f"{variant} / {reference}: {comparison} {limit}", measured, cached_ratio, met)
+                )
     for (scene, view, key), row in row_by_key.items():
         if key == "hybrid" and view in (IN_SHADOW_VIEW, "close"):
             share = row["marked"]
@@ -298,13 +300,13 @@ def ratio_rows(rows: Sequence[Row]) -> list[Row]:
     return list(lines.values())
 
 
-def _target_row(scene: str, view: str, target: str, measured: float, kept_ratio: float, is_met: bool) -> Row:
+def _target_row(scene: str, view: str, target: str, measured: float, cached_ratio: float, is_met: bool) -> Row:
     return {
         "scene": scene,
         "view": view,
         "target": target,
         "measured": measured,
-        "kept": kept_ratio,
+        "kept": cached_ratio,
         "met": "yes" if is_met else "NO",
     }
 

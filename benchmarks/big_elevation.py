@@ -34,7 +34,7 @@ import numpy as np
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
-from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, raster_paths
+from benchmarks.big_rasters import EPSG, MIDDLE_XY_M, make_rasters, mountain_xy, raster_paths
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
 from skugga.api.overviews import make_overviews, reason_for_no_overviews
@@ -55,13 +55,15 @@ from skugga.terrain.scene import Scene, build_scene
 
 TILE_MATRIX_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64
+"""Numbers of blocks of ``flat``. They are squares of whole numbers, because the blocks form a square."""
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
 BLOCK_SPACINGS = {"together": 1, "apart": 4}
 """Distances between blocks, in blocks. Blocks far apart share no ground, so that each must load all of the ground beside it."""
 
 ANCHOR_DISTANCE_KM = 60.0
+"""Distance from the mountain to the anchor of the level of ``far``. The sun's angles of a level are those at its anchor."""
 KIB_PER_MIB = 1024
-SQUARE_SIDES_KM = 30.0, 120.0, 240.0
+SHADED_SQUARE_SIDES_KM = 30.0, 120.0, 240.0
 """Sides of the shaded squares."""
 
 
@@ -128,7 +130,7 @@ def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
     return {"zoom": f"{number} ({zoom})", "idle_mib": idle_mib, "peak_mib": process_memory_mib("VmHWM"), "first_s": first_s}
 
 
-def cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
+def measure_cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spacing: int = 1) -> float:
     """Return CPU seconds per block for ``count`` blocks round the middle, ``spacing`` blocks apart.
 
     Caches hold data of the whole level, but no ground of these blocks.
@@ -146,22 +148,24 @@ def cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: int, spa
     return (time.process_time() - start) / count
 
 
-def cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
+def measure_cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds per block, a value for each repeat, by number of blocks."""
     state = WorkerState(warm_up())
     zoom = zooms_by_label(state.scenes.get(level_key(raster)))["own"]
-    cpu_s_per_block(raster, state, zoom, 4)
-    return {str(count): [cpu_s_per_block(raster, state, zoom, count, spacing) for _ in range(repeats)] for count in BLOCK_COUNTS}
+    measure_cpu_s_per_block(raster, state, zoom, 4)
+    return {
+        str(count): [measure_cpu_s_per_block(raster, state, zoom, count, spacing) for _ in range(repeats)] for count in BLOCK_COUNTS
+    }
 
 
-def cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
+def measure_cpu_by_raster_size(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
     """Return CPU seconds of the middle block, a value for each repeat, by raster. The rasters take turns."""
     state = WorkerState(warm_up())
     zoom = zooms_by_label(state.scenes.get(level_key(rasters[0])))["own"]
     result: dict[str, list[float]] = {}
     for repeat in range(repeats + 1):
         for raster in rasters:
-            cpu_s = cpu_s_per_block(raster, state, zoom, 1)
+            cpu_s = measure_cpu_s_per_block(raster, state, zoom, 1)
             if repeat:
                 result.setdefault(raster.name, []).append(cpu_s)
     return result
@@ -172,7 +176,7 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
-    view = raster_view(scene, (MIDDLE_XY[0] - half, MIDDLE_XY[1] - half, MIDDLE_XY[0] + half, MIDDLE_XY[1] + half))
+    view = raster_view(scene, (MIDDLE_XY_M[0] - half, MIDDLE_XY_M[1] - half, MIDDLE_XY_M[0] + half, MIDDLE_XY_M[1] + half))
     blocks = len(blocks_of(view.view))
     opened_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
@@ -180,14 +184,14 @@ def measure_shade(raster: Path, side_km: float) -> dict[str, float]:
         start, times = time.perf_counter(), []
         write_rasters(scene, view, masks, [path], {}, lambda *_: times.append(time.process_time()))
         written_s = time.perf_counter() - start
-    every = np.diff(times[1:])
+    block_cpu_s = np.diff(times[1:])
     return {
         "cells": int(np.prod(view.shape)), "blocks": blocks, "open_s": opened_s, "all_s": written_s,
-        "block_s": float(np.median(every)), "peak_mib": process_memory_mib("VmHWM"),
+        "block_s": float(np.median(block_cpu_s)), "peak_mib": process_memory_mib("VmHWM"),
     }  # fmt: skip
 
 
-def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
+def find_shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     """Return where the mountain's shadow ends along its middle line, in km from its top, for tiles of each zoom and for ``shade``.
 
     The level's anchor is 60 km west of the mountain. There the sun is 2 degrees high.
@@ -195,8 +199,8 @@ def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     x, y = mountain_xy()
     crs = CRS.from_epsg(EPSG)
     lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    far = {km: WGS84.fwd(lon, lat, 270.0, km * 1000.0)[:2] for km in np.arange(10.0, 110.0, 0.5)}
-    anchor = far[ANCHOR_DISTANCE_KM]
+    lon_lat_by_km = {km: WGS84.fwd(lon, lat, 270.0, km * 1000.0)[:2] for km in np.arange(10.0, 110.0, 0.5)}
+    anchor = lon_lat_by_km[ANCHOR_DISTANCE_KM]
     terrain = {"source": str(raster.resolve()), "bounds": [*(v - 1e-3 for v in anchor), *(v + 1e-3 for v in anchor)]}
     level = {
         "version": 1, "terrain": terrain,
@@ -213,13 +217,13 @@ def shadow_end_by_zoom(raster: Path) -> dict[str, str]:
     assert served is not None
     for zoom in range(served.first, served.last + 1):
         grid = tile_grid(matrix_sets.get(TILE_MATRIX_SET), zoom)
-        result[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
+        result[f"zoom {zoom}"] = _find_shadow_end(scene, grid, lon_lat_by_km)
     shade_view = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
-    result["shade"] = _shadow_end(scene, shade_view.grid, far)
+    result["shade"] = _find_shadow_end(scene, shade_view.grid, lon_lat_by_km)
     return result
 
 
-def _shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float, float]]) -> str:
+def _find_shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float, float]]) -> str:
     """Return, as text, the two neighbouring distances in km between which places change from shadow to sun.
 
     ``lon_lat_by_km`` holds longitude and latitude of places by their distance.
@@ -241,23 +245,28 @@ def _shadow_end(scene: Scene, grid: Grid, lon_lat_by_km: dict[float, tuple[float
 Measurement = Callable[[list[Path], str, int], Any]
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "open": lambda rasters, of, _: measure_opening(rasters[int(of)]),
-    "worker": lambda rasters, of, _: measure_first_block(rasters[int(of.split(":")[0])], of.split(":")[1]),
-    "flat": lambda rasters, of, repeats: cpu_by_block_count(rasters[int(of[0])], BLOCK_SPACINGS[of[2:]], repeats),
-    "sizes": lambda rasters, _, repeats: cpu_by_raster_size(rasters, repeats),
-    "shade": lambda rasters, of, _: measure_shade(rasters[-1], float(of)),
-    "far": lambda rasters, _, __: shadow_end_by_zoom(rasters[-1]),
+    "open": lambda rasters, argument, _: measure_opening(rasters[int(argument)]),
+    "worker": lambda rasters, argument, _: measure_first_block(rasters[int(argument.split(":")[0])], argument.split(":")[1]),
+    "flat": lambda rasters, argument, repeats: measure_cpu_by_block_count(
+        rasters[int(argument[0])], BLOCK_SPACINGS[argument[2:]], repeats
+    ),
+    "sizes": lambda rasters, _, repeats: measure_cpu_by_raster_size(rasters, repeats),
+    "shade": lambda rasters, argument, _: measure_shade(rasters[-1], float(argument)),
+    "far": lambda rasters, _, __: find_shadow_end_by_zoom(rasters[-1]),
 }
 """Measurements by name: functions of the rasters, the measurement's argument and the number of repeats."""
 
 MEASUREMENT_ARGUMENTS: dict[str, tuple[str, ...]] = {
     "open": ("2", "3"),
     "worker": tuple(f"{index}:{zoom}" for index in (2, 3) for zoom in ("lowest", "middle", "own", "last")),
-    "flat": tuple(f"{index}:{how}" for index in (2, 3) for how in BLOCK_SPACINGS),
+    "flat": tuple(f"{index}:{spacing}" for index in (2, 3) for spacing in BLOCK_SPACINGS),
     "sizes": ("all",),
-    "shade": tuple(f"{side:g}" for side in SQUARE_SIDES_KM),
+    "shade": tuple(f"{side:g}" for side in SHADED_SQUARE_SIDES_KM),
     "far": ("vrt",),
 }
+"""Arguments with which each measurement is run: the raster's index in order of size, with a zoom or a spacing; or a square's side
+in kilometres. The arguments of ``sizes`` and ``far`` are only labels.
+"""
 
 
 def measure_in_process(args: argparse.Namespace, measurement: str, argument: str) -> Any:
@@ -293,15 +302,15 @@ def main() -> None:
         print(json.dumps(MEASUREMENTS[args.case](raster_paths(args.folder), args.of, args.repeats)))
         return
     for raster in make_rasters(args.folder, args.raster):
-        print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.made_s:.0f} s", flush=True)
+        print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.write_s:.0f} s", flush=True)
     vrt = raster_paths(args.folder)[-1]
     if reason_for_no_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, written in {time.perf_counter() - start:.0f} s", flush=True)
     for case in args.only:
-        for of in MEASUREMENT_ARGUMENTS[case]:
-            print(f"{case} {of}: {format_figures(measure_in_process(args, case, of))}", flush=True)
+        for argument in MEASUREMENT_ARGUMENTS[case]:
+            print(f"{case} {argument}: {format_figures(measure_in_process(args, case, argument))}", flush=True)
 
 
 if __name__ == "__main__":

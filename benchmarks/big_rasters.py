@@ -29,7 +29,7 @@ SHEET_CELLS = 2048
 
 CELL_M = 30.0
 EPSG = 32611
-MIDDLE_XY = 500_000.0, 3_800_000.0
+MIDDLE_XY_M = 500_000.0, 3_800_000.0
 """Middle of every raster, easting and northing in metres."""
 
 VRT_CELLS = 100_000
@@ -37,7 +37,7 @@ COG_SIDES = 2_500, 10_000, 40_000
 PARTS_PER_SIDE = -(-VRT_CELLS // SHEET_CELLS)
 
 NODATA = -32768
-PLAIN_M, MOUNTAIN_M = 500, 4000
+PLAIN_HEIGHT_M, MOUNTAIN_HEIGHT_M = 500, 4000
 PLAIN_PARTS, MOUNTAIN_PART = (slice(4, 9), slice(4, 9)), (6, 7)
 """Rows and columns of the parts that are a plain, and of the part whose middle is the mountain's foot."""
 
@@ -64,7 +64,7 @@ class BigRaster:
 
     path: Path
     side_cells: int
-    made_s: float
+    write_s: float
 
 
 def make_sheet(raster: Path) -> np.ndarray:
@@ -81,9 +81,9 @@ def make_sheet(raster: Path) -> np.ndarray:
 
 
 def centred_transform(side: int) -> Affine:
-    """Return the geotransform of a raster of ``side`` x ``side`` cells with its middle at ``MIDDLE_XY``."""
+    """Return the geotransform of a raster of ``side`` x ``side`` cells with its middle at ``MIDDLE_XY_M``."""
     half_m = side / 2 * CELL_M
-    return Affine(CELL_M, 0.0, MIDDLE_XY[0] - half_m, 0.0, -CELL_M, MIDDLE_XY[1] + half_m)
+    return Affine(CELL_M, 0.0, MIDDLE_XY_M[0] - half_m, 0.0, -CELL_M, MIDDLE_XY_M[1] + half_m)
 
 
 def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
@@ -113,7 +113,7 @@ def mountain_heights_m() -> np.ndarray:
     """Return heights of a round hill on the plain, int16 (``SHEET_CELLS``, ``SHEET_CELLS``) in metres."""
     distance_cells = np.arange(SHEET_CELLS) - SHEET_CELLS / 2 + 0.5
     bell = np.exp(-(distance_cells[:, None] ** 2 + distance_cells[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
-    return np.rint(PLAIN_M + MOUNTAIN_M * bell).astype(np.int16)
+    return np.rint(PLAIN_HEIGHT_M + MOUNTAIN_HEIGHT_M * bell).astype(np.int16)
 
 
 def mountain_xy() -> tuple[float, float]:
@@ -129,7 +129,7 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
         return BigRaster(path, VRT_CELLS, 0.0)
     parts = folder / "parts"
     parts.mkdir(exist_ok=True)
-    sheets = {"relief": sheet, "plain": np.full_like(sheet, PLAIN_M), "mountain": mountain_heights_m()}
+    sheets = {"relief": sheet, "plain": np.full_like(sheet, PLAIN_HEIGHT_M), "mountain": mountain_heights_m()}
     for name, heights in sheets.items():
         _write_sheet(parts / f"{name}.tif", heights)
     root = ElementTree.Element("VRTDataset", rasterXSize=str(VRT_CELLS), rasterYSize=str(VRT_CELLS))
@@ -139,9 +139,9 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     ElementTree.SubElement(band, "NoDataValue").text = str(NODATA)
     for row in range(PARTS_PER_SIDE):
         for col in range(PARTS_PER_SIDE):
-            if _is_within(ABSENT_PARTS, row, col):
+            if _contains_part(ABSENT_PARTS, row, col):
                 continue
-            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _is_within(PLAIN_PARTS, row, col) else "relief"
+            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _contains_part(PLAIN_PARTS, row, col) else "relief"
             part = parts / f"part_{row:02}_{col:02}.tif"
             part.unlink(missing_ok=True)
             os.link(parts / f"{kind}.tif", part)
@@ -163,7 +163,7 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
     return BigRaster(path, VRT_CELLS, time.perf_counter() - start)
 
 
-def _is_within(slices: tuple[slice, slice], row: int, col: int) -> bool:
+def _contains_part(slices: tuple[slice, slice], row: int, col: int) -> bool:
     return slices[0].start <= row < slices[0].stop and slices[1].start <= col < slices[1].stop
 
 

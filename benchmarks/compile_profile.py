@@ -32,7 +32,7 @@ WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
 SIDE_CELLS, CELL_M = 400, 30.0
 """Size of the raster that is written: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
-OUR_PACKAGES = "skugga", "benchmarks"
+PROJECT_PACKAGES = "skugga", "benchmarks"
 REFERENCE_ROUNDS = 3
 
 
@@ -62,9 +62,9 @@ class Compilation:
     frontend_s: float = 0.0
 
     @property
-    def is_ours(self) -> bool:
+    def is_project_loop(self) -> bool:
         """Whether the loop is one of this project, rather than a helper function of numba."""
-        return self.loop.split(".")[0] in OUR_PACKAGES
+        return self.loop.split(".")[0] in PROJECT_PACKAGES
 
 
 @dataclass
@@ -87,7 +87,7 @@ class CompilationListener(event.Listener):
         key = f"{module}.{name}", str(event.data["args"])
         if key not in siblings:
             compilation = Compilation(*key, cause="")
-            compilation.cause = compilation.loop if compilation.is_ours or not stack else stack[-1][0].cause
+            compilation.cause = compilation.loop if compilation.is_project_loop or not stack else stack[-1][0].cause
             siblings[key] = compilation
             self.compilations.append(compilation)
         self._state.siblings.append({})
@@ -192,29 +192,29 @@ def profile_product(product: str, file: str | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         if file is None:
             file = str(WOODED_LEVEL if product == "render" else write_mountains(Path(folder)))
-        answer = Path(folder) / "profile.json"
+        profile_path = Path(folder) / "profile.json"
         env = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "loops"), "XDG_CACHE_HOME": str(Path(folder) / "cache")}
-        subprocess.run([sys.executable, "-m", __spec__.name, product, file, folder, str(answer)], env=env, check=True)
-        return dict(json.loads(answer.read_text(encoding="utf-8")))
+        subprocess.run([sys.executable, "-m", __spec__.name, product, file, folder, str(profile_path)], env=env, check=True)
+        return dict(json.loads(profile_path.read_text(encoding="utf-8")))
 
 
-def _measure(product: str, file: str, folder: str, answer: str) -> None:
-    stick = reference_compile_s()
+def _measure_product(product: str, file: str, folder: str, profile_path: str) -> None:
+    reference_s = reference_compile_s()
     profile = CompilationListener()
     with event.install_listener("numba:run_pass", profile):
         begin = time.process_time()
         PRODUCTS[product](file, Path(folder))
         cpu_s = time.process_time() - begin
-    result = {"cpu_s": cpu_s, "yardstick_s": stick, "loops": [vars(compilation) for compilation in profile.compilations]}
-    Path(answer).write_text(json.dumps(result), encoding="utf-8")
+    result = {"cpu_s": cpu_s, "yardstick_s": reference_s, "loops": [vars(compilation) for compilation in profile.compilations]}
+    Path(profile_path).write_text(json.dumps(result), encoding="utf-8")
 
 
 def profile_lines(product: str, profile: dict[str, Any], rows: int) -> list[str]:
     """Format a profile as lines of text: totals, then the project's loops and numba's helpers, sorted by their own time."""
     compilations = [Compilation(**compilation) for compilation in profile["loops"]]
     own_loops, helpers = (
-        [compilation for compilation in compilations if compilation.is_ours],
-        [compilation for compilation in compilations if not compilation.is_ours],
+        [compilation for compilation in compilations if compilation.is_project_loop],
+        [compilation for compilation in compilations if not compilation.is_project_loop],
     )
     own_s, frontend_s = (sum(getattr(compilation, field) for compilation in compilations) for field in ("own_s", "frontend_s"))
     lines = [
@@ -226,12 +226,12 @@ def profile_lines(product: str, profile: dict[str, Any], rows: int) -> list[str]
         "",
         "  own s   with callees  helpers  loop (a line for each signature)",
     ]
-    helped = Counter[str]()
+    helper_s = Counter[str]()
     for compilation in helpers:
-        helped[compilation.cause] += compilation.own_s
+        helper_s[compilation.cause] += compilation.own_s
     for compilation in sorted(own_loops, key=lambda e: -e.own_s)[:rows]:
         lines.append(
-            f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helped[compilation.loop]:7.2f}  "
+            f"  {compilation.own_s:6.2f}  {compilation.total_s:12.2f}  {helper_s[compilation.loop]:7.2f}  "
             f"{compilation.loop}{_abbreviate(compilation.signature)}"
         )
     lines += ["", "   sum s  times  helper of numba, and the loops that cause it"]
@@ -253,4 +253,4 @@ def _abbreviate(signature: str) -> str:
 
 
 if __name__ == "__main__":
-    _measure(*sys.argv[1:])
+    _measure_product(*sys.argv[1:])

@@ -35,7 +35,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 SHEET_PATH = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
-ASPECT = 5 / 4
+CELL_ASPECT_RATIO = 5 / 4
 
 SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "shadow_map 1024": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
@@ -123,7 +123,7 @@ def draw_column(level: str, name: str, algorithms: Sequence[str], size: tuple[in
 
 def draw_sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
     """Draw all cells in a grid with names of rows and columns."""
-    height = round(width / ASPECT)
+    height = round(width / CELL_ASPECT_RATIO)
     step_x, step_y = 2 * width + GAP_PX, HEADER_PX + height + FOOTER_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAGE_COLOR)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
@@ -177,7 +177,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
-    size = args.width, round(args.width / ASPECT)
+    size = args.width, round(args.width / CELL_ASPECT_RATIO)
     cells = {}
     for name in args.columns:
         for key, cell in zip(args.rows, draw_column(*VIEWS[name], args.rows, size, args.repeats), strict=True):

@@ -20,7 +20,7 @@ from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.shading import shade, srgb_encoded
 from skugga.terrain.sky import sky_pixel_colors
 
-SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
+SIDE_PX, CELL_M, WAVELENGTH_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells and map pixels per side, size of a cell, and wavelength and height of its sinusoidal ground."""
 
 
@@ -33,7 +33,7 @@ def level_scene(folder: Path, keys: dict[str, Any]) -> Scene:
 
 def plain_scene(folder: Path) -> Scene:
     """Return a scene of a plain in UTM with decimetres of relief, under a clear sky at noon."""
-    y, x = np.mgrid[0:SIDE_PX, 0:SIDE_PX] * (2.0 * np.pi * CELL_M / WAVE_M)
+    y, x = np.mgrid[0:SIDE_PX, 0:SIDE_PX] * (2.0 * np.pi * CELL_M / WAVELENGTH_M)
     heights = (100.0 + 0.5 * RELIEF_M * np.sin(x) * np.sin(y)).astype(np.float32)
     transform = Affine(CELL_M, 0.0, 500_000.0, 0.0, -CELL_M, 5_300_000.0)
     shape = {"height": SIDE_PX, "width": SIDE_PX, "count": 1, "dtype": "float32", "crs": "EPSG:32633", "transform": transform}
@@ -61,12 +61,12 @@ def frame_without_effects(scene: Scene, view: MapView | PerspectiveView) -> list
 
 
 def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
-    above = isinstance(view, MapView)
+    is_map = isinstance(view, MapView)
     picture = picture_buffer(scene, view)
     buffer, own_buffer = picture.buffer, picture.pixel_buffer
     visibility = 1.0 - attached(buffer, scene).astype(np.float32)
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
-    if not above:
+    if not is_map:
         row, col = np.nonzero(~buffer.valid)
         linear[row, col] = sky_pixel_colors(scene, view, *picture.pixels_of_points(row, col))
         linear = picture.averaged(linear)

@@ -116,8 +116,8 @@ BUNDLED_VIEW_BY_EFFECT: dict[EffectName, tuple[str, str]] = {
 
 TERRAIN_ONLY_LEVELS = ("jacksboro", "jacksboro_alpine")
 BLOCK_COUNTERS = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
-"""Names of the counters of blocks: the plan has the step, the block skipped the step, the step ran but changed nothing. The steps
-are casters outside the block, and the sweep."""
+"""Names of the counters of blocks, in two groups of three: one group for casters outside the block, one for the sweep. The first
+counts blocks whose plan has the step, the second blocks that skipped it, the third blocks in which it changed nothing."""
 
 BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
 """Zooms of the blocks, from about the raster's resolution to a sixteenth of a cell per pixel, and altitudes of the sun."""
@@ -174,10 +174,10 @@ def run_interleaved(repeats: int, *functions: Callable[[], T]) -> list[list[T]]:
     """Run functions in rounds, in alternating order, and return the results of each. The first round does not count."""
     results: list[list[T]] = [[] for _ in functions]
     for number in range(repeats + 1):
-        for which in [*range(len(functions))][:: 1 if number % 2 else -1]:
-            result = functions[which]()
+        for index in [*range(len(functions))][:: 1 if number % 2 else -1]:
+            result = functions[index]()
             if number:
-                results[which].append(result)
+                results[index].append(result)
     return results
 
 
@@ -222,7 +222,7 @@ def measure_plain(args: argparse.Namespace) -> list[Row]:
         all_on_scene = with_forced_effects(scene, dict.fromkeys(get_args(EffectName), "on"))
         for name in scene.loaded.level.views:
             view = scene.view(name)
-            planned_frames, all_on, bare = run_interleaved(
+            planned_frames, all_on, reference_ms = run_interleaved(
                 args.repeats,
                 *(partial(draw_planned_frame, variant, view, name) for variant in (scene, all_on_scene)),
                 partial(measure_cpu_ms, frame_without_effects, scene, view),
@@ -231,13 +231,15 @@ def measure_plain(args: argparse.Namespace) -> list[Row]:
             if frame.effects or (frame.color != frame_without_effects(scene, view)[0]).any():
                 raise AssertionError(f"{name}: the frame differs from that without effects; it ran {sorted(frame.effects)}")
             ratio, forced_on = (
-                _median(timed_frame.cpu_ms / ms for timed_frame, ms in zip(frames, bare, strict=True))
+                _median(timed_frame.cpu_ms / ms for timed_frame, ms in zip(frames, reference_ms, strict=True))
                 for frames in (planned_frames, all_on)
             )
             rows.append({
-                "view": name, "bare_ms": _median(bare), "plan_ms": _median(timed_frame.plan_ms for timed_frame in planned_frames),
+                "view": name, "bare_ms": _median(reference_ms),
+                "plan_ms": _median(timed_frame.plan_ms for timed_frame in planned_frames),
                 "without plan": _median(
-                    (timed_frame.cpu_ms - timed_frame.plan_ms) / ms for timed_frame, ms in zip(planned_frames, bare, strict=True)
+                    (timed_frame.cpu_ms - timed_frame.plan_ms) / ms
+                    for timed_frame, ms in zip(planned_frames, reference_ms, strict=True)
                 ),
                 "with plan": ratio, "at most": MAX_PLAIN_RATIO, "met": "yes" if ratio <= MAX_PLAIN_RATIO else "NO",
                 "all on": forced_on,
@@ -281,8 +283,8 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
         block_by_variant[name] = _draw_single_block(scene, view, plan)
         ms[name] = time.process_time() - start
     with (
-        patch("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset()),
-        patch("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *of: False),
+        patch("skugga.shadows.block_casters.culled_patches", lambda *arguments: frozenset()),
+        patch("skugga.shadows.block_casters.block_ground_casts_no_shadow", lambda *arguments: False),
     ):
         clear_caches("light")
         start = time.process_time()
@@ -291,13 +293,15 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     drawn_block = block_by_variant["drawn"]
     if (drawn_block.color != full_block.color).any() or (drawn_block.opacity != full_block.opacity).any():
         raise AssertionError(f"{view}: a skipped step changes the picture")
-    ran = executed_effects(drawn_block.passes)
+    effects_run = executed_effects(drawn_block.passes)
     counts["outside"] += "outside_casters" in plans[0].effect_names
-    counts["no outside"] += "outside_casters" in plans[0].effect_names - ran
-    counts["outside in vain"] += "outside_casters" in ran and bool((block_by_variant["alone"].opacity == full_block.opacity).all())
+    counts["no outside"] += "outside_casters" in plans[0].effect_names - effects_run
+    counts["outside in vain"] += "outside_casters" in effects_run and bool(
+        (block_by_variant["alone"].opacity == full_block.opacity).all()
+    )
     counts["sweep"] += 1
-    counts["no sweep"] += "cast_shadows" not in ran
-    counts["sweep in vain"] += "cast_shadows" in ran and not drawn_block.opacity.any()
+    counts["no sweep"] += "cast_shadows" not in effects_run
+    counts["sweep in vain"] += "cast_shadows" in effects_run and not drawn_block.opacity.any()
 
 
 def _draw_single_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
@@ -370,16 +374,18 @@ def _time_facts() -> Iterator[dict[EffectName, float]]:
     milliseconds: dict[EffectName, float] = {}
     untimed = dict(EFFECTS)
 
-    def watched(effect_name: EffectName, facts: Callable[..., T]) -> Callable[..., T]:
-        def timed_facts(*of: Any) -> T:
+    def with_timer(effect_name: EffectName, facts: Callable[..., T]) -> Callable[..., T]:
+        def timed_facts(*arguments: Any) -> T:
             start = time.perf_counter()
-            result = facts(*of)
+            result = facts(*arguments)
             milliseconds[effect_name] = 1000.0 * (time.perf_counter() - start)
             return result
 
         return timed_facts
 
-    EFFECTS.update({name: replace(effect, facts=effect.facts and watched(name, effect.facts)) for name, effect in untimed.items()})
+    EFFECTS.update(
+        {name: replace(effect, facts=effect.facts and with_timer(name, effect.facts)) for name, effect in untimed.items()}
+    )
     try:
         yield milliseconds
     finally:

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 Row = dict[str, Any]
 """A frame's costs as ``benchmarks.frame_worker`` reports them."""
 
-Rows = dict[str, list[Row]]
+RowsBySide = dict[str, list[Row]]
 """Rows of costs by side, one for each turn. Rows at the same index were drawn one after the other."""
 
-NOW, BASE, YARDSTICK = "now", "before", "yardstick"
+NOW_SIDE, BASE_SIDE, YARDSTICK_SIDE = "now", "before", "yardstick"
+"""Names of the sides: this checkout, the other commit, and the program of ``benchmarks.yardstick``."""
 
-CHANGES = {
+CHANGE_TEXTS = {
     "new": "sun and camera",
     "sun": "the sun",
     "camera": "the camera",
@@ -67,11 +68,11 @@ class Target(NamedTuple):
         return self.value <= self.upper_bound
 
     @property
-    def line(self) -> str:
+    def summary(self) -> str:
         """The target, its figure and whether it is met, as one line of text."""
         cpu = "" if self.cpu_value is None else f" (CPU time {self.cpu_value:.2f})"
-        word = "beside" if not self.is_required else "met   " if self.is_met else "MISSED"
-        return f"{word} {self.description}: {self.value:.2f}{self.unit}{cpu}, at most {self.upper_bound:g}{self.unit}"
+        status = "beside" if not self.is_required else "met   " if self.is_met else "MISSED"
+        return f"{status} {self.description}: {self.value:.2f}{self.unit}{cpu}, at most {self.upper_bound:g}{self.unit}"
 
 
 def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], quantity: str = "ms") -> float:
@@ -90,11 +91,11 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
     return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
 
 
-def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -> list[Target]:
+def frame_targets(frames: dict[FrameKey, RowsBySide], first_frames: dict[str, RowsBySide]) -> list[Target]:
     """Return the targets whose figures were measured."""
     result: list[Target] = []
 
-    def add(
+    def add_target(
         target_name: str,
         upper_bound: float,
         rows_now: Sequence[Row] | None,
@@ -105,38 +106,41 @@ def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -
             wall, cpu = (paired_ratio(rows_now, base_rows, value) for value in ("ms", "cpu_ms"))
             result.append(Target(target_name, upper_bound, wall, cpu, is_required=is_required))
 
-    def rows(picture: str, change: str, side: str = NOW, plan: str = "planned") -> list[Row] | None:
+    def rows_of(picture: str, change: str, side: str = NOW_SIDE, plan: str = "planned") -> list[Row] | None:
         return frames.get(FrameKey(picture, plan, change), {}).get(side)
 
     for move in ("new", "resting"):
-        label = f"SpatialAce as planned, {CHANGES[move]} moved"
+        label = f"SpatialAce as planned, {CHANGE_TEXTS[move]} moved"
         for name, taps in (("512, 1 tap", "1 tap"), ("512, 3 x 3 taps", "3 x 3 taps")):
-            sticks = rows("SpatialAce", name, YARDSTICK, "yardstick")
-            counts = move == "new" and taps == "1 tap"
-            add(f"{label} / yardstick, 512 map, {taps}", 3.0, rows("SpatialAce", move), sticks, counts)
-        add(f"{label} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE), move == "new")
+            yardstick_rows = rows_of("SpatialAce", name, YARDSTICK_SIDE, "yardstick")
+            is_required = move == "new" and taps == "1 tap"
+            add_target(f"{label} / yardstick, 512 map, {taps}", 3.0, rows_of("SpatialAce", move), yardstick_rows, is_required)
+        add_target(f"{label} / before", 0.35, rows_of("SpatialAce", move), rows_of("SpatialAce", move, BASE_SIDE), move == "new")
     for picture in ("valley", "village"):
         for move in ("new", "resting"):
-            label = f"wooded {picture} as planned, {CHANGES[move]} moved / before"
-            add(label, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
+            label = f"wooded {picture} as planned, {CHANGE_TEXTS[move]} moved / before"
+            add_target(label, 0.4, rows_of(picture, move), rows_of(picture, move, BASE_SIDE), move == "new")
     for picture, sides in first_frames.items():
-        rows_now = sides[NOW]
+        rows_now = sides[NOW_SIDE]
         for value, label in (("ms", "frame"), ("answer_ms", "frame with its plan")):
             ratio = statistics.median(row["first"][value] / row["warm"][value] for row in rows_now)
             cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in rows_now)
             result.append(Target(f"{picture}: first {label} after start / a warm one", 2.0, ratio, cpu, is_required=value == "ms"))
     for picture in ("SpatialAce", "valley", "village"):
-        add(f"{picture}: the sun moves / sun and camera do", 0.6, rows(picture, "sun"), rows(picture, "new"))
-        add(f"{picture}: the camera moves / sun and camera do", 0.7, rows(picture, "camera"), rows(picture, "new"))
-    million = rows("a million trees", "new")
-    add("a million trees / before", 0.5, million, rows("a million trees", "new", BASE))
+        add_target(f"{picture}: the sun moves / sun and camera do", 0.6, rows_of(picture, "sun"), rows_of(picture, "new"))
+        add_target(f"{picture}: the camera moves / sun and camera do", 0.7, rows_of(picture, "camera"), rows_of(picture, "new"))
+    million = rows_of("a million trees", "new")
+    add_target("a million trees / before", 0.5, million, rows_of("a million trees", "new", BASE_SIDE))
     if million:
         result.append(Target("a million trees: peak memory", 1.2, max(row["peak_gb"] for row in million), unit=" GB"))
     return result
 
 
 def format_report(
-    result: dict[str, Any], frames: dict[FrameKey, Rows], first_frames: dict[str, Rows], differences: dict[FrameKey, Row]
+    result: dict[str, Any],
+    frames: dict[FrameKey, RowsBySide],
+    first_frames: dict[str, RowsBySide],
+    differences: dict[FrameKey, Row],
 ) -> str:
     """Format all tables as Markdown. ``differences`` holds the comparison with the other commit's pictures by kind of frame."""
     parts = [
@@ -177,37 +181,43 @@ def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
     lines = []
     for picture, by_side in plans.items():
         headlines = {side: planned["plans"]["planned"]["algorithms"].replace(",", ", ") for side, planned in by_side.items()}
-        descriptions = [headlines[NOW], *(f"{text} before" for side, text in headlines.items() if text != headlines[NOW])]
-        new_ms = " to ".join(f"{statistics.median(by_side[side]['new_view_ms']):.0f}" for side in (BASE, NOW) if side in by_side)
+        descriptions = [headlines[NOW_SIDE], *(f"{text} before" for side, text in headlines.items() if text != headlines[NOW_SIDE])]
+        new_ms = " to ".join(
+            f"{statistics.median(by_side[side]['new_view_ms']):.0f}" for side in (BASE_SIDE, NOW_SIDE) if side in by_side
+        )
         lines.append(f"* {picture} is planned as {'; '.join(descriptions)}. A new view's plan: {new_ms} ms.")
     return "\n".join(lines)
 
 
-def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row]) -> str:
+def _frame_table(frames: dict[FrameKey, RowsBySide], differences: dict[FrameKey, Row]) -> str:
     head = ["picture", "plan", "moved", "before, ms", "now, ms", "ratio", "CPU before", "CPU now", "ratio", "of the yardstick",
             "read-backs", "draws", "same picture", "same shadow"]  # fmt: skip
-    rows = []
+    table_rows = []
     for key, sides in frames.items():
-        rows_now, base = sides.get(NOW) or sides[YARDSTICK], sides.get(BASE)
-        stick = frames.get(FrameKey(key.picture, "yardstick", "512, 1 tap"), {}).get(YARDSTICK)
+        rows_now, base_rows = sides.get(NOW_SIDE) or sides[YARDSTICK_SIDE], sides.get(BASE_SIDE)
+        yardstick_rows = frames.get(FrameKey(key.picture, "yardstick", "512, 1 tap"), {}).get(YARDSTICK_SIDE)
 
-        def format_both(
-            value: Callable[[Sequence[Row]], str], rows_now: Sequence[Row] = rows_now, base: Sequence[Row] | None = base
+        def format_before_and_now(
+            value: Callable[[Sequence[Row]], str], rows_now: Sequence[Row] = rows_now, base_rows: Sequence[Row] | None = base_rows
         ) -> str:
-            return value(rows_now) if base is None or value(base) == value(rows_now) else f"{value(base)} to {value(rows_now)}"
+            return (
+                value(rows_now)
+                if base_rows is None or value(base_rows) == value(rows_now)
+                else f"{value(base_rows)} to {value(rows_now)}"
+            )
 
-        rows.append([
-            key.picture, key.plan, CHANGES.get(key.change, key.change),
-            "" if base is None else f"{median_of(base, 'ms'):.1f}", f"{median_of(rows_now, 'ms'):.1f}",
-            "" if base is None else f"{paired_ratio(rows_now, base):.2f}",
-            "" if base is None else f"{median_of(base, 'cpu_ms'):.1f}", f"{median_of(rows_now, 'cpu_ms'):.1f}",
-            "" if base is None else f"{paired_ratio(rows_now, base, 'cpu_ms'):.2f}",
-            "" if stick is None else f"{paired_ratio(rows_now, stick):.1f}",
-            format_both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
-            format_both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
+        table_rows.append([
+            key.picture, key.plan, CHANGE_TEXTS.get(key.change, key.change),
+            "" if base_rows is None else f"{median_of(base_rows, 'ms'):.1f}", f"{median_of(rows_now, 'ms'):.1f}",
+            "" if base_rows is None else f"{paired_ratio(rows_now, base_rows):.2f}",
+            "" if base_rows is None else f"{median_of(base_rows, 'cpu_ms'):.1f}", f"{median_of(rows_now, 'cpu_ms'):.1f}",
+            "" if base_rows is None else f"{paired_ratio(rows_now, base_rows, 'cpu_ms'):.2f}",
+            "" if yardstick_rows is None else f"{paired_ratio(rows_now, yardstick_rows):.1f}",
+            format_before_and_now(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
+            format_before_and_now(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
             *_equality_cells(differences.get(key)),
         ])  # fmt: skip
-    return _table(head, rows)
+    return _table(head, table_rows)
 
 
 def _equality_cells(difference: Row | None) -> list[str]:
@@ -223,7 +233,7 @@ def _equality_cells(difference: Row | None) -> list[str]:
     return [f"{difference['color']} of {count}{color}", f"{difference['visibility']} of {count}{classes}"]
 
 
-def _first_table(first_frames: dict[str, Rows]) -> str:
+def _first_table(first_frames: dict[str, RowsBySide]) -> str:
     head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
     rows = []
     for picture, sides in first_frames.items():
@@ -236,10 +246,10 @@ def _first_table(first_frames: dict[str, Rows]) -> str:
     return _table(head, rows)
 
 
-def _pass_table(key: FrameKey, sides: Rows) -> str:
-    passes_by_side = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
+def _pass_table(key: FrameKey, sides: RowsBySide) -> str:
+    passes_by_side = {side: median_passes(sides[side]) for side in (BASE_SIDE, NOW_SIDE) if side in sides}
     names = list(dict.fromkeys(name for passes in passes_by_side.values() for name in passes))
     rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in passes_by_side.values())] for name in names]
-    return f"{key.picture}, {key.plan}, {CHANGES[key.change]} moved:\n\n" + _table(
+    return f"{key.picture}, {key.plan}, {CHANGE_TEXTS[key.change]} moved:\n\n" + _table(
         ["pass", *(f"{side}, ms" for side in passes_by_side)], rows
     )

@@ -136,7 +136,7 @@ class ViewVariants:
         return replace(self.view, eye_earth_m=self.view.eye_earth_m + CAMERA_TRAVEL_M * (number * GOLDEN_RATIO % 1.0) * right)
 
 
-class Worker:
+class FrameWorker:
     """The view of a level with its plans, which answers requests."""
 
     def __init__(self, level: str, view: str, size: tuple[int, int], overrides: dict[str, dict[str, Any]]) -> None:
@@ -159,11 +159,11 @@ class Worker:
         wall, cpu = time.perf_counter(), time.process_time()
         for name in request.get("plans", self.overrides):
             self.plans[name] = plan_of_view(scene, view, self.name, self.overrides[name])
-        took: dict[str, Any] = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+        costs: dict[str, Any] = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         from skugga.terrain.gl.device import renderer_and_version
 
-        took["renderer"] = " ".join(renderer_and_version())
-        return {**took, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}
+        costs["renderer"] = " ".join(renderer_and_version())
+        return {**costs, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}
 
     def frame(self, request: dict[str, Any]) -> dict[str, Any]:
         if request.get("clear"):
@@ -177,10 +177,10 @@ class Worker:
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
             frame = render_frame(scene, view, self.plans[request["plan"]])
-        took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+        costs = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         self.picture, self.visibility = frame.color, np.stack(list(frame.visibilities.values()))
         passes = {record.name: record.ms for record in frame.passes}
-        passes["outside of passes"] = took["ms"] - sum(passes.values())
+        passes["outside of passes"] = costs["ms"] - sum(passes.values())
         triangles = sum(record.triangles for record in frame.passes)
         counts = {
             "reads": READ_COUNTERS.reads,
@@ -189,7 +189,7 @@ class Worker:
             "triangles": triangles,
         }
         digests = {"color": array_digest([frame.color]), "visibility": array_digest([self.visibility])}
-        return {**took, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
+        return {**costs, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
 
     def yardstick(self, request: dict[str, Any]) -> dict[str, Any]:
         from benchmarks.yardstick import Yardstick
@@ -203,19 +203,19 @@ class Worker:
             self.yardsticks[key] = Yardstick(self.variants.scene, self.variants.view, *key)
             for _ in range(3):  # compiles, and uploads
                 self.yardsticks[key].draw(scene, view)
-        stick = self.yardsticks[key]
+        yardstick = self.yardsticks[key]
         READ_COUNTERS.reads, READ_COUNTERS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
-            self.picture = stick.draw(scene, view)[..., :3]
-        took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+            self.picture = yardstick.draw(scene, view)[..., :3]
+        costs = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         counts = {
             "reads": READ_COUNTERS.reads,
             "read_mib": READ_COUNTERS.read_bytes / 2**20,
             "draws": len(calls),
-            "triangles": stick.triangles,
+            "triangles": yardstick.triangles,
         }
-        return {**took, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
+        return {**costs, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
 
     def save(self, request: dict[str, Any]) -> dict[str, Any]:
         from PIL import Image
@@ -248,7 +248,7 @@ def main() -> None:
     level, view, size, overrides = sys.argv[1:]
     width, height = (int(side) for side in size.split("x"))
     answers, sys.stdout = sys.stdout, sys.stderr  # printed text is no answer
-    worker = Worker(level, view, (width, height), json.loads(overrides))
+    worker = FrameWorker(level, view, (width, height), json.loads(overrides))
     count_reads()
     ready = {"import_ms": 1000.0 * (IMPORTS_END_S - PROCESS_START_S), "scene_ms": worker.scene_ms}
     print(json.dumps(ready), file=answers, flush=True)

@@ -56,13 +56,13 @@ from typing import IO, Any
 import numpy as np
 
 from benchmarks.frame_tables import (
-    BASE,
-    NOW,
+    BASE_SIDE,
+    NOW_SIDE,
     TABLES_BEGIN,
-    YARDSTICK,
+    YARDSTICK_SIDE,
     FrameKey,
     Row,
-    Rows,
+    RowsBySide,
     format_report,
     frame_targets,
     replace_between_marks,
@@ -70,7 +70,7 @@ from benchmarks.frame_tables import (
 from benchmarks.scenes import write_wooded_hills
 
 ROOT = Path(__file__).resolve().parents[1]
-WORKER = Path(__file__).with_name("frame_worker.py")
+WORKER_FILE = Path(__file__).with_name("frame_worker.py")
 
 MILLION_TREES = "a million trees"
 YARDSTICK_VARIANTS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
@@ -81,7 +81,7 @@ FIRST_FRAME_REPEATS, WARM_FRAMES = 3, 5
 
 
 @dataclass(frozen=True)
-class Picture:
+class MeasuredPicture:
     """A view to draw.
 
     Attributes
@@ -108,15 +108,15 @@ class Picture:
 
 
 PICTURES = {
-    "SpatialAce": Picture(
+    "SpatialAce": MeasuredPicture(
         "spatialace", "main", (800, 600),
         {"planned": {}, "shadow_map": {"algorithm": "shadow_map"}, "none": {"algorithm": "none"}},
         {"planned": ALL_CHANGES, "shadow_map": ("new", "resting"), "none": ("new", "resting")},
         measures_first_frames=True,
     ),
-    "valley": Picture("jacksboro_wooded", "valley", (1280, 1024), turn_share=0.5, measures_first_frames=True),
-    "village": Picture("jacksboro_wooded", "village", (1280, 1024), turn_share=0.5),
-    MILLION_TREES: Picture("", "low", (800, 600), changes={"planned": ("new",)}, turn_share=0.5),
+    "valley": MeasuredPicture("jacksboro_wooded", "valley", (1280, 1024), turn_share=0.5, measures_first_frames=True),
+    "village": MeasuredPicture("jacksboro_wooded", "village", (1280, 1024), turn_share=0.5),
+    MILLION_TREES: MeasuredPicture("", "low", (800, 600), changes={"planned": ("new",)}, turn_share=0.5),
 }  # fmt: skip
 
 
@@ -125,7 +125,7 @@ class FrameProcess:
 
     def __init__(self, process: subprocess.Popen[str], stderr: IO[bytes]) -> None:
         self._process, self._stderr = process, stderr
-        self.ready = self._answer()
+        self.ready = self._read_answer()
 
     def request(self, operation: str, **parameters: Any) -> Row:
         """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if it fails."""
@@ -135,9 +135,9 @@ class FrameProcess:
             self._process.stdin.flush()
         except BrokenPipeError:
             pass
-        return self._answer()
+        return self._read_answer()
 
-    def _answer(self) -> Row:
+    def _read_answer(self) -> Row:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
@@ -148,10 +148,10 @@ class FrameProcess:
 
 
 @contextmanager
-def frame_process(folder: Path, picture: Picture, level: str) -> Iterator[FrameProcess]:
+def frame_process(folder: Path, picture: MeasuredPicture, level: str) -> Iterator[FrameProcess]:
     """Run the process of a side (this checkout, the other commit, or the yardstick) as a context manager."""
     size = f"{picture.size[0]}x{picture.size[1]}"
-    command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
+    command = [sys.executable, "-P", str(WORKER_FILE), level, picture.view, size, json.dumps(picture.plans)]
     with tempfile.TemporaryFile() as stderr:
         process = subprocess.Popen(
             command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, text=True,
@@ -186,29 +186,29 @@ class FrameMeasurements:
         The highest one-minute load average of the machine.
     """
 
-    frames: dict[FrameKey, Rows] = field(default_factory=dict)
+    frames: dict[FrameKey, RowsBySide] = field(default_factory=dict)
     plans: dict[str, dict[str, Any]] = field(default_factory=dict)
-    first_frames: dict[str, Rows] = field(default_factory=dict)
+    first_frames: dict[str, RowsBySide] = field(default_factory=dict)
     differences: dict[FrameKey, Row] = field(default_factory=dict)
     renderer: str = ""
     load: float = 0.0
 
 
 def measure_interleaved(
-    name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
+    name: str, picture: MeasuredPicture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
 ) -> None:
     """Draw a picture's frames in turns. In each turn every side draws every kind of frame, in alternating order."""
     with ExitStack() as stack:
         sides = {side_name: stack.enter_context(frame_process(folder, picture, level)) for side_name, folder in folders.items()}
-        drawers = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK}
-        for side_name, process in drawers.items():
+        drawing_processes = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK_SIDE}
+        for side_name, process in drawing_processes.items():
             planned = process.request("plan")
             measurements.renderer = planned["renderer"]
             measurements.plans.setdefault(name, {})[side_name] = planned
         number, sun, camera = 0, 0, 0
         pictures = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for turn_number in range(turns + 1):
-            order = list(drawers.items())[:: 1 if turn_number % 2 else -1]
+            order = list(drawing_processes.items())[:: 1 if turn_number % 2 else -1]
             for plan, moves in picture.changes.items():
                 for move in moves:
                     if move in ("new", "sun", "camera"):
@@ -218,34 +218,34 @@ def measure_interleaved(
                     for side_name, process in order:
                         row = process.request("frame", plan=plan, sun=sun, camera=camera, clear=clear)
                         _add_row(measurements, FrameKey(name, plan, move), side_name, row, turn_number)
-                    if turn_number == turns and BASE in drawers:
+                    if turn_number == turns and BASE_SIDE in drawing_processes:
                         key = FrameKey(name, plan, move)
-                        measurements.differences[key] = _difference(measurements.frames[key], drawers, pictures)
-            if YARDSTICK in sides:
+                        measurements.differences[key] = _difference(measurements.frames[key], drawing_processes, pictures)
+            if YARDSTICK_SIDE in sides:
                 for yardstick_name, (map_size, taps) in YARDSTICK_VARIANTS.items():
-                    row = sides[YARDSTICK].request("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
-                    _add_row(measurements, FrameKey(name, "yardstick", yardstick_name), YARDSTICK, row, turn_number)
+                    row = sides[YARDSTICK_SIDE].request("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
+                    _add_row(measurements, FrameKey(name, "yardstick", yardstick_name), YARDSTICK_SIDE, row, turn_number)
         for repeat in range(3):
-            for side_name, process in drawers.items():
+            for side_name, process in drawing_processes.items():
                 row = process.request("plan", plans=["planned"], sun=number + 1 + repeat, camera=number + 1 + repeat)
                 measurements.plans[name][side_name].setdefault("new_view_ms", []).append(row["ms"])
                 measurements.plans[name][side_name].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
 
 
-def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> Row:
+def _difference(rows: RowsBySide, drawing_processes: dict[str, FrameProcess], folder: Path) -> Row:
     """Return the number of frames with equal colours and with equal visibilities on both sides, and how the last frame differs."""
     equal_counts = {
-        quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW], rows[BASE], strict=True))
+        quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW_SIDE], rows[BASE_SIDE], strict=True))
         for quantity in ("color", "visibility")
     }
     saved = []
-    for side_name, process in drawers.items():
+    for side_name, process in drawing_processes.items():
         process.request("save", path=str(folder / f"{side_name}.npz"))
         saved.append(np.load(folder / f"{side_name}.npz"))
-    steps = np.abs(np.subtract(*(side_name["color"].astype(np.int16) for side_name in saved))).max(axis=2)
-    lit = [side_name["visibility"] >= 0.5 for side_name in saved]
+    steps = np.abs(np.subtract(*(arrays["color"].astype(np.int16) for arrays in saved))).max(axis=2)
+    lit = [arrays["visibility"] >= 0.5 for arrays in saved]
     counts = {"pixels": int((steps > 0).sum()), "most": int(steps.max()), "classes": int((lit[0] != lit[1]).any(axis=0).sum())}
-    return {"frames": len(rows[NOW]), **equal_counts, **counts}
+    return {"frames": len(rows[NOW_SIDE]), **equal_counts, **counts}
 
 
 def _position_numbers(change: str, number: int, previous_numbers: tuple[int, int]) -> tuple[int, int]:
@@ -264,7 +264,7 @@ def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row
 
 
 def measure_first_frames(
-    name: str, picture: Picture, level: str, folders: dict[str, Path], measurements: FrameMeasurements
+    name: str, picture: MeasuredPicture, level: str, folders: dict[str, Path], measurements: FrameMeasurements
 ) -> None:
     """Measure the first frames of new processes, one side after the other."""
     for _ in range(FIRST_FRAME_REPEATS):
@@ -286,15 +286,15 @@ def measure_first_frames(
 def measure(args: argparse.Namespace) -> FrameMeasurements:
     """Measure all requested pictures."""
     measurements = FrameMeasurements()
-    folders = {NOW: ROOT} | ({BASE: args.base.resolve()} if args.base else {})
+    folders = {NOW_SIDE: ROOT} | ({BASE_SIDE: args.base.resolve()} if args.base else {})
     with tempfile.TemporaryDirectory() as folder:
         for name in args.pictures:
             picture = PICTURES[name]
             width, height = picture.size
-            picture = Picture(**{**vars(picture), "size": (round(width * args.scale), round(height * args.scale))})
+            picture = MeasuredPicture(**{**vars(picture), "size": (round(width * args.scale), round(height * args.scale))})
             level = str(write_wooded_hills(Path(folder), args.trees)) if name == MILLION_TREES else picture.level
             turn_count = max(round(args.repeats * picture.turn_share), 1)
-            measure_interleaved(name, picture, level, {**folders, YARDSTICK: ROOT}, turn_count, measurements)
+            measure_interleaved(name, picture, level, {**folders, YARDSTICK_SIDE: ROOT}, turn_count, measurements)
             if picture.measures_first_frames and not args.no_first:
                 measure_first_frames(name, picture, level, folders, measurements)
             measurements.load = max(measurements.load, os.getloadavg()[0])
@@ -302,7 +302,7 @@ def measure(args: argparse.Namespace) -> FrameMeasurements:
     return measurements
 
 
-def _commit(folder: Path) -> str:
+def _commit_description(folder: Path) -> str:
     process = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
     return process.stdout.strip() or "unknown"
 
@@ -326,7 +326,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     measurements = measure(args)
     result = {
         "renderer": measurements.renderer, "cpus": os.cpu_count(), "load": measurements.load, "repeats": args.repeats,
-        "now": _commit(ROOT), "base": _commit(args.base) if args.base else None, "plans": measurements.plans,
+        "now": _commit_description(ROOT), "base": _commit_description(args.base) if args.base else None,
+        "plans": measurements.plans,
         "firsts": measurements.first_frames,
         "frames": [
             {
@@ -351,7 +352,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         args.markdown.write_text(replace_between_marks(page, table) if TABLES_BEGIN in page else table, encoding="utf-8")
     print(table)
     for target in frame_targets(measurements.frames, measurements.first_frames):
-        print(target.line)
+        print(target.summary)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("terrain", "shadows", "selector", "api")
-KINDS_OF_ERRORS = ("missing", "conflict", "over_limit")
+PACKAGES = ("terrain", "shadows", "selector", "api")
+ERROR_KINDS = ("missing", "conflict", "over_limit")
 LOG_LEVELS = ("warning", "error", "info")
 
 
@@ -28,7 +28,7 @@ class Message:
     Attributes
     ----------
     kind
-        The error's class, with its kind if it is one of ``KINDS_OF_ERRORS``; ``warning`` or ``log``.
+        The error's class, with its kind if it is one of ``ERROR_KINDS``; ``warning`` or ``log``.
     path, line
         File and line number of the call.
     texts
@@ -44,7 +44,7 @@ class Message:
 def messages(root: Path = ROOT) -> list[Message]:
     """Return all messages in the packages' source, ordered by kind, file and line."""
     result = []
-    for layer in LAYERS:
+    for layer in PACKAGES:
         for path in sorted((root / layer).rglob("*.py")):
             result += messages_of(path.read_text(encoding="utf-8"), path.relative_to(root))
     return sorted(result, key=lambda message: (message.kind, message.path, message.line))
@@ -65,7 +65,7 @@ def _kind(function: ast.expr) -> str | None:
     if not isinstance(function, ast.Attribute) or not isinstance(function.value, ast.Name):
         return None
     owner, name = function.value.id, function.attr
-    if owner.endswith("Error") and name in KINDS_OF_ERRORS:
+    if owner.endswith("Error") and name in ERROR_KINDS:
         return f"{owner}.{name}"
     if (owner, name) == ("warnings", "warn"):
         return "warning"

@@ -35,7 +35,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 THESIS_LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
 
-FITS = ("tight", "stable")
+MAP_FITS = ("tight", "stable")
 """Ways of fitting the shadow map to the visible points."""
 
 Row = dict[str, Any]
@@ -54,7 +54,9 @@ def make_plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, ta
     """Return the plans to compare by name. All have one map of the same size, with the same filter taps and depth bits."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
-    maps = {fit: make_plan(descriptor, level, {**overrides, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
+    maps = {
+        fit: make_plan(descriptor, level, {**overrides, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in MAP_FITS
+    }
     return {**maps, "perspective": make_plan(descriptor, level, {**overrides, "algorithm": "perspective_shadow_map"})}
 
 
@@ -92,7 +94,7 @@ def measure_times(args: argparse.Namespace) -> list[Row]:
                 notes[map_name] = " ".join(record.note for record in log.records.values()).strip()
         medians = {map_name: float(np.median(milliseconds)) for map_name, milliseconds in times_by_map.items()}
         row = {"view": f"{level} {name}", "ms": 1000.0 * medians["perspective"]}
-        row |= {f"over {fit}": medians["perspective"] / medians[fit] for fit in FITS}
+        row |= {f"over {fit}": medians["perspective"] / medians[fit] for fit in MAP_FITS}
         row |= {f"MiB {map_name}": count / 2**20 for map_name, count in map_bytes.items()}
         rows.append({**row, "note": notes["perspective"]})
         print(*rows[-1].values(), flush=True)

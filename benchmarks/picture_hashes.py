@@ -32,8 +32,9 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 AUTO_ALGORITHM = "auto"
+"""Label of the plan of the fixed rules, beside the names of algorithms."""
 
-LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
+FRAME_PRODUCTS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
 """Products of every frame."""
 
 
@@ -54,14 +55,14 @@ def view_hashes(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, 
         plan = make_plan(
             describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO_ALGORITHM else {"algorithm": algorithm}
         )
-        left = frozenset(layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers)
-        frame = render_frame(scene, view, plan, layers=left)
+        requested_layers = frozenset(layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers)
+        frame = render_frame(scene, view, plan, layers=requested_layers)
     except SkuggaError as error:
         yield "refusal", array_hash(np.frombuffer(str(error).encode(), np.uint8))
         return
     yield "plan", array_hash(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
     yield "reach", array_hash(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
-    for layer in LAYERS:
+    for layer in FRAME_PRODUCTS:
         yield layer, array_hash(product_of_frame(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
         yield f"visibility of {light}", array_hash(visibility)
@@ -86,7 +87,7 @@ def all_hashes() -> dict[str, str]:
     """Return the hashes of all bundled levels, sorted by name."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         levels = list(workers.map(picture_hashes_of_level, bundled_levels()))
-    return dict(sorted((name, value) for picture_hashes_of_level in levels for name, value in picture_hashes_of_level.items()))
+    return dict(sorted((name, value) for level_hashes in levels for name, value in level_hashes.items()))
 
 
 def main() -> int:

@@ -33,17 +33,18 @@ from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-MAX_CELLS = 4_000_000
+MAX_RAY_CHECK_CELLS = 4_000_000
 """Cells of the largest raster that is compared with rays."""
 
 ALTITUDE_OFFSET_DEG = 0.02
+"""Angle between the horizon and the rays that check it, above and below it."""
 
 
 def measure_ms(function: Callable[[], object]) -> tuple[float, float]:
     """Return wall and CPU milliseconds of a call."""
-    start, computed = time.perf_counter(), time.process_time()
+    start, cpu_start = time.perf_counter(), time.process_time()
     function()
-    return (time.perf_counter() - start) * 1000.0, (time.process_time() - computed) * 1000.0
+    return (time.perf_counter() - start) * 1000.0, (time.process_time() - cpu_start) * 1000.0
 
 
 def random_points(scene: Scene, count: int) -> list[tuple[float, float]]:
@@ -77,16 +78,16 @@ def ray_agreement_share(scene: Scene, points: list[tuple[float, float]], crs: CR
     frame = scene.world.frame_near(ground.grid.crs, scene.world.anchor_x, scene.world.anchor_y)
     sheet = scene.surface(ground.grid).window(0, 0, scene.elevation.rows, scene.elevation.cols, frame).sheet
     rays = RayScene([sheet])
-    agree = []
-    for at in points:
-        surroundings = load_surroundings(scene, place_at(scene, at, crs, 1.6))
-        bare = replace(surroundings, triangles=surroundings.triangles[:0], trees=None)
-        horizon = horizon_profile(bare)
+    agreements = []
+    for xy in points:
+        surroundings = load_surroundings(scene, place_at(scene, xy, crs, 1.6))
+        ground_only = replace(surroundings, triangles=surroundings.triangles[:0], trees=None)
+        horizon = horizon_profile(ground_only)
         for offset_deg in (ALTITUDE_OFFSET_DEG, -ALTITUDE_OFFSET_DEG):
-            agree += _agrees_with_rays(
-                bare.place, frame, rays, horizon.azimuth_deg, horizon.relief_deg + offset_deg, offset_deg < 0
+            agreements += _agrees_with_rays(
+                ground_only.place, frame, rays, horizon.azimuth_deg, horizon.relief_deg + offset_deg, offset_deg < 0
             )
-    return float(np.mean(agree))
+    return float(np.mean(agreements))
 
 
 def _agrees_with_rays(
@@ -124,15 +125,15 @@ def measure_level(name: str, count: int, day: date) -> str:
     cold, _ = measure_ms(lambda: compute_day_report(scene, places[0], crs, day))
     warm = np.array([measure_ms(lambda at=at: compute_day_report(scene, at, crs, day)) for at in places[1:]])
     horizons = np.array([measure_ms(lambda at=at: compute_horizon(scene, at, crs)) for at in places[1:]])
-    agree = "-"
-    if scene.elevation.rows * scene.elevation.cols <= MAX_CELLS and scene.elevation.is_north_up:
+    agreement_text = "-"
+    if scene.elevation.rows * scene.elevation.cols <= MAX_RAY_CHECK_CELLS and scene.elevation.is_north_up:
         try:
-            agree = f"{100.0 * ray_agreement_share(scene, places[:8], crs):.2f} %"
+            agreement_text = f"{100.0 * ray_agreement_share(scene, places[:8], crs):.2f} %"
         except InputError:
             pass
     figures = [cold, *np.median(warm, axis=0), warm[:, 1].max(), *np.median(horizons, axis=0), horizons[:, 1].max()]
     cells = f"{scene.elevation.cols} x {scene.elevation.rows}"
-    return f"| {scene.loaded.name} | {cells} | {' | '.join(f'{figure:.0f}' for figure in figures)} | {agree} |"
+    return f"| {scene.loaded.name} | {cells} | {' | '.join(f'{figure:.0f}' for figure in figures)} | {agreement_text} |"
 
 
 if __name__ == "__main__":

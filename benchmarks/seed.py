@@ -47,7 +47,7 @@ class SeedRow:
     ----------
     name
         Name of the run.
-    seconds
+    total_s
         Total wall time, seconds.
     tiles
         Number of tiles that the run wrote.
@@ -60,7 +60,7 @@ class SeedRow:
     """
 
     name: str
-    seconds: float
+    total_s: float
     tiles: int
     drawing_s: float | None = None
     publishing_s: float | None = None
@@ -165,22 +165,22 @@ def print_report(rows: list[SeedRow]) -> None:
     for row in rows:
         drawing, packing = ("" if v is None else f"{v:.1f} s" for v in (row.drawing_s, row.publishing_s))
         peak = "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:.0f} MiB"
-        print(f"| {row.name} | {row.seconds:.1f} | {row.tiles} | {row.tiles / row.seconds:.0f} | {drawing} | {packing} | {peak} |")
+        print(f"| {row.name} | {row.total_s:.1f} | {row.tiles} | {row.tiles / row.total_s:.0f} | {drawing} | {packing} | {peak} |")
     by_name = {row.name: row for row in rows}
     one_worker, two_workers = by_name["one worker"], by_name["two workers"]
-    print(f"\ntwo workers: {one_worker.seconds / two_workers.seconds:.2f} times as fast as one (target 1.8)")
+    print(f"\ntwo workers: {one_worker.total_s / two_workers.total_s:.2f} times as fast as one (target 1.8)")
     assert one_worker.task_s is not None and two_workers.publishing_s is not None and two_workers.drawing_s is not None
     print(f"tiles per second and core within tasks: {one_worker.tiles / one_worker.task_s:.0f} (target 100, stretch goal 150)")
-    print(f"packing: {two_workers.publishing_s / two_workers.seconds:.1%} of the run with two workers (target at most 5 %)")
+    print(f"packing: {two_workers.publishing_s / two_workers.total_s:.1%} of the run with two workers (target at most 5 %)")
     if (dask := by_name.get("Dask, two workers")) is not None and dask.drawing_s is not None:
         print(f"Dask: drawing takes {dask.drawing_s / two_workers.drawing_s - 1.0:+.1%} of two local workers (target at most +5 %)")
     for name in ("gdal2tiles --processes 2", "rio pmtiles -j 2"):
         if name in by_name:
             other = by_name[name]
-            rate = (two_workers.tiles / two_workers.seconds) / (other.tiles / other.seconds)
+            rate = (two_workers.tiles / two_workers.total_s) / (other.tiles / other.total_s)
             print(
                 f"two workers: {rate:.2f} times the tiles per second of {name}; {name} takes "
-                f"{other.seconds / two_workers.seconds:.2f} times as long"
+                f"{other.total_s / two_workers.total_s:.2f} times as long"
             )
 
 

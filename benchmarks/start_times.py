@@ -163,13 +163,13 @@ def _measure_service(
     before, start = _children_cpu_s(), clock.perf_counter()
     with subprocess.Popen([*command, "--port", str(port)], env=_environment(home), cwd=cwd, stderr=subprocess.DEVNULL) as server:
         try:
-            _wait_until(lambda: _get(f"{url}/") is not None, start, shlex.join(command))
+            _wait_until(lambda: _fetch(f"{url}/") is not None, start, shlex.join(command))
             page_s = clock.perf_counter() - start
-            _wait_until(lambda: _get(f"{url}/readyz") is not None, start, shlex.join(command))
-            _wait_until(lambda: _get(_middle_tile_url(url)) is not None, start, shlex.join(command))
+            _wait_until(lambda: _fetch(f"{url}/readyz") is not None, start, shlex.join(command))
+            _wait_until(lambda: _fetch(_middle_tile_url(url)) is not None, start, shlex.join(command))
             tile_s = clock.perf_counter() - start
             _wait_until(
-                lambda: json.loads(_get(f"{url}/readyz") or b"{}").get("preparing", "?") is None, start, shlex.join(command)
+                lambda: json.loads(_fetch(f"{url}/readyz") or b"{}").get("preparing", "?") is None, start, shlex.join(command)
             )
             all_s = clock.perf_counter() - start
         finally:
@@ -179,8 +179,8 @@ def _measure_service(
 
 def _middle_tile_url(url: str) -> str:
     """Return the address of the tile in the middle of the first level, at its first zoom."""
-    name = json.loads(_get(f"{url}/levels") or b"[]")[0]["name"]
-    tilejson = json.loads(_get(f"{url}/levels/{name}/WebMercatorQuad/tilejson.json") or b"{}")
+    name = json.loads(_fetch(f"{url}/levels") or b"[]")[0]["name"]
+    tilejson = json.loads(_fetch(f"{url}/levels/{name}/WebMercatorQuad/tilejson.json") or b"{}")
     west, south, east, north = tilejson["bounds"]
     zoom = int(tilejson["minzoom"])
     size = 2.0**zoom
@@ -189,7 +189,7 @@ def _middle_tile_url(url: str) -> str:
     return f"{url}/levels/{name}/tiles/WebMercatorQuad/{zoom}/{int(x)}/{int(y)}.png"
 
 
-def _get(url: str) -> bytes | None:
+def _fetch(url: str) -> bytes | None:
     try:
         with urllib.request.urlopen(url, timeout=TIMEOUT_S) as answer:
             return bytes(answer.read())

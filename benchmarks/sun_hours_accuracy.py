@@ -71,16 +71,16 @@ class AccuracyRow:
         Names of the folder and of the raster.
     step_min
         Minutes between two suns; ``None`` for the automatic step.
-    hours, first, last
+    hours_error, first_sun_error, last_sun_error
         Errors of the hours of sun, of the time of the first sun and of the last sun.
     """
 
     folder: str
     raster: str
     step_min: float | None
-    hours: ErrorMinutes
-    first: ErrorMinutes
-    last: ErrorMinutes
+    hours_error: ErrorMinutes
+    first_sun_error: ErrorMinutes
+    last_sun_error: ErrorMinutes
 
 
 def _reject_planning(scene: Scene) -> NoReturn:
@@ -120,9 +120,9 @@ class CellRays:
 
         A sun counts only if the sine of its altitude at the cell exceeds ``min_sine``.
         """
-        over = np.flatnonzero(self._upwards @ direction > min_sine)
+        above = np.flatnonzero(self._upwards @ direction > min_sine)
         visible = np.zeros(len(self._start), bool)
-        visible[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
+        visible[above] = ~self._rays.blocked(self._start[above], direction) if len(above) else False
         return visible
 
 
@@ -153,7 +153,7 @@ def _error_minutes(measured_min: np.ndarray, true_min: np.ndarray) -> ErrorMinut
     return ErrorMinutes(float(error_min.mean()), float(np.percentile(error_min, 99)))
 
 
-def measure_raster(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
+def measure_raster(folder_name: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """Yield the errors for a raster at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.as_nodes()
@@ -161,12 +161,12 @@ def measure_raster(kind: str, path: Path, day: date, steps: list[float | None], 
     row, col = np.nonzero(valid)
     sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
     row, col = row[sample], col[sample]
-    its_day = _sun_of_day(scene, day)
-    hours, first, last = ray_truth(scene, view, row, col, its_day)
+    day_sun = _sun_of_day(scene, day)
+    hours, first, last = ray_truth(scene, view, row, col, day_sun)
     for step in steps:
-        answer = _compute_sun_hours(scene, view, its_day, step)
+        answer = _compute_sun_hours(scene, view, day_sun, step)
         yield AccuracyRow(
-            kind, path.stem, step, _error_minutes(60.0 * answer.hours[row, col], 60.0 * hours),
+            folder_name, path.stem, step, _error_minutes(60.0 * answer.hours[row, col], 60.0 * hours),
             _error_minutes(answer.first[row, col], first), _error_minutes(answer.last[row, col], last),
         )  # fmt: skip
     scene.close()
@@ -187,11 +187,11 @@ def measure_seconds(day: date, steps: list[float | None]) -> None:
     """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_mountains(Path(folder), 2048)))
-        view, its_day = raster_view(scene).view.as_nodes(), _sun_of_day(scene, day)
-        _compute_sun_hours(scene, view, its_day, 60.0)
+        view, day_sun = raster_view(scene).view.as_nodes(), _sun_of_day(scene, day)
+        _compute_sun_hours(scene, view, day_sun, 60.0)
         for step in steps:
             begin = time.perf_counter(), time.process_time()
-            _compute_sun_hours(scene, view, its_day, step)
+            _compute_sun_hours(scene, view, day_sun, step)
             wall, computing = time.perf_counter() - begin[0], time.process_time() - begin[1]
             print(f"step {_format_step(step):>4} min: {wall:.1f} s wall time, {computing:.1f} s CPU time", flush=True)
 
@@ -207,7 +207,9 @@ def markdown_table(rows: list[AccuracyRow]) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        error_cells = " | ".join(f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours, row.first, row.last))
+        error_cells = " | ".join(
+            f"{error.mean:.2f}, {error.p99:.1f}" for error in (row.hours_error, row.first_sun_error, row.last_sun_error)
+        )
         lines.append(f"| {row.folder} | {row.raster} | {_format_step(row.step_min)} | {error_cells} |")
     return "\n".join(lines)
 
@@ -228,12 +230,12 @@ def main() -> None:
     if args.folder is None:
         return
     rows = []
-    for kind, names in RASTERS_BY_FOLDER.items():
-        for path in (args.folder / kind / name for name in names):
+    for folder_name, names in RASTERS_BY_FOLDER.items():
+        for path in (args.folder / folder_name / name for name in names):
             if not path.exists():
                 print(f"{path}: missing, skipped")
                 continue
-            for row in measure_raster(kind, path, args.date, steps, args.cells):
+            for row in measure_raster(folder_name, path, args.date, steps, args.cells):
                 rows.append(row)
                 print(markdown_table([row]).splitlines()[-1], flush=True)
     if args.markdown is not None:

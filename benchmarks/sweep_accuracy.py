@@ -94,9 +94,24 @@ class GridTruth:
 
 @dataclass(frozen=True)
 class SweepFigures:
-    """Errors of one raster under one sun, as shares of the decided cells (cells with certain truth).
+    """Errors of the sweep on one raster under one sun.
 
-    ``undecided`` is the share of all cells whose truth is not certain.
+    Attributes
+    ----------
+    raster
+        Name of the raster.
+    azimuth_deg, altitude_deg
+        The sun's angles.
+    cells
+        Number of decided cells: cells with data and with certain truth.
+    shadow
+        Share of the decided cells that are in shadow.
+    wrong, false_shadow, missed_shadow
+        Shares of the decided cells that are wrong in any way, lit in truth but in shadow, and in shadow in truth but lit.
+    interior
+        Share of the decided cells that are wrong away from shadow edges.
+    undecided
+        Share of the cells with data whose truth is not certain.
     """
 
     raster: str
@@ -137,7 +152,7 @@ class GridRays:
         cells make ties at some azimuths, which rounding decides.
         """
         lower, to_sun, higher = (
-            _direction(azimuth_deg, altitude_deg + step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG)
+            _sun_direction(azimuth_deg, altitude_deg + step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG)
         )
         valid = np.flatnonzero(self._valid)
         lit = self._sun_visible(self._rays_higher_diagonals, valid, to_sun, 1.0)
@@ -147,7 +162,7 @@ class GridRays:
         is_certain = light | dark
         light[light] = self._sun_visible(self._rays_lower_diagonals, valid[light], lower, 1.0)
         dark[dark] = ~self._sun_visible(self._rays_lower_diagonals, valid[dark], higher, 4.0)
-        return GridTruth(*(self._grid(valid, values) for values in (lit, is_certain, light | dark)))
+        return GridTruth(*(self._as_grid(valid, values) for values in (lit, is_certain, light | dark)))
 
     def _sun_visible(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offset_factor: float) -> np.ndarray:
         visible = np.empty(len(nodes), bool)
@@ -157,13 +172,13 @@ class GridRays:
             visible[batch] = ~rays.blocked(start, to_sun)
         return visible
 
-    def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def _as_grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
         out = np.zeros(self._valid.shape, bool)
         out.flat[nodes] = values
         return out
 
 
-def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+def _sun_direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 

@@ -93,7 +93,7 @@ def check_convention(tool: SweepTool) -> None:
             )
 
 
-class Worker:
+class SweepProcess:
     """A process that times several tools, one after another, on a terrain."""
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ def measure_times(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict
 
     The tools take turns.
     """
-    workers = {tool: Worker() for tool in tools}
+    workers = {tool: SweepProcess() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.npy"
         np.save(path, fractal_heights_m(side))
@@ -228,11 +228,16 @@ def _format_targets(seconds: dict[SweepTool, np.ndarray], wrong_shares: dict[Swe
         result.append(("two cores against one", float(np.median(sweep_s / by_threads[True, 2])), MIN_TWO_CORE_SPEEDUP))
     if (False, 1) in by_threads:
         result.append(("speed against insolation's, one core", float(np.median(by_threads[False, 1] / sweep_s)), 1.0))
-        our_wrong, their_wrong = (
-            float(np.mean([w[:, 0] for t, w in wrong_shares.items() if bool(t.lines) == sweep_s])) for sweep_s in (True, False)
+        sweep_wrong, insolation_wrong = (
+            float(np.mean([shares[:, 0] for tool, shares in wrong_shares.items() if bool(tool.lines) == is_sweep]))
+            for is_sweep in (True, False)
         )
         result.append(
-            ("insolation's wrong cells against the sweep's", their_wrong / our_wrong if our_wrong else np.inf, MIN_WRONG_RATIO)
+            (
+                "insolation's wrong cells against the sweep's",
+                insolation_wrong / sweep_wrong if sweep_wrong else np.inf,
+                MIN_WRONG_RATIO,
+            )
         )
     return [
         f"- {target}: {value:.2f}, target at least {minimum:g}: {'met' if value >= minimum else 'missed'}"

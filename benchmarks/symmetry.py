@@ -1,4 +1,4 @@
-"""Symmetry of shadows: differences between shadows on ground and sun, and on mirrored or rotated ground and sun.
+"""Symmetry of shadows: whether mirrored or rotated ground, under a sun mirrored or rotated alike, has the same shadow, mirrored.
 
     python -m benchmarks.symmetry FOLDER [--algorithms sweep truth shadow_map shadow_volume] [--crop 256] [--between-nodes]
                                          [--markdown FILE]
@@ -30,7 +30,10 @@ from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 
 SYMMETRIES = [
-    (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
+    (flips_east_west, flips_north_south, is_transposed)
+    for is_transposed in (False, True)
+    for flips_north_south in (False, True)
+    for flips_east_west in (False, True)
 ]
 """The eight symmetries of a square, each as three flags: mirror from east to west, mirror from north to south, and swap rows and
 columns."""
@@ -50,26 +53,26 @@ Symmetry = tuple[bool, bool, bool]
 
 def transform_grid(values: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """Mirror and transpose values (n, m) of a grid by a symmetry."""
-    east_west, north_south, turned = symmetry
-    values = values.T if turned else values
-    return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
+    flips_east_west, flips_north_south, is_transposed = symmetry
+    values = values.T if is_transposed else values
+    return values[:: -1 if flips_north_south else 1, :: -1 if flips_east_west else 1]
 
 
 def invert_grid(values: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """Invert ``transform_grid`` for values of a grid."""
-    east_west, north_south, turned = symmetry
-    values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
-    return values.T if turned else values
+    flips_east_west, flips_north_south, is_transposed = symmetry
+    values = values[:: -1 if flips_north_south else 1, :: -1 if flips_east_west else 1]
+    return values.T if is_transposed else values
 
 
 def transform_azimuth(azimuth_deg: float, symmetry: Symmetry) -> float:
     """Transform a sun's azimuth, degrees, like ``transform_grid`` transforms the ground."""
-    east_west, north_south, turned = symmetry
-    if turned:
+    flips_east_west, flips_north_south, is_transposed = symmetry
+    if is_transposed:
         azimuth_deg = 270.0 - azimuth_deg
-    if north_south:
+    if flips_north_south:
         azimuth_deg = 180.0 - azimuth_deg
-    return (-azimuth_deg if east_west else azimuth_deg) % 360.0
+    return (-azimuth_deg if flips_east_west else azimuth_deg) % 360.0
 
 
 def read_heights(path: Path, crop: int) -> np.ndarray:
@@ -126,12 +129,12 @@ def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarr
 def max_differing_share(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
     """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first."""
     pictures = []
-    for side in SYMMETRIES:
-        ground = np.ascontiguousarray(transform_grid(heights, side))
+    for symmetry in SYMMETRIES:
+        ground = np.ascontiguousarray(transform_grid(heights, symmetry))
         rows, cols = (length * 3 // 2 if between_nodes else length for length in ground.shape)
         with tempfile.TemporaryDirectory() as folder:
-            scene = flat_world_scene(ground, cell_m, (transform_azimuth(sun[0], side), sun[1]), Path(folder))
-            pictures.append(invert_grid(shadow_mask(scene, algorithm, (cols, rows)), side))
+            scene = flat_world_scene(ground, cell_m, (transform_azimuth(sun[0], symmetry), sun[1]), Path(folder))
+            pictures.append(invert_grid(shadow_mask(scene, algorithm, (cols, rows)), symmetry))
             scene.close()
     return max(float((other != pictures[0]).mean()) for other in pictures[1:])
 

@@ -67,7 +67,7 @@ Sun = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Round:
+class RequestRound:
     """Results of a round of requests.
 
     Attributes
@@ -106,20 +106,20 @@ class RunningService:
     path_of_tile: Callable[[Tile, Sun], str]
 
 
-def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> Round:
+def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> RequestRound:
     """Request paths over ``concurrency`` persistent connections. Raises ``RuntimeError`` for a status other than 200."""
-    left, took_s, sizes = list(reversed(paths)), [], []
+    pending_paths, latencies_s, sizes = list(reversed(paths)), [], []
 
     async def client() -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        while left:
-            path = left.pop()
+        while pending_paths:
+            path = pending_paths.pop()
             start = time.perf_counter()
             writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
             head = (await reader.readuntil(b"\r\n\r\n")).lower()
-            at = head.index(b"content-length:") + 15
-            body = await reader.readexactly(int(head[at : head.index(b"\r\n", at)]))
-            took_s.append(time.perf_counter() - start)
+            value_start = head.index(b"content-length:") + 15
+            body = await reader.readexactly(int(head[value_start : head.index(b"\r\n", value_start)]))
+            latencies_s.append(time.perf_counter() - start)
             sizes.append(len(body))
             if head[9:12] != b"200":
                 raise RuntimeError(f"{path}: {head[9:12].decode()} {body[:200]!r}")
@@ -130,10 +130,10 @@ def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> 
 
     start = time.perf_counter()
     asyncio.run(all_clients())
-    whole_s = time.perf_counter() - start
-    ordered = sorted(took_s)
-    return Round(
-        len(paths) / whole_s, 1e3 * statistics.median(ordered), 1e3 * ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)],
+    total_s = time.perf_counter() - start
+    ordered = sorted(latencies_s)
+    return RequestRound(
+        len(paths) / total_s, 1e3 * statistics.median(ordered), 1e3 * ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)],
         statistics.mean(sizes),
     )  # fmt: skip
 
@@ -224,7 +224,7 @@ def central_tiles(tiles: list[Tile]) -> list[Tile]:
     return [(zoom, x, y) for y in range(y0, y0 + 4) for x in range(x0, x0 + 6) if (zoom, x, y) in set(tiles)]
 
 
-Rounds = dict[str, list[Round]]
+Rounds = dict[str, list[RequestRound]]
 ServiceFactory = Callable[[], AbstractContextManager[RunningService]]
 
 
@@ -239,8 +239,8 @@ def measure_service(
     with start_service() as running:
         scalar_figures.setdefault("ready s", []).append(running.ready_s)
 
-        def run_round(name: str, tile_requests: list[tuple[Tile, Sun]], at_once: int = CONCURRENCY) -> Round:
-            result = request_all(running.port, [running.path_of_tile(*tile_request) for tile_request in tile_requests], at_once)
+        def run_round(name: str, tile_requests: list[tuple[Tile, Sun]], concurrency: int = CONCURRENCY) -> RequestRound:
+            result = request_all(running.port, [running.path_of_tile(*tile_request) for tile_request in tile_requests], concurrency)
             rounds.setdefault(name, []).append(result)
             return result
 
@@ -261,26 +261,28 @@ def measure_service(
         run_round("cold, one alone", [(tile, SUNS[6]) for tile in sampled_tiles], 1)
 
 
-async def request_at_rate(port: int, paths: list[str], requests_per_s: float) -> Round:
+async def request_at_rate(port: int, paths: list[str], requests_per_s: float) -> RequestRound:
     """Send requests at a steady rate, even while earlier ones are still pending."""
-    took_s: list[float] = []
+    latencies_s: list[float] = []
     sizes: list[int] = []
 
-    async def one(path: str) -> None:
+    async def send_request(path: str) -> None:
         start = time.perf_counter()
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
         sizes.append(len(await reader.read()))
-        took_s.append(time.perf_counter() - start)
+        latencies_s.append(time.perf_counter() - start)
         writer.close()
 
     tasks = []
     for path in paths:
-        tasks.append(asyncio.create_task(one(path)))
+        tasks.append(asyncio.create_task(send_request(path)))
         await asyncio.sleep(1.0 / requests_per_s)
     await asyncio.gather(*tasks)
-    ordered = sorted(took_s)
-    return Round(requests_per_s, 1e3 * statistics.median(ordered), 1e3 * ordered[int(0.99 * len(ordered))], statistics.mean(sizes))
+    ordered = sorted(latencies_s)
+    return RequestRound(
+        requests_per_s, 1e3 * statistics.median(ordered), 1e3 * ordered[int(0.99 * len(ordered))], statistics.mean(sizes)
+    )
 
 
 BLOCK_PROGRAM = """
@@ -374,9 +376,9 @@ def software_versions(python: Path) -> dict[str, str]:
     return {**dict(zip(names, package_versions, strict=True)), "Python": platform.python_version(), "processor": processor_name()}
 
 
-def median_round(rounds: list[Round]) -> Round:
+def median_round(rounds: list[RequestRound]) -> RequestRound:
     """Return the medians of the results of some rounds."""
-    return Round(
+    return RequestRound(
         *(statistics.median(values) for values in zip(*(asdict(measured_round).values() for measured_round in rounds), strict=True))
     )
 
@@ -402,20 +404,28 @@ def main() -> None:
         with run_titiler(cog, args.titiler_python) as running:
             tiles = tiles_served_by_titiler(tiles_over_raster(cog), running)
         rounds_by_service: dict[str, Rounds] = {"titiler": {}, "Skugga": {}}
-        rest: dict[str, dict[str, list[float]]] = {"titiler": {}, "Skugga": {}}
+        scalars_by_service: dict[str, dict[str, list[float]]] = {"titiler": {}, "Skugga": {}}
         blocks: dict[str, list[dict[str, float]]] = {}
         with run_skugga(cog, folder):
             pass  # loops are compiled, and the device is calibrated, once on a machine
         for _ in range(args.repeats):
             measure_service(
-                tiles, lambda: run_titiler(cog, args.titiler_python), False, rounds_by_service["titiler"], rest["titiler"]
+                tiles,
+                lambda: run_titiler(cog, args.titiler_python),
+                False,
+                rounds_by_service["titiler"],
+                scalars_by_service["titiler"],
             )
-            measure_service(tiles, lambda: run_skugga(cog, folder), True, rounds_by_service["Skugga"], rest["Skugga"])
+            measure_service(tiles, lambda: run_skugga(cog, folder), True, rounds_by_service["Skugga"], scalars_by_service["Skugga"])
             bare, wooded = (ROOT / "configs" / f"jacksboro{kind}.yaml" for kind in ("", "_wooded"))
-            of_blocks = {"now": (ROOT, folder / "cog.yaml"), "village's ground": (ROOT, bare), "village": (ROOT, wooded)}
+            code_and_level_by_name = {
+                "now": (ROOT, folder / "cog.yaml"),
+                "village's ground": (ROOT, bare),
+                "village": (ROOT, wooded),
+            }
             if args.base is not None:
-                of_blocks["base"] = args.base, folder / "cog.yaml"
-            for key, (code, level) in of_blocks.items():
+                code_and_level_by_name["base"] = args.base, folder / "cog.yaml"
+            for key, (code, level) in code_and_level_by_name.items():
                 blocks.setdefault(key, []).append(measure_block_cpu_ms(code, level, ZOOMS[-1]))
         result = {
             "versions": software_versions(args.titiler_python), "tiles": len(tiles), "repeats": args.repeats,
@@ -425,7 +435,7 @@ def main() -> None:
             },
             "seconds": {
                 service_name: {name: statistics.median(samples) for name, samples in values.items()}
-                for service_name, values in rest.items()
+                for service_name, values in scalars_by_service.items()
             },
             "block CPU ms": {key: _median_by_name(values) for key, values in blocks.items()},
         }  # fmt: skip

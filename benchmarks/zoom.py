@@ -44,7 +44,8 @@ from skugga.terrain.scene import Scene, build_scene
 
 MERCATOR = matrix_sets.get("WebMercatorQuad")
 
-ZOOMS_BELOW = 5
+COARSER_ZOOM_COUNT = 5
+"""Number of zooms below the native zoom whose mean shadow is printed."""
 
 MOSAIC_CELLS = 4608
 """Cells a side of the mosaic under the timed blocks."""
@@ -110,9 +111,11 @@ def print_shares(scene: Scene, algorithm: str) -> None:
     """Print the mean shadow by zoom."""
     finest_zoom = native_zoom(scene)
     print("| zoom | samples per pixel | shadow, % | single points, % | mask, % |\n| --- | --- | --- | --- | --- |")
-    for zoom in range(finest_zoom, finest_zoom - ZOOMS_BELOW - 1, -1):
+    for zoom in range(finest_zoom, finest_zoom - COARSER_ZOOM_COUNT - 1, -1):
         view = full_view(scene, zoom)
-        mean_visibility, point_visibility = (ground_visibility(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
+        mean_visibility, point_visibility = (
+            ground_visibility(scene, view, pixel_sampling, algorithm) for pixel_sampling in ("means", "points")
+        )  # type: ignore[arg-type]
         side = 2 ** subdivision_level(scene, view)
         mask = (mean_visibility < 0.5).mean()
         print(
@@ -133,22 +136,25 @@ def print_times(scene: Scene, repeats: int) -> None:
         samplings: tuple[PixelSampling, ...] = ("means", "points")
         plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
         for repeat in range(repeats + 1):
-            for show in samplings:
+            for pixel_sampling in samplings:
                 clear_caches("light")
                 log, start = PassLog(), time.perf_counter()
-                render_block(scene, view, plan, log, show)
+                render_block(scene, view, plan, log, pixel_sampling)
                 if repeat:  # the first round compiles
-                    runs_by_sampling.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
-        ms = {show: float(np.median([elapsed_ms for elapsed_ms, _ in runs])) for show, runs in runs_by_sampling.items()}
+                    runs_by_sampling.setdefault(pixel_sampling, []).append(((time.perf_counter() - start) * 1000.0, log))
+        ms = {
+            pixel_sampling: float(np.median([elapsed_ms for elapsed_ms, _ in runs]))
+            for pixel_sampling, runs in runs_by_sampling.items()
+        }
         ratio = float(
             np.median([a / b for (a, _), (b, _) in zip(runs_by_sampling["means"], runs_by_sampling["points"], strict=True)])
         )
         side = 2 ** subdivision_level(scene, view)
         print(f"| {zoom} | {side} x {side} | {ms['means']:.0f} | {ms['points']:.0f} | {ratio:.2f} |", flush=True)
         if zoom == finest_zoom - 2:
-            for show in samplings:
-                log = runs_by_sampling[show][-1][1]
-                print(f"  {show}: " + ", ".join(f"{name} {record.ms:.0f} ms" for name, record in log.records.items()))
+            for pixel_sampling in samplings:
+                log = runs_by_sampling[pixel_sampling][-1][1]
+                print(f"  {pixel_sampling}: " + ", ".join(f"{name} {record.ms:.0f} ms" for name, record in log.records.items()))
     print(f"peak memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
@@ -166,8 +172,8 @@ def print_far_caster_errors(scene: Scene, sun: tuple[float, float]) -> None:
     reach.FULL_DETAIL_NODES = nodes
     truth = shadow_masks.pop()
     print(f"sun {sun[1]:g} degrees high, {100 * truth.mean():.1f} % in shadow")
-    for limit, dark in zip(limits, shadow_masks, strict=True):
-        missed, false = (truth & ~dark).mean(), (dark & ~truth).mean()
+    for limit, shadow_mask in zip(limits, shadow_masks, strict=True):
+        missed, false = (truth & ~shadow_mask).mean(), (shadow_mask & ~truth).mean()
         print(f"full detail up to {limit} nodes: {100 * (missed + false):.4f} % of the pixels differ, "
               f"{100 * missed:.4f} % missed and {100 * false:.4f} % false shadow")  # fmt: skip
 

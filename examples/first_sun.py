@@ -4,12 +4,12 @@ import numpy as np
 
 import skugga
 
-FROM, TO = (-84.235, 36.355), (-84.115, 36.430)  # up a valley of the Jacksboro fault, Tennessee
+VALLEY_START, VALLEY_END = (-84.235, 36.355), (-84.115, 36.430)  # up a valley of the Jacksboro fault, Tennessee
 
 print("   lon     lat   ground   first    last   direct sun   before the first sun")
 with skugga.open_level("jacksboro") as level:
     for fraction in np.linspace(0.0, 1.0, 7):
-        lon, lat = (start + fraction * (end - start) for start, end in zip(FROM, TO, strict=True))
+        lon, lat = (start + fraction * (end - start) for start, end in zip(VALLEY_START, VALLEY_END, strict=True))
         report = level.point(lon, lat, date="2024-12-21", clock="America/New_York", height=1.6)
         day = report.day
         if not day.sunlit:

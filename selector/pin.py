@@ -291,7 +291,7 @@ def _span(text: str, pair: Pair) -> tuple[int, int]:
     if _is_alias(key, value):
         alias = _ALIAS.match(text, key.end_mark.index)
         if alias is None:
-            raise ValueError("an alias that is not behind its key and colon")
+            raise ValueError("an alias that does not follow its key and a colon")
         return alias.span(1)
     start = value.start_mark.index
     if isinstance(value, MappingNode | SequenceNode) and not value.flow_style:  # it begins behind the colon, on the key's line

@@ -227,7 +227,7 @@ def render_frame(
         if on_block is not None:
             on_block(completed, len(parts))
     if log.names != plan.passes:
-        raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
+        raise RenderError(f"the passes that ran ({', '.join(log.names)}) differ from those of the plan ({', '.join(plan.passes)})")
     assert frame is not None
     return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled)
 

@@ -317,7 +317,9 @@ class Scene:
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
         pixels = (east - west) / (size or (1, 1))[0], (north - south) / (size or (1, 1))[1]
         if max(map(abs, extent)) > 1e9 or min(pixels) < 1e-9 * max(map(abs, extent)):
-            raise InputError("bounds", extent, f"coordinates below 1e9 in {target.name}, and pixels larger than their rounding")
+            raise InputError(
+                "bounds", extent, f"coordinates below 1e9 in {target.name}, and pixels larger than the rounding of coordinates"
+            )
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         if bounds is not None and not self.overlaps(target, extent):

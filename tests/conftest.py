@@ -161,17 +161,17 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def full_disk() -> Callable[[int], AbstractContextManager[None]]:
-    """Return a context manager ``full_disk(count)`` in which no file can exceed ``count`` bytes, as on a full disk."""
+    """Return a context manager ``full_disk(max_bytes)`` in which no file can exceed ``max_bytes`` bytes, as on a full disk."""
 
     @contextmanager
-    def fill(count: int) -> Iterator[None]:
-        action, (soft, hard) = signal.getsignal(signal.SIGXFSZ), resource.getrlimit(resource.RLIMIT_FSIZE)
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (count, hard))
+    def limit_file_sizes(max_bytes: int) -> Iterator[None]:
+        signal_action, (soft_limit, hard_limit) = signal.getsignal(signal.SIGXFSZ), resource.getrlimit(resource.RLIMIT_FSIZE)
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # then a write fails with an error instead of ending the process
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, hard_limit))
         try:
             yield
         finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-            signal.signal(signal.SIGXFSZ, action)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft_limit, hard_limit))
+            signal.signal(signal.SIGXFSZ, signal_action)
 
-    return fill
+    return limit_file_sizes

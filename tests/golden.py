@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-RENDERER = "llvmpipe"
+REFERENCE_RENDERER = "llvmpipe"
 TOLERANCE = 1
 
 OTHER_RENDERER_TOLERANCE, OTHER_RENDERER_MAX_DIFFERING_SHARE = 32, 0.005
@@ -38,9 +38,9 @@ def assert_golden(
 
     A share ``max_differing_share`` of its pixels may differ by more than ``tolerance`` of 255. On another renderer, more may.
     """
-    is_reference_renderer = renderer.startswith(RENDERER)  # not true for "zink (llvmpipe)"
+    is_reference_renderer = renderer.startswith(REFERENCE_RENDERER)  # not true for "zink (llvmpipe)"
     if not is_reference_renderer:
-        assert not regenerate, f"golden pictures are made on {RENDERER}; this is {renderer}"
+        assert not regenerate, f"golden pictures are made on {REFERENCE_RENDERER}; this is {renderer}"
         tolerance, max_differing_share = (
             max(tolerance, OTHER_RENDERER_TOLERANCE),
             max(max_differing_share, OTHER_RENDERER_MAX_DIFFERING_SHARE),
@@ -50,7 +50,7 @@ def assert_golden(
         FOLDER.mkdir(exist_ok=True)
         Image.fromarray(picture).save(path, optimize=True)
         return
-    assert path.is_file(), f"there is no golden picture {path}: make it on {RENDERER} off CI, look at it, commit it"
+    assert path.is_file(), f"there is no golden picture {path}: make it on {REFERENCE_RENDERER} off CI, look at it, commit it"
     expected = np.asarray(Image.open(path))
     assert expected.shape == picture.shape, f"{name}: {picture.shape} instead of {expected.shape}"
     difference = np.abs(expected.astype(int) - picture.astype(int))

@@ -1,4 +1,4 @@
-"""Parameters of which a few run by default, and all in the long profile."""
+"""Parameters of tests: a few run by default, all of them in the long profile."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 
-def quick(values: Iterable[Any], *chosen: Any) -> list[Any]:
-    """Return values as parameters, all but the chosen ones marked ``long``. Fail if a chosen value is missing."""
+def mark_long_except(values: Iterable[Any], *default_values: Any) -> list[Any]:
+    """Return values as parameters. All but the default values are marked ``long``. Fail if a default value is not in ``values``."""
     values = list(values)
-    assert all(choice in values for choice in chosen), chosen
+    assert all(value in values for value in default_values), default_values
     return [
-        value if value in chosen else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.long)
+        value
+        if value in default_values
+        else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.long)
         for value in values
     ]

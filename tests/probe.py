@@ -95,8 +95,8 @@ def run_skugga(*arguments: str) -> tuple[int, str, str]:
         try:
             cli.main()
             status: Any = 0
-        except SystemExit as ended:
-            status = ended.code
+        except SystemExit as exit_exception:
+            status = exit_exception.code
     return status, out.getvalue(), err.getvalue()
 
 
@@ -138,7 +138,7 @@ def probe_setting(level: Path, client: httpx.Client) -> dict[str, Any]:
         for light, kinds in plan.settings.items()
     }
     plan = plan.model_copy(update={"settings": settings})
-    chosen = pins(plan, descriptor, loaded.level)
+    pin_choices = pins(plan, descriptor, loaded.level)
     picture = level.with_name("picture.png")
     stats = level.with_name("stats.json")
     render_output = run_skugga(
@@ -173,7 +173,7 @@ def probe_setting(level: Path, client: httpx.Client) -> dict[str, Any]:
         "plan of facts": client.post("/plan", params={**params, "policy": "rules"}, json=facts).json()["reasons"],
         "refusals": [client.get(path, params={"gloss": "loud"}).json() for path in (TILE, SNAPSHOT, PLAN)],
         "tags": {path: [client.get(path, params=query).headers["etag"] for query in ({}, params)] for path in (TILE, SNAPSHOT)},
-        "pin": pinned_text(level.read_text(), chosen, ["Chosen."]),
+        "pin": pinned_text(level.read_text(), pin_choices, ["Chosen."]),
         "words": format_plan(plan, "A plan."),
         "candidate": name_of(plan),
     }
@@ -203,19 +203,19 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     params, folder = {"layer": "steepness", "gain": 2}, level.parent
     raster, archive = folder / "steepness.tif", folder / "steepness.pmtiles"
 
-    def inside(array: np.ndarray, rim: int = 4) -> list[float]:
+    def value_range(array: np.ndarray, rim: int = 4) -> list[float]:
         """Return the minimum and maximum within the data, and the share of valid pixels there."""
         valid = np.isfinite(array)
         rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
         part = array[rows[0] + rim : rows[-1] - rim + 1, cols[0] + rim : cols[-1] - rim + 1]
         return [float(np.nanmin(part)), float(np.nanmax(part)), float(np.isfinite(part).mean())]
 
-    def values(path: str, **extra_params: object) -> np.ndarray:
+    def fetch_values(path: str, **extra_params: object) -> np.ndarray:
         answer = client.get(path, params={**params, **extra_params})
         assert answer.status_code == 200, answer.text
         return np.load(io.BytesIO(answer.content))
 
-    def colors(content: bytes) -> list[list[int]]:
+    def centre_colors(content: bytes) -> list[list[int]]:
         """Return the colours in the centre of a picture."""
         picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGBA"))
         rows, cols = (np.flatnonzero((picture[..., 3] == 255).any(axis=axis)) for axis in (1, 0))
@@ -224,9 +224,9 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
 
     output = run_skugga("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
     assert output[0] == 0, output
-    with rasterio.open(raster) as dataset, skugga.open_level(level) as opened:
-        command_array, python_array = dataset.read(1), opened.compute("steepness", gain=2.0)
-    neighbour_tiles = [[values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
+    with rasterio.open(raster) as dataset, skugga.open_level(level) as open_level:
+        command_array, python_array = dataset.read(1), open_level.compute("steepness", gain=2.0)
+    neighbour_tiles = [[fetch_values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
     bounds = matrix_sets.get("WebMercatorQuad").xy_bounds(2144, 1432, 12)
     wms = {
         "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": "hills:steepness", "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
@@ -250,10 +250,11 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     }  # fmt: skip
     mask = ("--product", "mask", "--gain", "2", "-o", str(raster))
     return {
-        "command": inside(command_array), "python": inside(python_array), "tile": inside(values(f"{TILES}.npy")),
-        "double tile": inside(values(f"{TILES}@2x.npy")), "across blocks": inside(np.block(neighbour_tiles)),
-        "map": inside(values("/levels/hills/map.npy", width=300)), "colors": colors(tile.content),
-        "wms": colors(client.get("/wms", params=wms).content), "seeded": colors(seeded),
+        "command": value_range(command_array), "python": value_range(python_array),
+        "tile": value_range(fetch_values(f"{TILES}.npy")), "double tile": value_range(fetch_values(f"{TILES}@2x.npy")),
+        "across blocks": value_range(np.block(neighbour_tiles)),
+        "map": value_range(fetch_values("/levels/hills/map.npy", width=300)), "colors": centre_colors(tile.content),
+        "wms": centre_colors(client.get("/wms", params=wms).content), "seeded": centre_colors(seeded),
         "map_layers": level_document["map_layers"], "products": {item["name"]: item for item in level_document["products"]},
         "tilejson": {"tiles": tilejson["tiles"][0], "legend": tilejson["skugga"]["legend"]["title"]},
         "legend": [client.get(f"/levels/hills/legend.{kind}", params=params).headers["content-type"] for kind in ("png", "svg")],

@@ -45,7 +45,7 @@ def sun_hours_of(**options: Any) -> ProductRequest:
     return ProductRequest(product="sunhours", options=SunHoursOptions(**options))
 
 
-def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
+def draw_map(scene: Scene, view: MapView, plan: Plan) -> Picture:
     """Return the picture of a map, drawn by the fastest path."""
     return draw(scene, view, plan, SHADING_NEEDS)
 

@@ -59,7 +59,7 @@ PASSES = ("coarse rays",)
 REFUSAL_REASON = "coarse rays are for what is far away, as the sun is"
 
 visibility_caches: dict[str, Cache[np.ndarray]] = {}
-"""The made-up algorithm's cache by name, filled while the algorithm is registered."""
+"""The cache of the made-up algorithm under its name, which is added when the algorithm is registered."""
 
 ray_counts: list[int] = []
 """Number of rays that each call cast."""
@@ -71,11 +71,11 @@ class CoarseRaysSettings(AlgorithmSettings):
     square_px: int
 
 
-def fill(buffer, scene, light, kinds, casters, settings, log):
+def compute_visibility(buffer, scene, light, kinds, casters, settings, log):
     """Return visibility by rays from one pixel of each square, which stands for all of the square."""
     (rays_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(rays_pass):
-        visibility = visibility_caches["kept"].get(scene, buffer.view, light, kinds, settings)
+        visibility = visibility_caches["coarse rays"].get(scene, buffer.view, light, kinds, settings)
         if isinstance(visibility, Missing):
             lit = lit_mask(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
             side = settings.square_px
@@ -86,7 +86,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
             )
             visibility = chosen_lit[np.ix_(rows, cols)].astype(np.float32)
             ray_counts.append(chosen_lit.size)
-            visibility_caches["kept"].put(scene, buffer.view, light, kinds, settings, value=visibility)
+            visibility_caches["coarse rays"].put(scene, buffer.view, light, kinds, settings, value=visibility)
         return visibility.copy()
 
 
@@ -106,7 +106,7 @@ ALGORITHM = Algorithm(
     name="coarse_rays",
     description="a ray for each square of pixels",
     plural="coarse rays",
-    fill=fill,
+    fill=compute_visibility,
     passes=PASSES,
     refusals={"omni": REFUSAL_REASON, "spot": REFUSAL_REASON},
     settings=(CoarseRaysSettings,),
@@ -127,17 +127,17 @@ ALGORITHM = Algorithm(
 @pytest.fixture
 def register() -> Iterator[Callable[[Algorithm], None]]:
     """Yield a function that registers an algorithm for the duration of a test."""
-    before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
+    algorithms_before, names_before = dict(ALGORITHMS), list(ALGORITHM_NAMES)
     yield register_algorithm
     ALGORITHMS.clear()
-    ALGORITHMS.update(before)
-    ALGORITHM_NAMES[:] = names
+    ALGORITHMS.update(algorithms_before)
+    ALGORITHM_NAMES[:] = names_before
 
 
 @pytest.fixture
 def coarse_rays(register) -> Iterator[None]:
     register(ALGORITHM)
-    visibility_caches["kept"] = Cache("tests.coarse_rays", "light", 2**26)
+    visibility_caches["coarse rays"] = Cache("tests.coarse_rays", "light", 2**26)
     ray_counts.clear()
     yield
     visibility_caches.clear()
@@ -320,20 +320,20 @@ def resolve_coarse(request: SettingsRequest) -> ResolvedSettings:
 
 
 @pytest.mark.parametrize(
-    ("change", "rates", "why"),
+    ("record_changes", "rates", "expected_reason"),
     [
         ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet: benchmarks/selection fits them"),
         ({}, {}, "this device has no rates for coarse rays: run skugga calibrate again"),
     ],
 )
 def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
-    coarse_rays, register, ridges, scene, change, rates, why
+    coarse_rays, register, ridges, scene, record_changes, rates, expected_reason
 ):  # fmt: skip
-    register(replace(ALGORITHM, **change))
+    register(replace(ALGORITHM, **record_changes))
     level, measured = scene.loaded.level, slow_device(**rates)
     plan = predicted_plan(ridges, level, None, measured)
     assert plan.policy == "predict" and plan.algorithm[SUN]["relief"] == "sweep"
-    assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == why
+    assert {entry.name: entry.reason for entry in plan.rejected}["coarse_rays"] == expected_reason
     requested_plan = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
     assert (
         requested_plan.algorithm[SUN]["relief"] == "coarse_rays"
@@ -341,7 +341,7 @@ def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
         and requested_plan.target.met is None
     )
     reason = next(entry.reason for entry in requested_plan.reasons if entry.name == "policy rules")
-    assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {why}"
+    assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {expected_reason}"
 
 
 PATH_BY_ALGORITHM = {

@@ -149,10 +149,8 @@ def test_a_new_product_appears_in_every_interface(probe_output, tmp_path):
     for interface in ("command", "python", "tile", "double tile", "map", "across blocks"):
         low, high, share = output[interface]
         assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (interface, low, high)
-        assert share == 1.0, f"{interface}: a seam, or nothing"
-    assert output["colors"] == output["wms"] == output["seeded"], (
-        "a picture has the colour of 1.5 by the scale, through every interface"
-    )
+        assert share == 1.0, f"{interface}: a share of the values is missing"
+    assert output["colors"] == output["wms"] == output["seeded"], "pictures of all interfaces have the colour of 1.5 in the scale"
     assert len(output["colors"]) == 1 and output["colors"][0][3] == 255
     assert (
         "steepness" in output["map_layers"]

@@ -39,13 +39,13 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
-X, Y = 500_000.0, 5_300_480.0
+WEST_M, NORTH_M = 500_000.0, 5_300_480.0
 """North-west corner of the ground."""
 
 
 def lon_lat_at(east_m: float, south_m: float) -> list[float]:
     """Return longitude and latitude of a place at some distance from the corner."""
-    return list(transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform(X + east_m, Y - south_m))
+    return list(transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform(WEST_M + east_m, NORTH_M - south_m))
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def scene_factory(tmp_path) -> Callable[[], Scene]:
     rows, cols = np.mgrid[0:48, 0:48]
     heights = (20.0 * np.sin(rows / 6.0) * np.cos(cols / 7.0)).astype(np.float32)
     for name, cells in (("dem", heights), ("ortho", np.full((3, 48, 48), 90, np.uint8))):
-        write_geotiff(tmp_path / f"{name}.tif", cells, "EPSG:32633", X, Y, 10.0)
+        write_geotiff(tmp_path / f"{name}.tif", cells, "EPSG:32633", WEST_M, NORTH_M, 10.0)
     house = [[200, 200], [220, 200], [220, 215], [200, 215], [200, 200]]
     wood = [[250, 150], [330, 150], [330, 230], [250, 230], [250, 150]]
     for name, ring, tags in (("houses", house, {"height_m": 9}), ("woods", wood, {})):
@@ -81,13 +81,13 @@ def scene_factory(tmp_path) -> Callable[[], Scene]:
     return lambda: build_scene(load_level(path))
 
 
-KINDS = ("relief", "meshes")
+CASTER_KINDS = ("relief", "meshes")
 ALL_OVERRIDES = [
     {"algorithm": "shadow_map", "filter": "sun"},
-    {"algorithm": {"sun": dict.fromkeys((*KINDS, "forest"), "perspective_shadow_map")}},
+    {"algorithm": {"sun": dict.fromkeys((*CASTER_KINDS, "forest"), "perspective_shadow_map")}},
     {"algorithm": {"sun": {"relief": "sweep"}}},
-    {"algorithm": {"sun": dict.fromkeys(KINDS, "shadow_volume")}},
-    {"algorithm": {"sun": dict.fromkeys(KINDS, "hybrid")}},
+    {"algorithm": {"sun": dict.fromkeys(CASTER_KINDS, "shadow_volume")}},
+    {"algorithm": {"sun": dict.fromkeys(CASTER_KINDS, "hybrid")}},
     {"algorithm": "truth"},
 ]
 
@@ -125,7 +125,9 @@ def draw_with_everything(scene: Scene) -> list[object]:
 def test_a_closed_scene_leaves_no_cache_entry(gl, scene):
     clear_caches("light", "scene")
     cache_keys = draw_with_everything(scene)
-    assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], "not filled, so not tested"
+    assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], (
+        "these caches were not filled, so the test does not check them"
+    )
     scene.close()
     del cache_keys
     gc.collect()

@@ -1,6 +1,6 @@
 """Slow libraries that each entry point may import: none for help and completion, only the needed ones for a command.
 
-A command that answers at once imports nothing that computes. ``INSTANT_ARGUMENTS``, ``HELP_MODULES``, ``COMPLETIONS`` and
+A command that answers at once imports nothing that computes. ``INSTANT_ARGUMENTS``, ``HELP_MODULES``, ``COMPLETION_CASES`` and
 ``COMMAND_ARGUMENTS`` have a line for each entry point. If one fails, ``python -X importtime`` shows the importing module; move the
 import into the function that needs it.
 """
@@ -74,7 +74,7 @@ HELP_MODULES: dict[str, frozenset[str]] = {
 }
 """Command -> allowed imports of its help. The lists of formats and products are in modules that use arrays."""
 
-COMPLETIONS: dict[str, tuple[str, str, frozenset[str]]] = {
+COMPLETION_CASES: dict[str, tuple[str, str, frozenset[str]]] = {
     "commands": ("skugga se", "select", TYPER_MODULES),
     "options": ("skugga validate x.tif --no", "--nodata", TYPER_MODULES),
     "levels": ("skugga validate jack", "jacksboro_wooded", TYPER_MODULES),
@@ -187,10 +187,10 @@ def test_help_of_a_command_imports_nothing_heavy(command, tmp_path):
     assert imported_modules <= HELP_MODULES[command]
 
 
-@pytest.mark.parametrize("name", COMPLETIONS)
+@pytest.mark.parametrize("name", COMPLETION_CASES)
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_completion_imports_nothing_heavy(shell, name, tmp_path):
-    line, word, allowed = COMPLETIONS[name]
+    line, word, allowed = COMPLETION_CASES[name]
     words = line.split(" ")
     completion_environment = (
         {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)} if shell == "bash" else {"_TYPER_COMPLETE_ARGS": line}

@@ -31,9 +31,9 @@ def declared_requirements() -> list[Requirement]:
 def test_every_dependency_is_locked_within_its_bounds():
     versions: dict[str, list[str]] = {}
     for locked_requirement in locked_requirements():
-        (version_pin,) = locked_requirement.specifier
-        assert version_pin.operator == "==", locked_requirement
-        versions.setdefault(canonicalize_name(locked_requirement.name), []).append(version_pin.version)
+        (pin,) = locked_requirement.specifier
+        assert pin.operator == "==", locked_requirement
+        versions.setdefault(canonicalize_name(locked_requirement.name), []).append(pin.version)
     for requirement in declared_requirements():
         locked_versions = versions.get(canonicalize_name(requirement.name))
         assert locked_versions, f"{requirement.name} is missing: make lock"

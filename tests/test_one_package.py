@@ -34,7 +34,7 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run_in(project: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
+def run_in_project(project: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(project), str(ROOT)])
     environment = {**os.environ, "PYTHONPATH": path}
     return subprocess.run(list(map(str, command)), cwd=project, env=environment, capture_output=True, text=True, timeout=600)
@@ -47,7 +47,7 @@ def test_skugga_imports_beside_packages_of_the_same_names(project: Path):
         "print(int(skugga.shadow(heights, 1.0, azimuth_deg=180.0, altitude_deg=45.0).sum()))\n"
         "print(sorted(set(sys.modules) & {'api', 'configs', 'selector', 'shadows', 'terrain'}))"
     )
-    process = run_in(project, sys.executable, "-c", code)
+    process = run_in_project(project, sys.executable, "-c", code)
     assert process.returncode == 0, process.stderr
     dark_count, bare_modules = process.stdout.splitlines()
     assert int(dark_count) > 3 and bare_modules == "[]"
@@ -56,7 +56,7 @@ def test_skugga_imports_beside_packages_of_the_same_names(project: Path):
 def test_commands_work_beside_packages_of_the_same_names(project: Path):
     sun = ["--azimuth", "180", "--altitude", "45"]
     code = "from skugga.api.cli.main import main; main()"
-    process = run_in(project, sys.executable, "-c", code, "shade", "dem.tif", *sun, "-o", "mask.tif")
+    process = run_in_project(project, sys.executable, "-c", code, "shade", "dem.tif", *sun, "-o", "mask.tif")
     assert process.returncode == 0 and (project / "mask.tif").is_file(), process.stderr
 
 
@@ -100,9 +100,9 @@ FORBIDDEN_IMPORTS = {
 }
 
 
-@pytest.mark.parametrize("kind", FORBIDDEN_IMPORTS)
-def test_import_linter_reports_a_forbidden_import(tmp_path: Path, kind: str):
-    name, line, expected_message = FORBIDDEN_IMPORTS[kind]
+@pytest.mark.parametrize("violation", FORBIDDEN_IMPORTS)
+def test_import_linter_reports_a_forbidden_import(tmp_path: Path, violation: str):
+    name, line, expected_message = FORBIDDEN_IMPORTS[violation]
     project_copy = copy_with(tmp_path, {})
     path = project_copy / name
     path.write_text(path.read_text(encoding="utf-8").rstrip() + f"\n{line}\n", encoding="utf-8")

@@ -17,7 +17,7 @@ from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import format_page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
-from benchmarks.sun_questions.words import format_sun_page
+from benchmarks.sun_questions.page import format_sun_page
 from skugga.api.cli.main import app
 
 ROOT = Path(__file__).parent.parent
@@ -67,7 +67,7 @@ def commands_of(page: str) -> list[list[str]]:
     """Return the words of each ``skugga`` command in the shell examples of a page."""
     examples = "\n".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)).replace("\\\n", " ")
     lines = [shlex.split(line, comments=True) for line in examples.splitlines()]
-    return [words[1:] for words in lines if words[:1] == ["skugga"]]
+    return [arguments[1:] for arguments in lines if arguments[:1] == ["skugga"]]
 
 
 @pytest.mark.parametrize("path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
@@ -75,14 +75,14 @@ def test_commands_in_examples_use_existing_options(path: Path, tmp_path: Path, m
     """Commands are parsed, not run. An unknown command or option is a usage error."""
     group: Any = typer.main.get_command(app)
     monkeypatch.chdir(tmp_path)
-    for name, *words in commands_of(path.read_text("utf-8")):
-        for raster in (word for word in words if re.fullmatch(r"[\w-]+\.(tif|vrt)", word)):
+    for name, *arguments in commands_of(path.read_text("utf-8")):
+        for raster in (word for word in arguments if re.fullmatch(r"[\w-]+\.(tif|vrt)", word)):
             Path(raster).touch()
-        group.commands[name].make_context(name, words)
+        group.commands[name].make_context(name, arguments)
 
 
 def test_the_first_page_shows_commands() -> None:
-    assert {words[0] for words in commands_of((ROOT / "README.md").read_text("utf-8"))} >= {"shade", "serve", "render"}
+    assert {arguments[0] for arguments in commands_of((ROOT / "README.md").read_text("utf-8"))} >= {"shade", "serve", "render"}
 
 
 def imported_names(page: str) -> list[tuple[str, str]]:

@@ -54,7 +54,7 @@ def test_functions_without_annotations_are_compiled(package: str) -> None:
 def test_mypy_checks_every_package() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert settings["strict"] and "skugga" in settings["files"]
-    assert all((ROOT / "skugga" / floor).is_dir() for floor in PACKAGES)
+    assert all((ROOT / "skugga" / package).is_dir() for package in PACKAGES)
 
 
 @pytest.mark.parametrize(

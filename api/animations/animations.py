@@ -166,7 +166,7 @@ class Animations:
         if animation.timer is not None:
             animation.timer.cancel()
         silence_s = self._settings.animation_abandoned_s
-        message = f"No client asked for its state for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
+        message = f"No client requested its state for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
         animation.timer = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
 
     async def _run(self, animation: Animation) -> None:

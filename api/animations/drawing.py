@@ -42,7 +42,7 @@ def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey
         previous_plan_state: FilmPlanState | None = None
         for number in range(order.span.frames):
             if await current_level(order.level_name) != order.level:
-                raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn: ask for the animation again.")
+                raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn. Request the animation again.")
             picture = await _frame(pool, frame_job(order, number, previous_plan_state))
             previous_plan_state = picture.next_plan_state
             yield picture.color

@@ -38,7 +38,7 @@ def probe_all_scales(
     unless ``write`` is true. Raises ``SkuggaError``.
     """
     if policy != "probe":
-        raise InputError("--policy", policy, "probe with --all-scales")
+        raise InputError("--policy", policy, "probe, the only policy of --all-scales")
     for name, value in overrides.items():
         if value is not None and name not in PROBE_SETTINGS:
             raise InputError.conflict(

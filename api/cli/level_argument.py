@@ -97,7 +97,9 @@ def with_level_argument(function: Callable[..., None]) -> Callable[..., None]:
 def _level_sources(names: list[str] | None, raster_options: dict[str, Any]) -> list[LevelSource]:
     for name, value in raster_options.items():
         if value is not None and len(names or ()) != 1:
-            raise InputError(f"--{name}", Problem("needs exactly one LEVEL"), "Give only the raster that it describes as LEVEL")
+            raise InputError(
+                f"--{name}", Problem("needs exactly one LEVEL"), "Give one LEVEL, the raster that the option describes"
+            )
     return [_named_level_source(name, raster_options) for name in names or ()]
 
 

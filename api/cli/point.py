@@ -100,7 +100,7 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
     if options.output is not None and options.horizon is None:
         raise InputError("--output", Problem("needs a horizon format"), f"Add --horizon FORMAT: {', '.join(HORIZON_FORMATS)}")
     if options.as_json and options.horizon is not None and options.output is None:
-        raise InputError.conflict("--json", "--horizon", "Add --output FILE for the horizon: only one of both can be printed")
+        raise InputError.conflict("--json", "--horizon", "Add --output FILE for the horizon: only one of the two can be printed")
 
 
 def report_point(level: LevelSource, options: PointOptions) -> None:

@@ -84,7 +84,7 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
     sun = sun_from_options(options.time, options.azimuth, options.altitude)
     suns = tuple(suns_from_options(sun, options.times, options.start, options.end, options.step))
     if len(suns) > 1 and product_named(options.layer).when == "none":
-        raise InputError("--layer", options.layer, "a layer that changes with the sun, for several times")
+        raise InputError("--layer", options.layer, "with several times, a layer that depends on the sun")
     paths = paths_by_time(options.output, suns)
     for path in paths:
         check_output(path)

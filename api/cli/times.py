@@ -52,7 +52,11 @@ def suns_from_options(
     every = read_duration("--step", step)
     count = (last - first) // every + 1
     if not 1 <= count <= MAX_TIMES:
-        raise InputError("--to", end, f"a time that makes 1 to {MAX_TIMES} steps of {step} after --from, not {count}")
+        raise InputError(
+            "--to",
+            end,
+            f"a time that gives 1 to {MAX_TIMES} times, one every {step} from --from on; this one gives {max(count, 0)}",
+        )
     return [SunSpec(time=first + n * every) for n in range(count)]
 
 

@@ -166,7 +166,7 @@ def _parse_transform(value: Any) -> Affine:
     except (TypeError, ValueError, OverflowError):
         numbers = []
     if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise PydanticCustomError("transform", "the six numbers of an affine transform, as rasterio's")
+        raise PydanticCustomError("transform", "the six numbers of an affine transform, as in rasterio")
     return Affine(*numbers)
 
 

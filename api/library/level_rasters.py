@@ -235,10 +235,16 @@ class LevelRasters(LevelState):
         else:
             for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
                 if value is not None:
-                    raise InputError.conflict(name, "cells", "Use one of them; cells are the level's own")
+                    raise InputError.conflict(
+                        name, "cells", "Use one of them; cells selects rows and columns of the level's own grid"
+                    )
             (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
             if top >= bottom or left >= right:
-                raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
+                raise InputError(
+                    "cells",
+                    cells,
+                    f"slices that select at least one of the level's {self.shape[0]} rows and {self.shape[1]} columns",
+                )
             raster = self._own_raster.raster_part(top, left, bottom - top, right - left)
         check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_per_cell, PART_REMEDY)
         return raster

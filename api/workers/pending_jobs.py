@@ -242,7 +242,7 @@ class PendingJobs:
 
 def _job_title(job: Job) -> str:
     if isinstance(job, DescriptorPlanJob):
-        return "A plan of such a descriptor"
+        return "The plan of this descriptor"
     settings_clause = " with these settings" if job.request.overrides.asked else ""
     return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{settings_clause}"
 

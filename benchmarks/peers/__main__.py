@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peers.figures import PeerComparison, SunShares, TestRaster, ToolRecord, ToolResult
+from benchmarks.peers.figures import ComparedRaster, PeerComparison, SunShares, ToolRecord, ToolResult
 from benchmarks.peers.pages import format_page, short_table
 from benchmarks.peers.picture import write_plot
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, make_tools, write_dem
@@ -57,7 +57,7 @@ def read_jacksboro() -> tuple[np.ndarray, float]:
     return height_m, cell_m
 
 
-def test_rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
+def make_compared_rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
     """Return by name the heights, float32 (rows, cols) in metres, and the side of a cell in metres.
 
     Rasters have at most ``side`` cells a side.
@@ -73,33 +73,33 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
     reason why a tool is skipped.
     """
     start_s: dict[Tool, float] = {}
-    left_out: dict[str, str] = {}
+    skip_reasons: dict[str, str] = {}
     records = []
     for tool in make_tools(python):
         version = tool.installed_version()
         if version is None:
-            left_out[tool.name] = "absent"
+            skip_reasons[tool.name] = "absent"
             print(f"{tool.name}: not installed, skipped", flush=True)
             continue
         try:
             start_s[tool] = min(run.wall_s for run in check_pole(tool, folder))
         except RuntimeError as error:
-            left_out[tool.name] = str(error)
+            skip_reasons[tool.name] = str(error)
             print(f"{tool.name}: skipped: {error}", flush=True)
             continue
         records.append(ToolRecord(tool.name, version, tool.algorithm, tool.is_skugga, tool.decode_mask is not None, start_s[tool]))
         print(f"{tool.name} {version}: the pole's shadow is right", flush=True)
-    return start_s, left_out, records
+    return start_s, skip_reasons, records
 
 
-def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
+def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[ComparedRaster, list[GridTruth]]:
     """Return a raster's description, and the truth under each sun.
 
     The shares in the description count cells whose truth is certain for either diagonal of a quad.
     """
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUN_ANGLES_DEG]
-    under = [
+    sun_shares = [
         SunShares(
             *sun,
             float((~truth.lit & truth.certain_for_any_cut).sum() / truth.certain_for_any_cut.sum()),
@@ -108,7 +108,7 @@ def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Tes
         for sun, truth in zip(SUN_ANGLES_DEG, truths, strict=True)
     ]
     rows, cols = height_m.shape
-    return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
+    return ComparedRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), sun_shares), truths
 
 
 def shadow_errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
@@ -127,30 +127,30 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
         folder = Path(folder_name)
         tools, left_out, records = check_tools(python, folder)
         terrains, truths = [], {}
-        for name, (height_m, cell_m) in test_rasters(side).items():
+        for name, (height_m, cell_m) in make_compared_rasters(side).items():
             terrain, truths[name] = describe_raster(name, height_m, cell_m)
             terrains.append(terrain)
             write_dem(folder / f"{name}.tif", height_m, cell_m)
             print(f"{time.perf_counter() - begin:4.0f} s  truth of {name}", flush=True)
         for repeat in range(repeats):
             for name in truths:
-                for k, sun in enumerate(SUN_ANGLES_DEG):
+                for sun_index, sun in enumerate(SUN_ANGLES_DEG):
                     job = ToolJob(folder / f"{name}.tif", *sun, folder / "mask.tif")
                     for tool in [*tools][:: -1 if repeat % 2 else 1]:
-                        key = tool, name, k
+                        key = tool, name, sun_index
                         if repeat and max(run.wall_s for run in runs[key]) > MAX_REPEATED_RUN_S:
                             continue
                         try:
                             runs.setdefault(key, []).append(tool.run(job))
                         except RuntimeError as error:
-                            left_out[tool.name] = f"{name} under the sun {' / '.join(job.sun)}: {error}"
+                            left_out[tool.name] = f"{name} under the sun {' / '.join(job.sun_arguments)}: {error}"
                             print(f"{tool.name}: skipped: {left_out[tool.name]}", flush=True)
                             del tools[tool]
                             continue
                         if tool.decode_mask is not None and key not in error_shares:
-                            truth = truths[name][k]
+                            truth = truths[name][sun_index]
                             error_shares[key] = shadow_errors(
-                                tool.mask(job), truth, truth.certain if tool.is_skugga else truth.certain_for_any_cut
+                                tool.read_mask(job), truth, truth.certain if tool.is_skugga else truth.certain_for_any_cut
                             )
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
     answers = [

@@ -31,7 +31,7 @@ class SunShares:
 
 
 @dataclass(frozen=True)
-class TestRaster:
+class ComparedRaster:
     """Description of a raster.
 
     Attributes
@@ -160,7 +160,7 @@ class PeerComparison:
     repeats: int
     slow_s: float
     took_s: float
-    terrains: list[TestRaster]
+    terrains: list[ComparedRaster]
     tools: list[ToolRecord]
     left_out: dict[str, str]
     answers: list[ToolResult]
@@ -168,7 +168,9 @@ class PeerComparison:
     @staticmethod
     def read(values: dict[str, Any]) -> PeerComparison:
         """Build the comparison from values of its JSON file."""
-        terrains = [TestRaster(**{**entry, "under": [SunShares(**sun) for sun in entry["under"]]}) for entry in values["terrains"]]
+        terrains = [
+            ComparedRaster(**{**entry, "under": [SunShares(**sun) for sun in entry["under"]]}) for entry in values["terrains"]
+        ]
         tools, answers = [ToolRecord(**entry) for entry in values["tools"]], [ToolResult(**entry) for entry in values["answers"]]
         return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
@@ -192,7 +194,7 @@ class PeerComparison:
         return any(answer.compute_s is None for answer in self.results_of(tool))
 
     @property
-    def largest_raster(self) -> TestRaster:
+    def largest_raster(self) -> ComparedRaster:
         """The raster with the most cells."""
         return max(self.terrains, key=lambda terrain: terrain.rows * terrain.cols)
 
@@ -255,11 +257,11 @@ def unmatched_results(comparison: PeerComparison, clock: str) -> list[tuple[str,
 def dominated_rows(case_standings: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
     """Return triples of a row of Skugga, a peer that is both faster and more accurate, and the case."""
     return [
-        (our_row.tool.name, peer.tool.name, case)
+        (skugga_row.tool.name, peer.tool.name, case)
         for case, standings in case_standings.items()
-        for our_row in standings
+        for skugga_row in standings
         for peer in standings
-        if our_row.tool.ours and not peer.tool.ours and peer.beats(our_row)
+        if skugga_row.tool.ours and not peer.tool.ours and peer.beats(skugga_row)
     ]
 
 
@@ -269,5 +271,5 @@ def unmatched_peers(case_standings: dict[str, list[ToolStanding]]) -> list[tuple
         (peer.tool.name, case)
         for case, standings in case_standings.items()
         for peer in standings
-        if not peer.tool.ours and all(peer.beats(our_row) for our_row in standings if our_row.tool.ours)
+        if not peer.tool.ours and all(peer.beats(skugga_row) for skugga_row in standings if skugga_row.tool.ours)
     ]

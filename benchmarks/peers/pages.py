@@ -84,7 +84,7 @@ def short_table(comparison: PeerComparison) -> list[str]:
     """Format the short table: seconds for the largest raster, and means over the suns off the grid's axes and diagonals."""
     rows = []
     for tool in comparison.tools:
-        if tool.ours and tool.name not in SHORT_TABLE_ROWS:
+        if tool.ours and tool.name not in SHORT_TABLE_TOOLS:
             continue
         answers = comparison.results_of(tool, comparison.largest_raster.name, on_axis=False)
         computing, process_s = (float(np.mean([CLOCKS[clock](comparison, tool, answer) for answer in answers])) for clock in CLOCKS)
@@ -97,7 +97,7 @@ def short_table(comparison: PeerComparison) -> list[str]:
     return markdown_table(rows)
 
 
-SHORT_TABLE_ROWS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
+SHORT_TABLE_TOOLS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
 
@@ -106,12 +106,12 @@ def format_verdict(comparison: PeerComparison) -> str:
     peers = [tool for tool in comparison.casting_tools if not tool.ours]
     if not peers:
         return "Open: there was no peer to compare with."
-    right = [
+    exact_tools = [
         tool for tool in comparison.casting_tools if not any(answer.wrong for answer in comparison.results_of(tool, on_axis=True))
     ]
-    names = ["Skugga" for tool in right if tool.ours][:1] + [tool.name for tool in right if not tool.ours]
+    names = ["Skugga" for tool in exact_tools if tool.ours][:1] + [tool.name for tool in exact_tools if not tool.ours]
     parts = [_pareto_text(comparison, clock, len(peers)) for clock in CLOCKS]
-    if all(tool in right for tool in comparison.casting_tools if tool.ours):
+    if all(tool in exact_tools for tool in comparison.casting_tools if tool.ours):
         parts.append(f"On the axes these have no wrong cell in any row: {_join_names(names)}. Off the axes:")
     return "\n\n".join([*parts, _compare_best_peers(comparison)])
 
@@ -122,18 +122,18 @@ def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
         f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**",
         len(standings_by_case(comparison, clock)),
     )
-    our_count = sum(tool.ours for tool in comparison.casting_tools)
-    dominated, over = dominated_results(comparison, clock), unmatched_results(comparison, clock)
+    skugga_count = sum(tool.ours for tool in comparison.casting_tools)
+    dominated, unmatched = dominated_results(comparison, clock), unmatched_results(comparison, clock)
     if not dominated:
         return (
             f"{title} Skugga lies on or beyond the Pareto front of all peers: in {count} cases none of the {peers} peers is both "
-            f"faster and more accurate than any of its {our_count} rows."
+            f"faster and more accurate than any of its {skugga_count} rows."
         )
-    dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
-    every = "; ".join(f"{peer} ({case})" for peer, case in over)
-    return f"{title} of Skugga's {our_count} rows in {count} cases these are beaten in both at once: {dominated_text}. " + (
-        f"Skugga does **not** lie on the front here: one peer beats all of its rows: {every}."
-        if over
+    dominated_text = "; ".join(f"{skugga_row} by {peer} ({case})" for skugga_row, peer, case in dominated)
+    unmatched_text = "; ".join(f"{peer} ({case})" for peer, case in unmatched)
+    return f"{title} of Skugga's {skugga_count} rows in {count} cases these are beaten in both at once: {dominated_text}. " + (
+        f"Skugga does **not** lie on the front here: one peer beats all of its rows: {unmatched_text}."
+        if unmatched
         else "No peer beats all of its rows in any case: there is a choice of lines that is at least as fast or as accurate."
     )
 
@@ -144,16 +144,20 @@ def _compare_best_peers(comparison: PeerComparison) -> str:
     The figures are means over the suns off the grid's axes and diagonals.
     """
     standings = standings_by_case(comparison, "computing")["all, mean off the axes"]
-    peer_places, our_places = ([standing for standing in standings if standing.tool.ours == is_ours] for is_ours in (False, True))
+    peer_standings, skugga_standings = (
+        [standing for standing in standings if standing.tool.ours == is_skugga] for is_skugga in (False, True)
+    )
 
     def line(metric: str, adjective: str) -> str:
-        peer, our_place = (min(group, key=lambda standing: getattr(standing, metric)) for group in (peer_places, our_places))
+        peer, skugga_standing = (
+            min(group, key=lambda standing: getattr(standing, metric)) for group in (peer_standings, skugga_standings)
+        )
         return (
             f"- the {adjective} peer is {peer.tool.name}: {format_seconds(peer.seconds)} s of computing, "
             f"{format_percent(peer.wrong)} % wrong; "
-            f"Skugga's {adjective} row is {_line_count_text(our_place)}: {format_seconds(our_place.seconds)} s "
-            f"({our_place.seconds / peer.seconds:.2g} of that time), "
-            f"{format_percent(our_place.wrong)} % wrong;"
+            f"Skugga's {adjective} row is {_line_count_text(skugga_standing)}: {format_seconds(skugga_standing.seconds)} s "
+            f"({skugga_standing.seconds / peer.seconds:.2g} of that time), "
+            f"{format_percent(skugga_standing.wrong)} % wrong;"
         )
 
     return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."
@@ -234,8 +238,8 @@ RASTER_TITLES = {
 
 
 def _notes_text(comparison: PeerComparison) -> list[str]:
-    valid = {tool.name for tool in comparison.tools}
-    notes = [note for name, note in TOOL_NOTES if name in valid]
+    tool_names = {tool.name for tool in comparison.tools}
+    notes = [note for name, note in TOOL_NOTES if name in tool_names]
     if slower := [tool.name for tool in comparison.casting_tools if _low_sun_ratio(comparison, tool) > MIN_LOW_SUN_RATIO]:
         notes.append(
             "The lower the sun, the longer the shadows: on the largest raster computing takes more than "
@@ -254,10 +258,10 @@ MIN_LOW_SUN_RATIO = 2.0
 def _low_sun_ratio(comparison: PeerComparison, tool: ToolRecord) -> float:
     """Return the ratio of computing times under the lowest and the highest suns, on the largest raster."""
     answers = comparison.results_of(tool, comparison.largest_raster.name)
-    heights = [answer.altitude_deg for answer in answers]
+    altitudes_deg = [answer.altitude_deg for answer in answers]
     low, high = (
-        sum(comparison.compute_s(tool, answer) for answer in answers if answer.altitude_deg == height)
-        for height in (min(heights), max(heights))
+        sum(comparison.compute_s(tool, answer) for answer in answers if answer.altitude_deg == altitude_deg)
+        for altitude_deg in (min(altitudes_deg), max(altitudes_deg))
     )
     return low / high if high else 1.0
 

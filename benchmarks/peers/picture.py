@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, standings_by_case
+from benchmarks.peers.figures import ComparedRaster, PeerComparison, ToolStanding, standings_by_case
 
 SKUGGA_COLOR, PEER_COLOR, TEXT_COLOR, GRID_COLOR = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which are safe for colour-blind readers; the shapes of the points differ, too."""
@@ -47,7 +47,7 @@ def write_plot(comparison: PeerComparison, path: Path) -> None:
     Image.open(png).convert("RGB").save(path, quality=90, method=6)
 
 
-def _raster_standings(comparison: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
+def _raster_standings(comparison: PeerComparison, terrain: ComparedRaster) -> list[ToolStanding]:
     return standings_by_case(comparison, "computing")[f"{terrain.name}, mean off the axes"]
 
 
@@ -55,26 +55,31 @@ def _plot_xy(standing: ToolStanding) -> tuple[float, float]:
     return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, ZERO_ERROR_PERCENT)
 
 
-def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: TestRaster) -> None:
+def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: ComparedRaster) -> None:
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
     axes.grid(color=GRID_COLOR)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     standings = _raster_standings(comparison, terrain)
-    our_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
-    axes.plot(*our_positions.T, "-o", color=SKUGGA_COLOR, markersize=8, linewidth=1.5, label="Skugga")
-    for bounded, label in ((False, "others"), (True, "others: at most so long")):
+    skugga_positions = np.array([_plot_xy(standing) for standing in standings if standing.tool.ours])
+    axes.plot(*skugga_positions.T, "-o", color=SKUGGA_COLOR, markersize=8, linewidth=1.5, label="Skugga")
+    for is_upper_bound, label in ((False, "others"), (True, "others: at most so long")):
         positions = np.array(
             [
                 _plot_xy(standing)
                 for standing in standings
-                if not standing.tool.ours and comparison.has_upper_bounds(standing.tool) == bounded
+                if not standing.tool.ours and comparison.has_upper_bounds(standing.tool) == is_upper_bound
             ]
         )
         if len(positions):
             axes.plot(
-                *positions.T, "D", color=PEER_COLOR, markersize=7, markerfacecolor="white" if bounded else PEER_COLOR, label=label
+                *positions.T,
+                "D",
+                color=PEER_COLOR,
+                markersize=7,
+                markerfacecolor="white" if is_upper_bound else PEER_COLOR,
+                label=label,
             )
     axes.margins(x=0.12, y=0.12)
     axes.yaxis.set_major_formatter(
@@ -93,7 +98,7 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
         Bbox.from_extents(x - LABEL_MARGIN_PX, y - LABEL_MARGIN_PX, x + LABEL_MARGIN_PX, y + LABEL_MARGIN_PX) for x, y in points
     ]
     occupied.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
-    inside = axes.get_window_extent(renderer)
+    panel_box = axes.get_window_extent(renderer)
     for standing in standings:
         color = SKUGGA_COLOR if standing.tool.ours else PEER_COLOR
         name = standing.tool.name.removeprefix("Skugga sweep, ") if standing.tool.ours else standing.tool.name.split()[0]
@@ -107,7 +112,7 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
                 name, _plot_xy(standing), (x, y), textcoords="offset points", ha=horizontal, va=vertical, color=color, fontsize=10
             )
             box = text.get_window_extent(renderer)
-            outside = box.width * box.height - _overlap_area(box, inside)
+            outside = box.width * box.height - _overlap_area(box, panel_box)
             candidates.append((outside + sum(_overlap_area(box, other) for other in occupied), text, box))
         best = min(candidates, key=lambda candidate: candidate[0])
         for _, text, _ in candidates:

@@ -39,7 +39,7 @@ class ToolJob:
     out: Path
 
     @property
-    def sun(self) -> list[str]:
+    def sun_arguments(self) -> list[str]:
         return [f"{self.azimuth_deg:g}", f"{self.altitude_deg:g}"]
 
 
@@ -106,7 +106,7 @@ class Tool:
         """Run the tool. Raises the errors of ``run_process``."""
         return run_process(self.command(job), job.out)
 
-    def mask(self, job: ToolJob) -> np.ndarray:
+    def read_mask(self, job: ToolJob) -> np.ndarray:
         """Read the tool's output, and return where the sun is visible, bool (rows, cols)."""
         assert self.decode_mask is not None
         with rasterio.open(job.out) as dataset:
@@ -161,7 +161,7 @@ def make_tools(python: str) -> list[Tool]:
             name,
             algorithm,
             [python, programs_file, "--version", distribution, module],
-            lambda job: [python, programs_file, program, str(job.dem), *job.sun, str(job.out)],
+            lambda job: [python, programs_file, program, str(job.dem), *job.sun_arguments, str(job.out)],
             lambda values, job: values > 0,
         )
 
@@ -170,7 +170,7 @@ def make_tools(python: str) -> list[Tool]:
             f"Skugga sweep, {lines} line{'s' * (lines > 1)}",
             "running maximum on lines along the sun's azimuth, between cells",
             [sys.executable, programs_file, "--version", "skugga", "skugga.shadows.sweep.grid"],
-            lambda job: [sys.executable, programs_file, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
+            lambda job: [sys.executable, programs_file, "sweep", str(job.dem), *job.sun_arguments, str(job.out), str(lines)],
             lambda values, job: values > 0,
             is_skugga=True,
         )
@@ -187,7 +187,7 @@ def make_tools(python: str) -> list[Tool]:
             "horizons by a walk from each cell, nearest cell",
             ["grass", "--version"],
             lambda job: ["grass", "--tmp-location", str(job.dem), "--exec", sys.executable, programs_file, "r.horizon",
-                         str(job.dem), *job.sun, str(job.out)],
+                         str(job.dem), *job.sun_arguments, str(job.out)],
             lambda values, job: ~(values > job.altitude_deg),
         ),
         Tool(
@@ -195,7 +195,7 @@ def make_tools(python: str) -> list[Tool]:
             "a walk from each cell, nearest cell",
             ["saga_cmd", "--version"],
             lambda job: ["saga_cmd", "-f=s", "ta_lighting", "0", "-ELEVATION", str(job.dem), "-SHADE", str(job.out), "-METHOD", "3",
-                         "-SHADOW", "0", "-UNIT", "1", "-AZIMUTH", job.sun[0], "-DECLINATION", job.sun[1]],
+                         "-SHADOW", "0", "-UNIT", "1", "-AZIMUTH", job.sun_arguments[0], "-DECLINATION", job.sun_arguments[1]],
             lambda values, job: values < 0,
         ),
         Tool(
@@ -203,14 +203,15 @@ def make_tools(python: str) -> list[Tool]:
             "a shadow thrown from each cell, nearest cell",
             ["pkdsm2shadow", "--version"],
             lambda job: ["pkdsm2shadow", "-i", str(job.dem), "-o", str(job.out), "-sza", f"{90.0 - job.altitude_deg:g}",
-                         "-saa", job.sun[0], "-f", "1"],
+                         "-saa", job.sun_arguments[0], "-f", "1"],
             lambda values, job: values == 0,
         ),
         Tool(
             "gdaldem hillshade",
             "slopes of 3 x 3 cells: casts no shadows, and is what a process costs",
             ["gdalinfo", "--version"],
-            lambda job: ["gdaldem", "hillshade", "-q", str(job.dem), str(job.out), "-az", job.sun[0], "-alt", job.sun[1]],
+            lambda job: ["gdaldem", "hillshade", "-q", str(job.dem), str(job.out), "-az", job.sun_arguments[0],
+                         "-alt", job.sun_arguments[1]],
             None,
         ),
     ]  # fmt: skip
@@ -242,7 +243,7 @@ def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
         job = ToolJob(dem, azimuth_deg, altitude_deg, folder / "pole_mask.tif")
         runs.append(tool.run(job))
         if tool.decode_mask is not None:
-            _check_shadow(tool.mask(job), azimuth_deg, altitude_deg)
+            _check_shadow(tool.read_mask(job), azimuth_deg, altitude_deg)
     return runs
 
 

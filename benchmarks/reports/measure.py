@@ -17,7 +17,7 @@ from skugga.selector.measure.compare import Comparison, compare
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.level.parts import SunSpec
 
-MAX_BYTES = 1_000_000
+MAX_REPORT_BYTES = 1_000_000
 """Size limit of a published report."""
 
 Figures = dict[str, Any]
@@ -39,7 +39,7 @@ def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time
     took_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "report.html"
-        write_page(opened, comparison, page, scene.view, scene.command, MAX_BYTES)
+        write_page(opened, comparison, page, scene.view, scene.command, MAX_REPORT_BYTES)
         write_report(page.read_text(encoding="utf-8"), report)
     write_plot(opened, comparison, plot, scene.view)
     return stored_figures(scene, comparison, comparison_facts(opened, comparison, scene.view)) | {
@@ -50,8 +50,8 @@ def measure_scene(scene: ReportScene, data: Path, report: Path, plot: Path, time
 def write_report(text: str, report: Path) -> None:
     """Write the text of a report to a file. Raises ``RuntimeError`` if it is larger than the limit."""
     size = len(text.encode())
-    if size >= MAX_BYTES:
-        raise RuntimeError(f"{report}: {size} bytes. A published report must have less than {MAX_BYTES} bytes.")
+    if size >= MAX_REPORT_BYTES:
+        raise RuntimeError(f"{report}: {size} bytes. A published report must have less than {MAX_REPORT_BYTES} bytes.")
     write_atomically(report, text)
 
 

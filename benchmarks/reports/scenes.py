@@ -6,10 +6,10 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-SAMPLES = "DATA/"
+SAMPLE_DATA_PREFIX = "DATA/"
 """The prefix of a level's path for files in the folder of sample data, wherever it is."""
 
-PERSPECTIVE_PX = (640, 512)
+PERSPECTIVE_SIZE_PX = (640, 512)
 """Width and height of perspective views. At this size forty rows take minutes, and a report contains their pictures losslessly."""
 
 
@@ -61,7 +61,7 @@ class ReportScene:
 
     def level_path(self, data: Path) -> str:
         """Return the path of the scene's raster in the folder ``data``, or the name of its bundled level."""
-        return str(data / self.level.removeprefix(SAMPLES)) if self.level.startswith(SAMPLES) else self.level
+        return str(data / self.level.removeprefix(SAMPLE_DATA_PREFIX)) if self.level.startswith(SAMPLE_DATA_PREFIX) else self.level
 
 
 SCENES = {
@@ -73,7 +73,7 @@ SCENES = {
             bounds=(735000.0, 4008300.0, 760600.0, 4033900.0),
         ),
         ReportScene(
-            "village", "A village, its woods and the ridges behind it", "jacksboro_wooded", "village", PERSPECTIVE_PX, 180.0,
+            "village", "A village, its woods and the ridges behind it", "jacksboro_wooded", "village", PERSPECTIVE_SIZE_PX, 180.0,
             "Elevation: SRTM, NASA (sample data of matplotlib); woods and houses made up",
         ),
         ReportScene(
@@ -83,11 +83,11 @@ SCENES = {
             bounds=(356380.0, 5699360.0, 356780.0, 5699760.0),
         ),
         ReportScene(
-            "lamp", "A room half under a lattice, a spot lamp through it", "thesis_room", "main", PERSPECTIVE_PX, 100.0,
+            "lamp", "A room half under a lattice, a spot lamp through it", "thesis_room", "main", PERSPECTIVE_SIZE_PX, 100.0,
             "Scene after J. Sindholt (DTU 2005); geometry made by Skugga",
         ),
         ReportScene(
-            "rocks", "Stone circles of a thesis under the sun", "thesis_rocks_sun", "main", PERSPECTIVE_PX, 100.0,
+            "rocks", "Stone circles of a thesis under the sun", "thesis_rocks_sun", "main", PERSPECTIVE_SIZE_PX, 100.0,
             "Scene after J. Sindholt (DTU 2005); geometry made by Skugga",
         ),
     )

@@ -40,19 +40,19 @@ from benchmarks.seeds.verdicts import DRAW_FACTOR, format_whole_percent
 from skugga.terrain.gl.device import device
 
 EXPERIMENTS = {
-    "stages": Experiment(seeds_speed.measure_stages, seeds_speed.section_stages),
-    "stencil": Experiment(seeds_speed.measure_stencil, seeds_speed.section_stencil),
-    "grades": Experiment(seeds_grades.measure, seeds_grades.section),
-    "advice": Experiment(seeds_advice.measure, seeds_advice.section),
-    "map_size": Experiment(seeds_map_size.measure, seeds_map_size.section),
-    "light_direction": Experiment(seeds_perspective.measure_light_direction, seeds_perspective.section_light_direction),
-    "bad_case": Experiment(seeds_perspective.measure_bad_case, seeds_perspective.section_bad_case),
-    "thin": Experiment(seeds_thin.measure, seeds_thin.section),
-    "tree": Experiment(seeds_tree.measure, seeds_tree.section),
-    "spatialace": Experiment(seeds_spatialace.measure, seeds_spatialace.section),
-    "silhouettes": Experiment(seeds_silhouettes.measure, seeds_silhouettes.section),
-    "bias": Experiment(seeds_bias.measure, seeds_bias.section),
-    "depth": Experiment(seeds_depth.measure, seeds_depth.section),
+    "stages": Experiment(seeds_speed.measure_stages, seeds_speed.make_stages_section),
+    "stencil": Experiment(seeds_speed.measure_stencil, seeds_speed.make_stencil_section),
+    "grades": Experiment(seeds_grades.measure, seeds_grades.make_section),
+    "advice": Experiment(seeds_advice.measure, seeds_advice.make_section),
+    "map_size": Experiment(seeds_map_size.measure, seeds_map_size.make_section),
+    "light_direction": Experiment(seeds_perspective.measure_light_direction, seeds_perspective.make_light_direction_section),
+    "bad_case": Experiment(seeds_perspective.measure_bad_case, seeds_perspective.make_bad_case_section),
+    "thin": Experiment(seeds_thin.measure, seeds_thin.make_section),
+    "tree": Experiment(seeds_tree.measure, seeds_tree.make_section),
+    "spatialace": Experiment(seeds_spatialace.measure, seeds_spatialace.make_section),
+    "silhouettes": Experiment(seeds_silhouettes.measure, seeds_silhouettes.make_section),
+    "bias": Experiment(seeds_bias.measure, seeds_bias.make_section),
+    "depth": Experiment(seeds_depth.measure, seeds_depth.make_section),
 }
 """Experiments in the order of the page."""
 

@@ -63,8 +63,8 @@ MESHES_BIASED_ROW, MESHES_UNBIASED_ROW, FRONT_CULLED_ROW = "bodies x 1", "bodies
 
 def measure() -> Figures:
     figures: Figures = {}
-    for scene, (level, name) in VIEWS.items():
-        truth_view = view_with_truth(bundled_scene(level), name, SIZE_PX)
+    for scene, (level, view_name) in VIEWS.items():
+        truth_view = view_with_truth(bundled_scene(level), view_name, SIZE_PX)
         rows: dict[str, ShadowOverrides] = {
             f"{bias}, {taps}": {"bias": bias, "filter": taps}
             for bias in ("receiver_plane", "polygon_offset")
@@ -73,9 +73,12 @@ def measure() -> Figures:
         rows |= {f"polygon_offset x {scale:g}": {"bias": "polygon_offset", "bias_scale": scale} for scale in BIAS_SCALES}
         rows |= {f"normal_offset x {scale:g}": {"bias": "normal_offset", "bias_scale": scale} for scale in (1.0, 4.0)}
         if scene in CLOSED_SCENES:
-            bodies = {"algorithm": {"meshes": "shadow_map"}, "bias": "polygon_offset"}
-            rows |= {MESHES_UNBIASED_ROW: {**bodies, "bias_scale": 0.0}, MESHES_BIASED_ROW: {**bodies, "bias_scale": 1.0}}
-            rows |= {FRONT_CULLED_ROW: {**bodies, "bias_scale": 0.0, "culling": "front"}}
+            mesh_overrides = {"algorithm": {"meshes": "shadow_map"}, "bias": "polygon_offset"}
+            rows |= {
+                MESHES_UNBIASED_ROW: {**mesh_overrides, "bias_scale": 0.0},
+                MESHES_BIASED_ROW: {**mesh_overrides, "bias_scale": 1.0},
+            }
+            rows |= {FRONT_CULLED_ROW: {**mesh_overrides, "bias_scale": 0.0, "culling": "front"}}
         figures[scene] = {
             "rows": {
                 row: _errors_with_bias(truth_view, single_map_overrides(MAP_SIZE, **overrides)) for row, overrides in rows.items()
@@ -144,11 +147,11 @@ def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
 
 
-def section(figures: Figures) -> Section:
-    def shares(values: dict[str, float]) -> str:
+def make_section(figures: Figures) -> Section:
+    def format_shares(values: dict[str, float]) -> str:
         return format_by_scene(values, format_percent)
 
-    def of(row: str, metric: str, scenes: tuple[str, ...] = tuple(VIEWS)) -> dict[str, float]:
+    def values_of(row: str, metric: str, scenes: tuple[str, ...] = tuple(VIEWS)) -> dict[str, float]:
         return {scene: figures[scene]["rows"][row][metric] for scene in scenes}
 
     def at_least_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
@@ -157,37 +160,47 @@ def section(figures: Figures) -> Section:
     def at_most_times(scene_values: dict[str, float], ratio: float, reference_values: dict[str, float]) -> bool | None:
         return all_of(at_most(scene_values[scene], ratio * reference_values[scene]) for scene in scene_values)
 
-    acne, panning = of(NO_BIAS_ROW, "false_shadow"), of(EXCESSIVE_BIAS_ROW, "missed_shadow")
-    regret = {name: _min_worst_regret(figures, name) for name in BIAS_FORMULAS}
-    best = {name: _mean_best_wrong_share(figures, name) for name in BIAS_FORMULAS}
+    acne, panning = values_of(NO_BIAS_ROW, "false_shadow"), values_of(EXCESSIVE_BIAS_ROW, "missed_shadow")
+    worst_regrets = {name: _min_worst_regret(figures, name) for name in BIAS_FORMULAS}
+    mean_best_shares = {name: _mean_best_wrong_share(figures, name) for name in BIAS_FORMULAS}
     texels = [case["texel"] for case in _formula_cases(figures)]
-    shows_acne = at_least_times(acne, MIN_ACNE_RATIO, of(SLOPE_BIAS_ROW, "false_shadow"))
-    shows_panning = at_least_times(panning, MIN_PETER_PANNING_RATIO, of(SLOPE_BIAS_ROW, "missed_shadow"))
-    none_fits = negate(at_most(regret["constant"], MAX_EQUAL_RATIO))
-    slope_helps = at_most(regret["slope"], regret["constant"])
-    clamp_helps = at_most(best["clamped"], best["slope"])
-    culled, biased, bare = (
-        of(row, "wrong_cast", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW, MESHES_UNBIASED_ROW)
+    shows_acne = at_least_times(acne, MIN_ACNE_RATIO, values_of(SLOPE_BIAS_ROW, "false_shadow"))
+    shows_panning = at_least_times(panning, MIN_PETER_PANNING_RATIO, values_of(SLOPE_BIAS_ROW, "missed_shadow"))
+    none_fits = negate(at_most(worst_regrets["constant"], MAX_EQUAL_RATIO))
+    slope_helps = at_most(worst_regrets["slope"], worst_regrets["constant"])
+    clamp_helps = at_most(mean_best_shares["clamped"], mean_best_shares["slope"])
+    culled, biased, unbiased = (
+        values_of(row, "wrong_cast", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW, MESHES_UNBIASED_ROW)
     )
-    spares = at_most_times(culled, MAX_EQUAL_RATIO, biased)
-    missed, ground, bodies = (
-        [of(row, f"missed_{part}", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW)]
+    culling_replaces_bias = at_most_times(culled, MAX_EQUAL_RATIO, biased)
+    missed_cast, missed_ground, missed_bodies = (
+        [values_of(row, f"missed_{part}", CLOSED_SCENES) for row in (FRONT_CULLED_ROW, MESHES_BIASED_ROW)]
         for part in ("cast", "ground", "bodies")
     )
-    no_panning = at_most_times(missed[0], MAX_EQUAL_RATIO, missed[1])
+    no_panning = at_most_times(missed_cast[0], MAX_EQUAL_RATIO, missed_cast[1])
     cull_reason = (
-        f"on the ground {shares(ground[0])} is missed, with the slope's bias {shares(ground[1])}; on the bodies "
-        f"{shares(bodies[0])}, and {shares(bodies[1])}"
+        f"on the ground {format_shares(missed_ground[0])} is missed, with the slope's bias {format_shares(missed_ground[1])}; on "
+        "the bodies "
+        f"{format_shares(missed_bodies[0])}, and {format_shares(missed_bodies[1])}"
     )
-    soft = {taps: of(f"receiver_plane, {taps}", "partial") for taps in TAPS_PER_SIDE}
-    softer = all_of(
-        all_of((soft[1][scene] == 0.0, soft[2][scene] > 0.0, at_least(soft[3][scene], soft[2][scene]))) for scene in VIEWS
+    partial_shares = {taps: values_of(f"receiver_plane, {taps}", "partial") for taps in TAPS_PER_SIDE}
+    taps_soften_edges = all_of(
+        all_of(
+            (
+                partial_shares[1][scene] == 0.0,
+                partial_shares[2][scene] > 0.0,
+                at_least(partial_shares[3][scene], partial_shares[2][scene]),
+            )
+        )
+        for scene in VIEWS
     )
     claims = [
         Claim(
             COPENHAGEN_REPORT,
             "with too little bias there is acne",
-            f"false shadow without bias: {shares(acne)}; with the slope's: {shares(of(SLOPE_BIAS_ROW, 'false_shadow'))} (held if "
+            f"false shadow without bias: {format_shares(acne)}; with the slope's: "
+            f"{format_shares(values_of(SLOPE_BIAS_ROW, 'false_shadow'))} "
+            "(held if "
             "at least "
             f"{MIN_ACNE_RATIO:g} times that)",
             shows_acne,
@@ -200,8 +213,9 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "with too much there is peter-panning: shadow begins away from what throws it",
-            f"missed shadow at {BIAS_SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
-            f"{shares(of(SLOPE_BIAS_ROW, 'missed_shadow'))} (held if at least {MIN_PETER_PANNING_RATIO:g} times that)",
+            f"missed shadow at {BIAS_SCALES[-1]:g} times the slope's bias: {format_shares(panning)}; at the slope's own: "
+            f"{format_shares(values_of(SLOPE_BIAS_ROW, 'missed_shadow'))} (held if at least {MIN_PETER_PANNING_RATIO:g} times "
+            "that)",
             shows_panning,
             choose_reason(
                 shows_panning,
@@ -213,7 +227,8 @@ def section(figures: Figures) -> Section:
             COPENHAGEN_REPORT,
             "no one bias is right: it depends on the scene and on the map's resolution",
             f"the constant that serves all scenes and both maps ({COARSE_MAP_SIZE} and {MAP_SIZE}) best has up to "
-            f"{format_ratio(regret['constant'])} times the wrong share of each one's own best (held if over {MAX_EQUAL_RATIO:g})",
+            f"{format_ratio(worst_regrets['constant'])} times the wrong share of each one's own best (held if over "
+            f"{MAX_EQUAL_RATIO:g})",
             none_fits,
             f"what is needed goes with the texel, as a share of the range of depths {format_percent(min(texels))} to "
             f"{format_percent(max(texels))} here"
@@ -229,9 +244,11 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "the bias has to follow the slope: b tan(acos(n.l))",
-            f"the b that serves all best has up to {format_ratio(regret['slope'])} times the wrong share of each one's own best, a "
-            f"constant {format_ratio(regret['constant'])} times (held if less); each with its own best, the mean wrong share is "
-            f"{format_percent(best['slope'])} and {format_percent(best['constant'])}",
+            f"the b that serves all best has up to {format_ratio(worst_regrets['slope'])} times the wrong share of each one's own "
+            "best, a "
+            f"constant {format_ratio(worst_regrets['constant'])} times (held if less); each with its own best, the mean wrong "
+            "share is "
+            f"{format_percent(mean_best_shares['slope'])} and {format_percent(mean_best_shares['constant'])}",
             slope_helps,
             choose_reason(
                 slope_helps,
@@ -244,8 +261,8 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             f"held to at most {MAX_SLOPE_BIAS} of the depths it is best",
-            f"mean wrong share, each with its own best b: {format_percent(best['clamped'])} with the bound, "
-            f"{format_percent(best['slope'])} "
+            f"mean wrong share, each with its own best b: {format_percent(mean_best_shares['clamped'])} with the bound, "
+            f"{format_percent(mean_best_shares['slope'])} "
             "without (held if less)",
             clamp_helps,
             choose_reason(
@@ -259,11 +276,12 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "in a map of the back faces of closed meshes alone, with the normals asked, no bias is needed",
-            f"wrong of the cast shadow, front faces culled and no bias: {shares(culled)}; with the slope's bias and no culling: "
-            f"{shares(biased)}; neither: {shares(bare)} (held if at most {MAX_EQUAL_RATIO:g} times the second)",
-            spares,
+            f"wrong of the cast shadow, front faces culled and no bias: {format_shares(culled)}; with the slope's bias and no "
+            "culling: "
+            f"{format_shares(biased)}; neither: {format_shares(unbiased)} (held if at most {MAX_EQUAL_RATIO:g} times the second)",
+            culling_replaces_bias,
             choose_reason(
-                spares,
+                culling_replaces_bias,
                 "what is lit lies a body's thickness before what the map holds",
                 "bodies touch and pass into one another: where a lit face lies on a back face or just behind one, the two fight",
             ),
@@ -271,8 +289,8 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "and there is no peter-panning then",
-            f"cast shadow that is missed, front faces culled and no bias: {shares(missed[0])}; with the slope's bias: "
-            f"{shares(missed[1])} (held if at most {MAX_EQUAL_RATIO:g} times that)",
+            f"cast shadow that is missed, front faces culled and no bias: {format_shares(missed_cast[0])}; with the slope's bias: "
+            f"{format_shares(missed_cast[1])} (held if at most {MAX_EQUAL_RATIO:g} times that)",
             no_panning,
             choose_reason(
                 no_panning,
@@ -285,12 +303,13 @@ def section(figures: Figures) -> Section:
             COPENHAGEN_REPORT,
             "2 x 2 and 3 x 3 taps make edges ever softer",
             f"points in half shadow, by taps a side: "
-            f"{'; '.join(f'{taps}: {shares(tap_values)}' for taps, tap_values in soft.items())} "
+            f"{'; '.join(f'{taps}: {format_shares(tap_values)}' for taps, tap_values in partial_shares.items())} "
             "(held if none with one, and the more with more)",
-            softer,
+            taps_soften_edges,
             "a point at an edge is lit by the share of its taps that are; a bias made for one tap does not do for more: at 3 x 3 "
-            f"visibility is off by {shares(of('polygon_offset, 3', 'off'))} with `polygon_offset`, with `receiver_plane` by "
-            f"{shares(of('receiver_plane, 3', 'off'))}",
+            f"visibility is off by {format_shares(values_of('polygon_offset, 3', 'off'))} with `polygon_offset`, with "
+            "`receiver_plane` by "
+            f"{format_shares(values_of('receiver_plane, 3', 'off'))}",
         ),
     ]
     keys = ("wrong_cast", "false_shadow", "missed_shadow", "partial", "off")
@@ -338,7 +357,7 @@ def _min_tolerated_range(figures: Figures) -> float:
     """
     wrong_shares = (np.array(case["constant"]) for case in _formula_cases(figures))
     near_best = [np.flatnonzero(row <= MAX_EQUAL_RATIO * row.min()) for row in wrong_shares]
-    return min(BIAS_CONSTANTS[alike[-1]] / BIAS_CONSTANTS[alike[0]] for alike in near_best)
+    return min(BIAS_CONSTANTS[good_indices[-1]] / BIAS_CONSTANTS[good_indices[0]] for good_indices in near_best)
 
 
 def _mean_best_wrong_share(figures: Figures, formula: str) -> float:

@@ -64,10 +64,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment: ``measure`` returns its figures, ``section`` formats stored figures as a section of the page."""
+    """An experiment: ``measure`` returns its figures, ``make_section`` formats stored figures as a section of the page."""
 
     measure: Callable[[], Figures]
-    section: Callable[[Figures], Section]
+    make_section: Callable[[Figures], Section]
 
 
 def format_section(section: Section) -> str:

@@ -63,9 +63,9 @@ def mountain_scene(folder: Path) -> Scene:
 def measure() -> Figures:
     figures: Figures = {}
     with tempfile.TemporaryDirectory() as folder:
-        scene_and_view = mountain_scene(Path(folder))
+        base_scene = mountain_scene(Path(folder))
         for altitude, sun in SUN_BY_ALTITUDE.items():
-            scene = scene_and_view.with_sun(sun)
+            scene = base_scene.with_sun(sun)
             for name in ("map", "perspective"):
                 truth_view = view_with_truth(scene, name, SIZE_PX)
                 figures[f"{name}, {altitude} degrees"] = {
@@ -89,14 +89,14 @@ def _errors_by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -
         assert isinstance(settings, ShadowMapSettings)
         (shadow_map,) = sun_maps(truth_view.buffer, truth_view.scene, settings, None)
         step_m = shadow_map.uniforms["window_m"][2] * shadow_map.uniforms["depth_step"]
-        off_m = MAX_ERROR_STEPS[bias] * step_m
-        shift_px = off_m * np.cos(np.radians(altitude_deg)) / _pixel_m(truth_view)
+        max_error_m = MAX_ERROR_STEPS[bias] * step_m
+        shift_px = max_error_m * np.cos(np.radians(altitude_deg)) / _pixel_m(truth_view)
         edge = boundary(shaded, truth_view.truth.valid)
         result[str(bits)] = {
             "wrong_cast": truth_view.errors(np.where(truth_view.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
             "step_m": step_m, "texels": step_m / max(shadow_map.uniforms["texel_m"]),
             "shift_px": float(np.median(shift_px[edge])), "bound": float(2.0**0.5 * shift_px[edge].sum() / shaded.sum()),
-            "near": float((shaded & sees_sun_when_moved(truth_view, truth_view.buffer, off_m)).sum() / shaded.sum()),
+            "near": float((shaded & sees_sun_when_moved(truth_view, truth_view.buffer, max_error_m)).sum() / shaded.sum()),
             "changed": float((dark[bits] != dark[DEPTH_BITS[-1]]).sum() / shaded.sum()),
             "healed": float(((dark[bits] != dark[DEPTH_BITS[-1]]) & truth_view.truth.lit).sum() / shaded.sum()),
         }  # fmt: skip
@@ -114,30 +114,34 @@ MAX_CHANGED_SHARE = 1e-4
 """Largest share of the cast shadow that may differ between two numbers of bits with equal accuracy."""
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     cases = {(name, bias): case for name, by_bias in figures.items() if isinstance(by_bias, dict) for bias, case in by_bias.items()}
-    fewer = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, DEPTH_BITS[:-1])]
-    over = [(key, bits, row) for key, bits, row in fewer if row["changed"] > row["bound"]]
+    rows_with_fewer_bits = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, DEPTH_BITS[:-1])]
+    rows_over_bound = [(key, bits, row) for key, bits, row in rows_with_fewer_bits if row["changed"] > row["bound"]]
     changed = {
-        (bits, bias): max(row["changed"] for (_, key_bias), case, row in fewer if (key_bias, case) == (bias, bits))
+        (bits, bias): max(
+            row["changed"] for (_, row_bias), row_bits, row in rows_with_fewer_bits if (row_bias, row_bits) == (bias, bits)
+        )
         for bits in map(str, DEPTH_BITS[:-1])
         for bias in MAX_ERROR_STEPS
     }
-    cost = {
+    max_error_increase = {
         bias: max(abs(_error_increase(case)) for (_, key_bias), case in cases.items() if key_bias == bias)
         for bias in MAX_ERROR_STEPS
     }
-    dearest = max(cases, key=lambda key: abs(_error_increase(cases[key])))
+    worst_case = max(cases, key=lambda key: abs(_error_increase(cases[key])))
     in_texels = max(case["16"]["texels"] for case in cases.values())
-    lit = {
-        bits: _lit_share([row for (_, bias), case, row in fewer if (bias, case) == (POLYGON_OFFSET, bits)]) for bits in ("16", "24")
+    lit_shares = {
+        bits: _lit_share([row for (_, bias), row_bits, row in rows_with_fewer_bits if (bias, row_bits) == (POLYGON_OFFSET, bits)])
+        for bits in ("16", "24")
     }
-    bounded = not over
-    suffices = at_most(max(cost.values()), MAX_COVERAGE_ERROR)
-    no_finer = at_most(max(changed["24", bias] for bias in MAX_ERROR_STEPS), MAX_CHANGED_SHARE)
-    cases_text = "; ".join(f"{name} with `{bias}` of {bits} bits" for (name, bias), bits, _ in over)
-    acne = (
-        f"with `{POLYGON_OFFSET}` {format_whole_percent(lit['24'])} of what changes are lit points: acne, which is no edge of a "
+    within_bound = not rows_over_bound
+    bits_suffice = at_most(max(max_error_increase.values()), MAX_COVERAGE_ERROR)
+    is_no_finer = at_most(max(changed["24", bias] for bias in MAX_ERROR_STEPS), MAX_CHANGED_SHARE)
+    cases_text = "; ".join(f"{name} with `{bias}` of {bits} bits" for (name, bias), bits, _ in rows_over_bound)
+    acne_reason = (
+        f"with `{POLYGON_OFFSET}` {format_whole_percent(lit_shares['24'])} of what changes are lit points: acne, which is no edge "
+        "of a "
         "shadow. Its four "
         "units are steps of 24 bits in the one map, and of the float's own exponent in the other, smaller where depths are below "
         "1/2"
@@ -149,16 +153,18 @@ def section(figures: Figures) -> Section:
             "changes than its edge is long times that",
             f"at 16 bits at most {format_percent(changed['16', RECEIVER_PLANE])} of the cast shadow changes with "
             f"`{RECEIVER_PLANE}`, "
-            f"{format_percent(changed['16', POLYGON_OFFSET])} with `{POLYGON_OFFSET}`; over the bound: {len(over)} of "
-            f"{len(fewer)} cases (held if none)",
-            bounded,
+            f"{format_percent(changed['16', POLYGON_OFFSET])} with `{POLYGON_OFFSET}`; over the bound: {len(rows_over_bound)} of "
+            f"{len(rows_with_fewer_bits)} cases (held if none)",
+            within_bound,
             choose_reason(
-                bounded,
+                within_bound,
                 "of the edge only the part where shadow begins can move, not the one that a far crest throws, and walls and "
-                f"slopes are thicker than a step; with `{POLYGON_OFFSET}` {format_whole_percent(lit['16'])} of what changes at "
+                f"slopes are thicker than a step; with `{POLYGON_OFFSET}` {format_whole_percent(lit_shares['16'])} of what changes "
+                "at "
                 "16 bits are lit "
                 "points: acne that the larger units hide",
-                f"it is over in: {cases_text}; {format_whole_percent(_lit_share([row for _, _, row in over]))} of what changes "
+                f"it is over in: {cases_text}; {format_whole_percent(_lit_share([row for _, _, row in rows_over_bound]))} of what "
+                "changes "
                 "there are "
                 "lit points: acne, which is no edge of a shadow and comes and goes with the offset's unit",
             ),
@@ -169,21 +175,23 @@ def section(figures: Figures) -> Section:
             f"cost no more than {format_percent(MAX_COVERAGE_ERROR)} of the cast shadow, the error that the engine allows unless "
             "asked "
             f"for less)",
-            f"16 bits change the wrong share of the cast shadow by at most {format_percent(cost[RECEIVER_PLANE])} with "
+            f"16 bits change the wrong share of the cast shadow by at most {format_percent(max_error_increase[RECEIVER_PLANE])} "
+            "with "
             f"`{RECEIVER_PLANE}`, by "
-            f"{format_percent(cost[POLYGON_OFFSET])} with `{POLYGON_OFFSET}`, up or down, beside 32 bits, over {RELIEF_M} m of "
+            f"{format_percent(max_error_increase[POLYGON_OFFSET])} with `{POLYGON_OFFSET}`, up or down, beside 32 bits, over "
+            f"{RELIEF_M} m of "
             "relief (held if at most "
             f"{format_percent(MAX_COVERAGE_ERROR)})",
-            suffices,
+            bits_suffice,
             f"a step of 16 bits is up to {in_texels:.2f} of a texel"
             + choose_reason(
-                suffices,
+                bits_suffice,
                 f", since a map of {MAP_SIZE} texels has fewer of them than 65,535: texels are what an edge is off by. Most "
-                f"changes in {dearest[0]} with `{dearest[1]}`, where 16 bits are "
-                f"{'worse' if _error_increase(cases[dearest]) > 0.0 else 'better'}"
+                f"changes in {worst_case[0]} with `{worst_case[1]}`, where 16 bits are "
+                f"{'worse' if _error_increase(cases[worst_case]) > 0.0 else 'better'}"
                 + (
-                    f": their larger units hide acne ({format_whole_percent(lit['16'])} of what changes are lit points)"
-                    if dearest[1] == POLYGON_OFFSET and _error_increase(cases[dearest]) < 0.0
+                    f": their larger units hide acne ({format_whole_percent(lit_shares['16'])} of what changes are lit points)"
+                    if worst_case[1] == POLYGON_OFFSET and _error_increase(cases[worst_case]) < 0.0
                     else ""
                 ),
                 "",
@@ -195,11 +203,11 @@ def section(figures: Figures) -> Section:
             f"at most {format_percent(changed['24', RECEIVER_PLANE])} of the cast shadow changes with `{RECEIVER_PLANE}`, "
             f"{format_percent(changed['24', POLYGON_OFFSET])} "
             f"with `{POLYGON_OFFSET}` (held if at most {format_percent(MAX_CHANGED_SHARE)} with either)",
-            no_finer,
+            is_no_finer,
             choose_reason(
-                no_finer,
+                is_no_finer,
                 "a float's steps near 1 are those of 24 bits, and both are far below what float32 makes of positions",
-                acne
+                acne_reason
                 if changed["24", RECEIVER_PLANE] <= MAX_CHANGED_SHARE
                 else "a float's steps are finer than those of 24 bits wherever depths are below 1/2",
             ),
@@ -219,7 +227,7 @@ def section(figures: Figures) -> Section:
                 f"{format_percent(row['wrong_cast'])} ({format_percent(cases[name, bias]['32']['wrong_cast'])})"
             ),
         }
-        for (name, bias), bits, row in fewer
+        for (name, bias), bits, row in rows_with_fewer_bits
     ]
     return Section(
         "The bits of a depth",

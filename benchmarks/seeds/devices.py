@@ -36,8 +36,8 @@ def read_figures(path: Path) -> FiguresByDevice:
 
 def add_figures(measured: FiguresByDevice, device: Device, name: str, figures: Figures) -> None:
     """Replace an experiment's figures of a device. The figures of other devices are kept."""
-    of_device = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
-    of_device["experiments"][name] = figures
+    device_figures = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
+    device_figures["experiments"][name] = figures
 
 
 def format_devices(measured: FiguresByDevice) -> str:
@@ -55,16 +55,16 @@ def format_devices(measured: FiguresByDevice) -> str:
 def format_experiment(name: str, experiment: Experiment, measured: FiguresByDevice) -> str | None:
     """Format an experiment's section as Markdown, with the figures of all devices that ran it; ``None`` without figures."""
     sections = {
-        device: experiment.section(device_figures["experiments"][name])
+        device: experiment.make_section(device_figures["experiments"][name])
         for device, device_figures in measured.items()
         if name in device_figures["experiments"]
     }
     if not sections:
         return None
-    (first, section), *other_sections = sections.items()
-    only = "" if first == next(iter(measured)) else f" (measured on {first} alone)"
+    (first_device, section), *other_sections = sections.items()
+    device_note = "" if first_device == next(iter(measured)) else f" (measured on {first_device} alone)"
     tables = _merge_tables(section.tables, {device: other.tables for device, other in other_sections})
-    page = format_section(replace(section, method=section.method + only, tables=tables))
+    page = format_section(replace(section, method=section.method + device_note, tables=tables))
     return "\n".join([page, *(_format_device_claims(device, other.claims) for device, other in other_sections if other.claims)])
 
 
@@ -81,8 +81,8 @@ def _merge_tables(tables: Tables, other_tables: Mapping[str, Tables]) -> Tables:
             if _table_layout(rows_there) != _table_layout(rows):
                 separate_tables.append((f"{title}: {device}", rows_there))
                 continue
-            for row, valid in zip(merged_rows, rows_there, strict=True):
-                for key, value in valid.items():
+            for row, device_row in zip(merged_rows, rows_there, strict=True):
+                for key, value in device_row.items():
                     row[key].append(value)
         cells = [
             {key: values[0] if len({*values}) == 1 else " / ".join(values) for key, values in row.items()} for row in merged_rows

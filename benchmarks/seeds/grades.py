@@ -58,7 +58,7 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 """The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
 
 
-def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
+def measure_algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
     """Return errors by algorithm, with two figures on the wrong pixels.
 
     ``on_foliage`` is the share of wrong pixels on foliage. ``texel_px`` is the median size of a shadow map texel at wrong pixels.
@@ -76,7 +76,7 @@ def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = TH
 
 
 @cache
-def errors_by_camera_move(level: str) -> list[Figures]:
+def measure_errors_by_camera_move(level: str) -> list[Figures]:
     """Return the errors in a level's main view from several camera positions.
 
     The camera moves to its right by each of ``CAMERA_MOVES``, shares of the median distance of the visible points.
@@ -86,12 +86,12 @@ def errors_by_camera_move(level: str) -> list[Figures]:
     assert isinstance(view, PerspectiveView)
     aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
     moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
-    return [algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
+    return [measure_algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
 
 
 def measure() -> Figures:
     return {
-        "paths": {scene: errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
+        "paths": {scene: measure_errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
         "times": {
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
         },
@@ -102,16 +102,17 @@ def _figures_by_column(figures: Figures) -> dict[str, dict[tuple[str, str], floa
     """Return for each column of the thesis's grades the figures to compare it with, by scene and algorithm. Smaller is better."""
     paths, pairs = figures["paths"], [(scene, key) for scene in SCENE_TITLES for key in THESIS_ALGORITHMS]
 
-    def of(scene: str, key: str, name: str) -> list[float]:
-        return [place[key][name] for place in paths[scene]]
+    def errors_of(scene: str, key: str, name: str) -> list[float]:
+        return [move_errors[key][name] for move_errors in paths[scene]]
 
     return {
         "speed": {(scene, key): time_ratio(figures["times"][scene], key, SM) for scene, key in pairs},
         "speed_sun": {(scene, key): time_ratio(figures["times"][f"{scene}_sun"], key, SM) for scene, key in pairs},
-        "wrong_cast": {(scene, key): float(np.mean(of(scene, key, "wrong_cast"))) for scene, key in pairs},
-        "edge_p95": {(scene, key): float(np.mean(of(scene, key, "edge_p95"))) for scene, key in pairs},
+        "wrong_cast": {(scene, key): float(np.mean(errors_of(scene, key, "wrong_cast"))) for scene, key in pairs},
+        "edge_p95": {(scene, key): float(np.mean(errors_of(scene, key, "edge_p95"))) for scene, key in pairs},
         "robustness": {
-            (scene, key): max(of(scene, key, "interior")) + float(np.ptp(of(scene, key, "wrong_cast"))) for scene, key in pairs
+            (scene, key): max(errors_of(scene, key, "interior")) + float(np.ptp(errors_of(scene, key, "wrong_cast")))
+            for scene, key in pairs
         },
     }
 
@@ -174,7 +175,7 @@ def contradicted_pairs(column: str, measured: dict[tuple[str, str], float]) -> d
     return result
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     measured = _figures_by_column(figures)
     rows = []
     for scene in SCENE_TITLES:
@@ -201,13 +202,13 @@ def section(figures: Figures) -> Section:
     }
     claims = []
     for column, values in measured.items():
-        rho, against = rank_correlation(column, values), contradicted_pairs(column, values)
+        rho, contradictions = rank_correlation(column, values), contradicted_pairs(column, values)
         contradictions_text = (
-            "; ".join(f"{SCENE_TITLES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
+            "; ".join(f"{SCENE_TITLES[scene]}: {', '.join(pairs)}" for scene, pairs in contradictions.items()) or "nowhere"
         )
         verdict = at_least(rho, MIN_RANK_CORRELATION)
-        turned = {pair.split(" before ")[1] for pairs in against.values() for pair in pairs}
-        reasons = "; ".join(REASONS_BY_COLUMN[column][key] for key in ABBREVIATIONS.values() if key in turned)
+        better_algorithms = {pair.split(" before ")[1] for pairs in contradictions.values() for pair in pairs}
+        reasons = "; ".join(REASONS_BY_COLUMN[column][key] for key in ABBREVIATIONS.values() if key in better_algorithms)
         reason_text = choose_reason(
             verdict,
             SAME_ORDER_REASON,
@@ -225,28 +226,28 @@ def section(figures: Figures) -> Section:
         key: {column: float(np.mean([values[scene, key] for scene in SCENE_TITLES])) for column, values in measured.items()}
         for key in THESIS_ALGORITHMS
     }
-    shaky = max(THESIS_ALGORITHMS, key=lambda key: mean[key]["robustness"])
-    most_others = max(mean[key]["robustness"] for key in (SM, SV, HYBRID))
-    least_robust = at_least(mean[PSM]["robustness"], most_others)
-    quality = rank_correlation("wrong_cast", measured["wrong_cast"])
-    untestable = negate(at_least(quality, MIN_RANK_CORRELATION))
-    separates_edges = at_most(
+    least_robust_algorithm = max(THESIS_ALGORITHMS, key=lambda key: mean[key]["robustness"])
+    worst_other = max(mean[key]["robustness"] for key in (SM, SV, HYBRID))
+    psm_is_least_robust = at_least(mean[PSM]["robustness"], worst_other)
+    quality_correlation = rank_correlation("wrong_cast", measured["wrong_cast"])
+    is_untestable = negate(at_least(quality_correlation, MIN_RANK_CORRELATION))
+    volumes_are_better = at_most(
         max(mean[SV]["wrong_cast"], mean[HYBRID]["wrong_cast"]), min(mean[SM]["wrong_cast"], mean[PSM]["wrong_cast"])
     )
-    per, moved_text = (
+    quality_text, robustness_text = (
         ", ".join(f"{ABBREVIATIONS[key]} {format_percent(mean[key][column])}" for key in THESIS_ALGORITHMS)
         for column in ("wrong_cast", "robustness")
     )
-    thin = measured["wrong_cast"]["water_tower", HYBRID] - measured["wrong_cast"]["water_tower", SV]
-    loses = at_least(thin, MAX_ZERO_ERROR_SHARE)
+    hybrid_excess_error = measured["wrong_cast"]["water_tower", HYBRID] - measured["wrong_cast"]["water_tower", SV]
+    hybrid_loses_thin_casters = at_least(hybrid_excess_error, MAX_ZERO_ERROR_SHARE)
     claims += [
         Claim(
             f"{THESIS}, 7.4",
             "SV and the hybrid are high in quality, SM and PSM low",
-            f"mean `wrong_cast`: {per} (held if both of the former are less than both of the latter)",
-            separates_edges,
+            f"mean `wrong_cast`: {quality_text} (held if both of the former are less than both of the latter)",
+            volumes_are_better,
             choose_reason(
-                separates_edges,
+                volumes_are_better,
                 "volumes decide at edges, where maps are wrong",
                 "what volumes decide is no better than what maps do",
             ),
@@ -254,23 +255,24 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, 7.4",
             "PSM is the least robust of the four",
-            f"mean of interior error and change: {moved_text} (held if PSM's is the largest)",
-            least_robust,
+            f"mean of interior error and change: {robustness_text} (held if PSM's is the largest)",
+            psm_is_least_robust,
             choose_reason(
-                least_robust,
+                psm_is_least_robust,
                 "its map is another one for every place of the camera, and its texels far away are coarse",
-                f"{ABBREVIATIONS[shaky]} is: its texels stay coarse wherever the camera is, and what they get wrong is more to "
+                f"{ABBREVIATIONS[least_robust_algorithm]} is: its texels stay coarse wherever the camera is, and what they get "
+                "wrong is more to "
                 "begin with",
             ),
         ),
         Claim(
             f"{THESIS}, 7.2.3",
             "the hybrid loses thin casters (Water Tower) and is worse than SV there",
-            f"`wrong_cast` of the hybrid less that of SV: {format_percent(thin)} (held if at least "
+            f"`wrong_cast` of the hybrid less that of SV: {format_percent(hybrid_excess_error)} (held if at least "
             f"{format_percent(MAX_ZERO_ERROR_SHARE)})",
-            loses,
+            hybrid_loses_thin_casters,
             choose_reason(
-                loses,
+                hybrid_loses_thin_casters,
                 "its map misses what is thinner than a texel",
                 "the mask is conservative: what its map does not prove is left to volumes, however thin (`mask: original` misses "
                 "as the thesis's does)",
@@ -279,11 +281,12 @@ def section(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, 7.4",
             "an objective test of quality and robustness is almost impossible",
-            f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality:.2f} (held if under "
+            f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality_correlation:.2f} (held "
+            "if under "
             f"{MIN_RANK_CORRELATION})",
-            untestable,
+            is_untestable,
             choose_reason(
-                untestable,
+                is_untestable,
                 "the figure does not say what an eye says",
                 "truth can be traced now: what is right is known for each pixel",
             ),

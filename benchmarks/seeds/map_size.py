@@ -37,7 +37,7 @@ THESIS_MAP_SIZE = 2048
 WIDE_CUTOFF_DEG = 58.0
 """The cut-off angle of the thesis's water tower, by its own listing."""
 
-SHARP_EDGE_PX = 1.0
+MAX_SHARP_EDGE_PX = 1.0
 """A shadow is sharp if the 95th percentile of its edge displacement is at most this, the smallest nonzero value."""
 
 MAX_PREDICTION_RATIO = 1.35
@@ -81,7 +81,7 @@ def texel_sizes_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndar
 
 def measure() -> Figures:
     """Measure the water tower's shadow by map size, under the narrowest spot light that contains it and under a wide one."""
-    level, rows, cells = read_bundled_level("thesis_water_tower"), [], []
+    level, rows, pictures = read_bundled_level("thesis_water_tower"), [], []
     lamp = level["lights"]["lamp"]
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -95,41 +95,44 @@ def measure() -> Figures:
             truth_view = view_with_truth(write_and_build_scene(level, folder), "close", FRAME_SIZE_PX)
             for map_size in MAP_SIZES:
                 variant = Variant({"algorithm": "shadow_map", "map_size": map_size, "filter": 1})
-                figures, m = draw_variant(truth_view, variant).figures, texel_sizes_at_edges_px(truth_view, map_size)
-                rows.append({"cutoff_deg": cutoff_deg, "map_size": map_size, "texel_px": float(m.mean()), **figures})
-                words = f"{map_size}, {cutoff_deg:.1f}°: {format_percent(figures['wrong_cast'])} wrong"
-                cells.append(CaptionedPicture(draw_crop(truth_view, variant, CROP), words))
-    write_sheet("seeds-map-size.webp", cells, len(MAP_SIZES))
+                figures, texel_px = draw_variant(truth_view, variant).figures, texel_sizes_at_edges_px(truth_view, map_size)
+                rows.append({"cutoff_deg": cutoff_deg, "map_size": map_size, "texel_px": float(texel_px.mean()), **figures})
+                caption = f"{map_size}, {cutoff_deg:.1f}°: {format_percent(figures['wrong_cast'])} wrong"
+                pictures.append(CaptionedPicture(draw_crop(truth_view, variant, CROP), caption))
+    write_sheet("seeds-map-size.webp", pictures, len(MAP_SIZES))
     return {"rows": rows}
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     rows = figures["rows"]
     least_deg, wide_deg = (min(row["cutoff_deg"] for row in rows), max(row["cutoff_deg"] for row in rows))
-    small, wide = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))
-    fine_row, fine_wide = (next(row for row in part if row["map_size"] == THESIS_MAP_SIZE) for part in (small, wide))
+    narrow_rows, wide_rows = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))
+    fine_row, fine_wide = (next(row for row in part if row["map_size"] == THESIS_MAP_SIZE) for part in (narrow_rows, wide_rows))
     predicted = [row for row in rows if row["texel_px"] >= 1.0]
     ratios = [row["cast_edge_mean"] / (row["texel_px"] / 4.0) for row in predicted]
     is_decreasing = all_of(
-        at_least(a["wrong_cast"], b["wrong_cast"]) for part in (small, wide) for a, b in zip(part, part[1:], strict=False)
+        at_least(a["wrong_cast"], b["wrong_cast"])
+        for part in (narrow_rows, wide_rows)
+        for a, b in zip(part, part[1:], strict=False)
     )
-    sharp = fine_row["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
-    nice = all_of((is_decreasing, sharp))
-    worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(small, wide, strict=True))
-    jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_EDGE_PX))
-    predicts = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), MAX_PREDICTION_RATIO)
-    displaced = f"95 % of the edges are off by at most {fine_row['edge_p95']:.1f} px"
+    sharp = fine_row["edge_p95"] <= MAX_SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
+    edges_become_sharp = all_of((is_decreasing, sharp))
+    wide_is_worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(narrow_rows, wide_rows, strict=True))
+    wide_stays_jagged = all_of((wide_is_worse, fine_wide["edge_p95"] > MAX_SHARP_EDGE_PX))
+    prediction_holds = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), MAX_PREDICTION_RATIO)
+    displacement_text = f"95 % of the edges are off by at most {fine_row['edge_p95']:.1f} px"
     claims = [
         Claim(
             f"{THESIS}, figure 52",
             f"jaggedness falls with the map's size, to very nice edges at {THESIS_MAP_SIZE} under the smallest cut-off",
-            f"from {format_percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to "
+            f"from {format_percent(narrow_rows[0]['wrong_cast'])} wrong at {narrow_rows[0]['map_size']} to "
             f"{format_percent(fine_row['wrong_cast'])} at "
-            f"{THESIS_MAP_SIZE}, where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
-            f"{SHARP_EDGE_PX:g} px there)",
-            nice,
+            f"{THESIS_MAP_SIZE}, where {displacement_text} (held if each size is better than the one before, and `edge_p95` at "
+            "most "
+            f"{MAX_SHARP_EDGE_PX:g} px there)",
+            edges_become_sharp,
             choose_reason(
-                nice,
+                edges_become_sharp,
                 f"a texel covers {fine_row['texel_px']:.2f} px at {THESIS_MAP_SIZE}: an edge can hardly leave its pixel",
                 f"a texel still covers {fine_row['texel_px']:.2f} px at {THESIS_MAP_SIZE}"
                 if not sharp
@@ -142,10 +145,10 @@ def section(figures: Figures) -> Section:
             f"{format_percent(fine_wide['wrong_cast'])} wrong at {THESIS_MAP_SIZE} under {wide_deg:.0f}°, beside "
             f"{format_percent(fine_row['wrong_cast'])} under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held "
             "if worse "
-            f"at every size, and over {SHARP_EDGE_PX:g} px)",
-            jagged,
+            f"at every size, and over {MAX_SHARP_EDGE_PX:g} px)",
+            wide_stays_jagged,
             choose_reason(
-                jagged,
+                wide_stays_jagged,
                 f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine_row['texel_px']:.1f} times "
                 f"as large, {fine_wide['texel_px']:.1f} px at {THESIS_MAP_SIZE}",
                 f"a texel of the wide cone covers {fine_wide['texel_px']:.1f} px at {THESIS_MAP_SIZE}",
@@ -156,9 +159,9 @@ def section(figures: Figures) -> Section:
             "aliasing goes by texel size times distances and angles; so a nearest look-up is off by a quarter of that in the mean",
             f"where a texel is larger than a pixel ({len(predicted)} rows), the mean displacement is {min(ratios):.2f} to "
             f"{max(ratios):.2f} of the predicted one (held if within a factor of {MAX_PREDICTION_RATIO})",
-            predicts,
+            prediction_holds,
             choose_reason(
-                predicts,
+                prediction_holds,
                 "a point is taken for its texel's centre, which lies up to half a texel off, evenly: a quarter in the mean",
                 "a quarter of a texel is the mean of one straight edge that runs along texels: bars thinner than a texel and "
                 "edges askew to texels are left out",

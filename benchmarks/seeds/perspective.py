@@ -43,10 +43,10 @@ SUN_ALTITUDE_DEG = 28.0
 FLOOR_SIDE_M = 280.0
 """Side of the floor, metres. The bundled floor of 200 m does not reach a light ahead of the viewer."""
 
-EQUAL_FACTOR = 1.25
+MAX_EQUAL_FACTOR = 1.25
 """Errors that differ by at most this factor count as about equal."""
 
-WORSE_FACTOR = 1.5
+MIN_WORSE_FACTOR = 1.5
 
 NEAR_SPOT_DISTANCE_SHARES = (1.5, 0.5, 0.25)
 """Distances of the spot light from the objects in figure 55, as shares of the camera's distance."""
@@ -188,11 +188,11 @@ def measure_light_direction() -> Figures:
 
     Rows are uniform and perspective maps of one size, and controls.
     """
-    rows, cells = [], []
+    rows, pictures = [], []
     with TemporaryDirectory() as folder:
-        for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
+        for light, (turn_deg, distance_m, height_or_altitude, lamp) in LIGHTS.items():
             truth_view = view_with_truth(
-                stone_circle_scene(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE_PX
+                stone_circle_scene(Path(folder), "main", turn_deg, distance_m, height_or_altitude, **lamp), "main", SIZE_PX
             )
             farthest_m = float(truth_view.view_depth_m[truth_view.receivers].max())
             for name, variant in map_variants().items():
@@ -200,106 +200,127 @@ def measure_light_direction() -> Figures:
                 rows.append({**row, **wrong_shares_of_thirds(truth_view, drawn_variant.is_dark)})
                 if light in (SPOT_RIGHT, SPOT_FRONT, SPOT_AT_EYE) and name in (UNIFORM_MAP, PERSPECTIVE_MAP):
                     text = f"{light}, {name}: {format_percent(row['wrong_cast'])} wrong"
-                    cells.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, DIRECTION_CROP), text))
-    write_sheet("seeds-light-direction.webp", cells, 2)
+                    pictures.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, DIRECTION_CROP), text))
+    write_sheet("seeds-light-direction.webp", pictures, 2)
     return {"rows": rows}
 
 
 def measure_bad_case() -> Figures:
     """Measure the stone circles from afar, with a spot light nearer to them than the camera."""
-    spec, rows, cells = read_bundled_level("thesis_rocks")["views"]["overview"], [], []
-    distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
+    view_spec, rows, pictures = read_bundled_level("thesis_rocks")["views"]["overview"], [], []
+    distance_m = float(np.linalg.norm(np.subtract(view_spec["eye"], [*view_spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:
-        for turn_deg, high_deg in NEAR_SPOT_DIRECTIONS_DEG:
+        for turn_deg, altitude_deg in NEAR_SPOT_DIRECTIONS_DEG:
             for share in NEAR_SPOT_DISTANCE_SHARES:
-                flat, up = share * distance_m * np.cos(np.radians(high_deg)), share * distance_m * np.sin(np.radians(high_deg))
-                scene = stone_circle_scene(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_SPOT_CUTOFF_DEG)
+                horizontal_m, height_m = (
+                    share * distance_m * np.cos(np.radians(altitude_deg)),
+                    share * distance_m * np.sin(np.radians(altitude_deg)),
+                )
+                scene = stone_circle_scene(
+                    Path(folder), "overview", turn_deg, float(horizontal_m), float(height_m), cutoff=NEAR_SPOT_CUTOFF_DEG
+                )
                 truth_view = view_with_truth(scene, "overview", SIZE_PX)
                 for name, variant in map_variants().items():
                     drawn_variant, row = _draw_row(
-                        truth_view, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share}
+                        truth_view, name, variant, {"turn_deg": turn_deg, "high_deg": altitude_deg, "share": share}
                     )
                     rows.append(row)
                     if (turn_deg, share) == SHOWN_CASE and name != SHORTEST_SLIDE_BACK:
-                        cells.append(
+                        pictures.append(
                             CaptionedPicture(
                                 draw_errors(truth_view, drawn_variant, BAD_CASE_CROP),
                                 f"{name}: {format_percent(row['wrong_cast'])} wrong",
                             )
                         )
-    write_sheet("seeds-bad-case.webp", cells, 2)
+    write_sheet("seeds-bad-case.webp", pictures, 2)
     return {"rows": rows}
 
 
-def section_light_direction(figures: Figures) -> Section:
+def make_light_direction_section(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["map"]): row for row in figures["rows"]}
 
     def ratio(light: str, map_name: str, other: str, key: str = "wrong_cast") -> float:
         return row_by_key[light, map_name][key] / max(row_by_key[light, other][key], 1e-9)
 
-    def right(name: str, part: str) -> str:
+    def share_at_right(name: str, part: str) -> str:
         return format_percent(row_by_key[SPOT_RIGHT, name][part])
 
     nearest, farthest = (ratio(SPOT_RIGHT, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP, part) for part in ("near", "far"))
-    nearer = all_of((at_most(nearest, 1.0), at_most(ratio(SPOT_RIGHT, PERSPECTIVE_MAP, UNIFORM_MAP, "near"), 1.0)))
-    farther = at_least(farthest, 1.0)
-    front = {light: ratio(light, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP) for light in (SPOT_FRONT, NEAR_SPOT_FRONT, SUN_FRONT)}
-    equal = all_of((at_most(front[SPOT_FRONT], EQUAL_FACTOR), at_least(front[SPOT_FRONT], 1.0 / EQUAL_FACTOR)))
-    off_px = {
+    near_is_better = all_of((at_most(nearest, 1.0), at_most(ratio(SPOT_RIGHT, PERSPECTIVE_MAP, UNIFORM_MAP, "near"), 1.0)))
+    far_is_worse = at_least(farthest, 1.0)
+    front_ratios = {light: ratio(light, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP) for light in (SPOT_FRONT, NEAR_SPOT_FRONT, SUN_FRONT)}
+    front_is_equal = all_of(
+        (at_most(front_ratios[SPOT_FRONT], MAX_EQUAL_FACTOR), at_least(front_ratios[SPOT_FRONT], 1.0 / MAX_EQUAL_FACTOR))
+    )
+    edge_error_px = {
         light: row_by_key[light, UNIFORM_MAP]["cast_edge_mean"] for light in (SPOT_RIGHT, SPOT_FRONT, NEAR_SPOT_FRONT, SPOT_BEHIND)
     }
-    eye_px, at_eye = row_by_key[SPOT_AT_EYE, UNIFORM_MAP]["cast_edge_mean"], ratio(SPOT_AT_EYE, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP)
-    miner = all_of((at_least(at_eye, 1.0 / EQUAL_FACTOR), at_most(eye_px, min(off_px.values()))))
-    gain = {light: ratio(light, FITTED_UNIFORM_MAP, BEST_SLIDE_BACK) for light in (SPOT_RIGHT, WIDE_SPOT_RIGHT, SUN_RIGHT)}
-    farthest_m = {light: row_by_key[light, PERSPECTIVE_MAP]["farthest_m"] for light in gain}
-    sun_better = at_least(gain[SUN_RIGHT], max(gain[SPOT_RIGHT], gain[WIDE_SPOT_RIGHT]))
+    edge_error_at_eye_px, ratio_at_eye = (
+        row_by_key[SPOT_AT_EYE, UNIFORM_MAP]["cast_edge_mean"],
+        ratio(SPOT_AT_EYE, BEST_SLIDE_BACK, FITTED_UNIFORM_MAP),
+    )
+    uniform_suits_lamp_at_eye = all_of(
+        (at_least(ratio_at_eye, 1.0 / MAX_EQUAL_FACTOR), at_most(edge_error_at_eye_px, min(edge_error_px.values())))
+    )
+    perspective_gains = {
+        light: ratio(light, FITTED_UNIFORM_MAP, BEST_SLIDE_BACK) for light in (SPOT_RIGHT, WIDE_SPOT_RIGHT, SUN_RIGHT)
+    }
+    farthest_m = {light: row_by_key[light, PERSPECTIVE_MAP]["farthest_m"] for light in perspective_gains}
+    sun_gains_most = at_least(perspective_gains[SUN_RIGHT], max(perspective_gains[SPOT_RIGHT], perspective_gains[WIDE_SPOT_RIGHT]))
     claims = [
         Claim(
             f"{THESIS}, figure 54",
             "with the light at the right perspective maps make near shadows better",
-            f"wrong in the nearest third of the shadows: {right(PERSPECTIVE_MAP, 'near')}, beside "
-            f"{right(FITTED_UNIFORM_MAP, 'near')} of a map fitted to "
-            f"what is seen without perspective and {right(UNIFORM_MAP, 'near')} of one for the whole cone (held if less than both)",
-            nearer,
+            f"wrong in the nearest third of the shadows: {share_at_right(PERSPECTIVE_MAP, 'near')}, beside "
+            f"{share_at_right(FITTED_UNIFORM_MAP, 'near')} of a map fitted to "
+            f"what is seen without perspective and {share_at_right(UNIFORM_MAP, 'near')} of one for the whole cone (held if less "
+            "than both)",
+            near_is_better,
             f"the perspective alone multiplies near errors by {format_ratio(nearest)}, the fit to what is seen does the rest",
         ),
         Claim(
             f"{THESIS}, figure 54",
             "at the cost of shadows far away",
-            f"wrong in the farthest third: {right(PERSPECTIVE_MAP, 'far')}, beside {right(FITTED_UNIFORM_MAP, 'far')} fitted "
+            f"wrong in the farthest third: {share_at_right(PERSPECTIVE_MAP, 'far')}, beside "
+            f"{share_at_right(FITTED_UNIFORM_MAP, 'far')} fitted "
             "without perspective (and "
-            f"{right(UNIFORM_MAP, 'far')} for the whole cone; held if more than the former)",
-            farther,
+            f"{share_at_right(UNIFORM_MAP, 'far')} for the whole cone; held if more than the former)",
+            far_is_worse,
             f"the perspective alone multiplies far errors by {format_ratio(farthest)}; beside a map of the whole cone the fit "
             "hides that",
         ),
         Claim(
             f"{THESIS}, 7.2.2",
             "with the light in front both are about equal: near objects are far from a spot, and the two perspectives cancel",
-            f"wrong with perspective over without, both fitted: {format_ratio(front[SPOT_FRONT])} under a spot "
+            f"wrong with perspective over without, both fitted: {format_ratio(front_ratios[SPOT_FRONT])} under a spot "
             f"{LIGHTS[SPOT_FRONT][1]:.0f} m "
-            f"ahead (held if within a factor of {EQUAL_FACTOR}), {format_ratio(front[NEAR_SPOT_FRONT])} under one "
+            f"ahead (held if within a factor of {MAX_EQUAL_FACTOR}), {format_ratio(front_ratios[NEAR_SPOT_FRONT])} under one "
             f"{LIGHTS[NEAR_SPOT_FRONT][1]:.0f} m ahead, "
-            f"{format_ratio(front[SUN_FRONT])} under the sun",
-            equal,
+            f"{format_ratio(front_ratios[SUN_FRONT])} under the sun",
+            front_is_equal,
             choose_reason(
-                equal,
+                front_is_equal,
                 "the two perspectives cancel",
                 "a spot as far away as in the bundled level sees near and far objects at much the same distance, so there is "
                 "little to cancel"
-                + ("; one that stands nearer takes some of the gain away" if front[NEAR_SPOT_FRONT] > front[SPOT_FRONT] else ""),
+                + (
+                    "; one that stands nearer takes some of the gain away"
+                    if front_ratios[NEAR_SPOT_FRONT] > front_ratios[SPOT_FRONT]
+                    else ""
+                ),
             ),
         ),
         Claim(
             f"{THESIS}, 7.2.2",
             "with the light behind, a miner's lamp, uniform maps are nearly perfect and perspective adds nothing",
-            f"with the spot just behind the eye uniform edges are off by {eye_px:.2f} px in the mean, from elsewhere by "
-            f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: "
-            f"{format_ratio(at_eye)} "
-            f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL_FACTOR})",
-            miner,
+            f"with the spot just behind the eye uniform edges are off by {edge_error_at_eye_px:.2f} px in the mean, from elsewhere "
+            "by "
+            f"{min(edge_error_px.values()):.2f} to {max(edge_error_px.values()):.2f} px; wrong with perspective over without: "
+            f"{format_ratio(ratio_at_eye)} "
+            f"(held if off by the least, and perspective lowers errors by at most a factor of {MAX_EQUAL_FACTOR})",
+            uniform_suits_lamp_at_eye,
             choose_reason(
-                miner,
+                uniform_suits_lamp_at_eye,
                 "lamp and eye see distances alike, so texels are as even in the picture as pixels are; what shadow is seen at "
                 "all lies along outlines, so that few pixels are wrong, though a large share of it",
                 "the lamp stands near the eye, not in it: what is left of the perspective still counts",
@@ -308,13 +329,15 @@ def section_light_direction(figures: Figures) -> Section:
         Claim(
             f"{THESIS}, 7.2.2",
             "directional light suits perspective maps better than spots",
-            f"with the light at the right perspective divides errors by {format_ratio(gain[SUN_RIGHT])} under the sun, by "
-            f"{format_ratio(gain[SPOT_RIGHT])} under the spot, and by {format_ratio(gain[WIDE_SPOT_RIGHT])} under that spot "
+            f"with the light at the right perspective divides errors by {format_ratio(perspective_gains[SUN_RIGHT])} under the "
+            "sun, by "
+            f"{format_ratio(perspective_gains[SPOT_RIGHT])} under the spot, and by "
+            f"{format_ratio(perspective_gains[WIDE_SPOT_RIGHT])} under that spot "
             "opened to "
             f"{LIGHTS[WIDE_SPOT_RIGHT][3]['cutoff']:.0f}° (held if by most under the sun)",
-            sun_better,
+            sun_gains_most,
             choose_reason(
-                sun_better,
+                sun_gains_most,
                 "even where a spot lights as much ground, its rays spread against the camera's perspective",
                 "what counts is how far the light reaches from near to far in what is seen: under the sun up to "
                 f"{farthest_m[SUN_RIGHT]:.0f} m, under the spot {farthest_m[SPOT_RIGHT]:.0f} m, opened "
@@ -351,33 +374,38 @@ def section_light_direction(figures: Figures) -> Section:
     )
 
 
-def section_bad_case(figures: Figures) -> Section:
+def make_bad_case_section(figures: Figures) -> Section:
     row_by_key = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
     places = list(dict.fromkeys(key[:3] for key in row_by_key))
-    nearer = [place for place in places if place[2] < 1.0]
+    near_places = [place for place in places if place[2] < 1.0]
 
-    def to_uniform(variant: str) -> list[float]:
+    def ratios_to_uniform(variant: str) -> list[float]:
         return [
-            row_by_key[*place, variant]["wrong_cast"] / max(row_by_key[*place, UNIFORM_MAP]["wrong_cast"], 1e-9) for place in nearer
+            row_by_key[*place, variant]["wrong_cast"] / max(row_by_key[*place, UNIFORM_MAP]["wrong_cast"], 1e-9)
+            for place in near_places
         ]
 
-    worst = {variant: max(to_uniform(variant)) for variant in MAP_VARIANTS}
-    is_bad = at_least(worst[PERSPECTIVE_MAP], WORSE_FACTOR)
-    stretched = all_of((at_least(worst[SHORTEST_SLIDE_BACK], WORSE_FACTOR), at_most(worst[FITTED_UNIFORM_MAP], WORSE_FACTOR)))
-    fallen_back = sum(row_by_key[*place, PERSPECTIVE_MAP]["note"].startswith("a uniform map") for place in nearer)
+    worst = {variant: max(ratios_to_uniform(variant)) for variant in MAP_VARIANTS}
+    is_bad = at_least(worst[PERSPECTIVE_MAP], MIN_WORSE_FACTOR)
+    stretching_is_cause = all_of(
+        (at_least(worst[SHORTEST_SLIDE_BACK], MIN_WORSE_FACTOR), at_most(worst[FITTED_UNIFORM_MAP], MIN_WORSE_FACTOR))
+    )
+    uniform_fallback_count = sum(row_by_key[*place, PERSPECTIVE_MAP]["note"].startswith("a uniform map") for place in near_places)
     claims = [
         Claim(
             f"{THESIS}, figure 55",
             "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
-            f"in {sum(ratio > WORSE_FACTOR for ratio in to_uniform(PERSPECTIVE_MAP))} of {len(nearer)} such places over "
-            f"{WORSE_FACTOR:g} "
+            f"in {sum(ratio > MIN_WORSE_FACTOR for ratio in ratios_to_uniform(PERSPECTIVE_MAP))} of {len(near_places)} such places "
+            "over "
+            f"{MIN_WORSE_FACTOR:g} "
             f"times the errors of the uniform map; at worst {format_ratio(worst[PERSPECTIVE_MAP])} times (held if over "
-            f"{WORSE_FACTOR:g} anywhere)",
+            f"{MIN_WORSE_FACTOR:g} anywhere)",
             is_bad,
             choose_reason(
                 is_bad,
                 "the slide-back with the smallest texels in the mean has large ones where the shadows lie",
-                f"a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in {fallen_back} of "
+                "a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in "
+                f"{uniform_fallback_count} of "
                 f"these places; were the best slide-back taken always, the worst would be {format_ratio(worst[BEST_SLIDE_BACK])} "
                 "times",
             ),
@@ -389,10 +417,10 @@ def section_bad_case(figures: Figures) -> Section:
             "the errors of the "
             f"uniform map; the same receivers without perspective up to {format_ratio(worst[FITTED_UNIFORM_MAP])} times (held if "
             "the former is "
-            f"over, the latter at most {WORSE_FACTOR:g})",
-            stretched,
+            f"over, the latter at most {MIN_WORSE_FACTOR:g})",
+            stretching_is_cause,
             choose_reason(
-                stretched,
+                stretching_is_cause,
                 "with all else alike, taking the perspective out takes the errors away",
                 "in these places the fit to what is seen makes up for the stretching",
             ),

@@ -17,7 +17,7 @@ from skugga.terrain.cache import clear_caches
 from skugga.terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
-MAX_KB = 200
+MAX_SHEET_KB = 200
 
 SHADOW_BRIGHTNESS = 0.45
 """Brightness of a pixel in shadow in pictures of errors, relative to the lit pixel."""
@@ -84,4 +84,4 @@ def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> N
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
         page.paste(cell.picture, (x, y))
         draw.text((x, y + height + TEXT_PX), cell.caption, TEXT_COLOR, font, anchor="lm")
-    (IMAGES / name).write_bytes(encode_sheet(page, ".webp", 1000 * MAX_KB))
+    (IMAGES / name).write_bytes(encode_sheet(page, ".webp", 1000 * MAX_SHEET_KB))

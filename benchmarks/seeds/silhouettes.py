@@ -45,7 +45,7 @@ REPEATS = 7
 SHADOWED_EYE_VIEW = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
 
-SAME_PICTURE_SHARE = 1e-4
+MAX_SAME_PICTURE_SHARE = 1e-4
 """Pictures count as the same if at most this share of their pixels differs."""
 
 MAX_WRONG_SHARE = 0.001
@@ -69,15 +69,15 @@ def _measure_volumes(level: str) -> dict[str, float]:
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
     shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
-    rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
-    orientations = orientations_of(faces_light(vertices, triangles, light), rule)
+    facing_rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
+    orientations = orientations_of(faces_light(vertices, triangles, light), facing_rule)
     groups = layer_batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
-    def built(edges: Edges) -> list[Volumes]:
-        orientations_of(faces_light(vertices, triangles, light), rule)  # the work for each new sun
+    def build_volumes(edges: Edges) -> list[Volumes]:
+        orientations_of(faces_light(vertices, triangles, light), facing_rule)  # the work for each new sun
         return [extruded_volumes(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
-    silhouettes, polygons, engine_volumes = built(shared), built(separate_edges), _engine_volumes(truth_view, light)
+    silhouettes, polygons, engine_volumes = build_volumes(shared), build_volumes(separate_edges), _engine_volumes(truth_view, light)
     sides = [
         replace(
             volume, faces=volume.faces[: volume.first_cap], caster_of_face=volume.caster_of_face[: volume.first_cap], cap_count=0
@@ -91,8 +91,8 @@ def _measure_volumes(level: str) -> dict[str, float]:
     counts = {name: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
         "structure": lambda: closed_parts(edges_of(vertices, triangles)),
-        "build_silhouettes": lambda: built(shared),
-        "build_polygons": lambda: built(separate_edges),
+        "build_silhouettes": lambda: build_volumes(shared),
+        "build_polygons": lambda: build_volumes(separate_edges),
     }
     tasks |= {f"fill_{name}": lambda method=method: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     neighbours_by_search(shared.ends[shared.triangle_edges[:1]])  # compiles
@@ -179,9 +179,9 @@ def _measure_shadowed_eye() -> dict[str, float]:
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     engine_volumes = _engine_volumes(truth_view, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
-    by_pass = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
+    z_pass_volumes = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
-        "z_pass": (by_pass, "auto"),
+        "z_pass": (z_pass_volumes, "auto"),
         "z_fail": (engine_volumes, "z_fail"),
         "auto": (engine_volumes, "auto"),
     }
@@ -192,11 +192,11 @@ def _measure_shadowed_eye() -> dict[str, float]:
     return wrong_shares
 
 
-def section(figures: Figures) -> Section:
-    scenes, inside = figures["scenes"], figures["inside"]
+def make_section(figures: Figures) -> Section:
+    scenes, shadowed_eye_errors = figures["scenes"], figures["inside"]
     rows = scenes.values()
 
-    def span(value_of: Callable[[dict[str, float]], float]) -> str:
+    def format_for_scenes(value_of: Callable[[dict[str, float]], float]) -> str:
         return format_by_scene({name: value_of(row) for name, row in scenes.items()})
 
     def polygons_ms(row: dict[str, float]) -> float:
@@ -206,24 +206,27 @@ def section(figures: Figures) -> Section:
         return (row[f"{structure}_ms"] + row["build_silhouettes_ms"] + row["fill_silhouettes_ms"]) / polygons_ms(row)
 
     differing_polygons, differing_sides = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
-    fewer = all_of(
-        [*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(differing_polygons, SAME_PICTURE_SHARE)]
+    fewer_volumes = all_of(
+        [*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(differing_polygons, MAX_SAME_PICTURE_SHARE)]
     )
-    slower = any_of(at_least(relative_cost(row, "search"), 1.0) for row in rows)
-    faster = all_of(at_most(relative_cost(row, "structure"), 1.0) for row in rows)
+    search_is_slower = any_of(at_least(relative_cost(row, "search"), 1.0) for row in rows)
+    edge_table_is_faster = all_of(at_most(relative_cost(row, "structure"), 1.0) for row in rows)
     fewer_faces = all_of(at_most(row["faces_sides"], row["faces_z_fail"]) for row in rows)
-    quicker = all_of(at_most(row["fill_sides_ms"], row["fill_z_fail_ms"]) for row in rows)
-    robust = all_of((at_most(inside["z_fail"], MAX_WRONG_SHARE), at_least(inside["z_pass"], MAX_WRONG_SHARE)))
+    z_pass_is_faster = all_of(at_most(row["fill_sides_ms"], row["fill_z_fail_ms"]) for row in rows)
+    only_z_fail_is_right = all_of(
+        (at_most(shadowed_eye_errors["z_fail"], MAX_WRONG_SHARE), at_least(shadowed_eye_errors["z_pass"], MAX_WRONG_SHARE))
+    )
     claims = [
         Claim(
             COPENHAGEN_REPORT,
             "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
-            f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
+            "sides that are drawn, as a share of those without: "
+            f"{format_for_scenes(lambda row: row['sides'] / row['sides_polygons'])}; of "
             f"the pixels {format_max_percent(differing_polygons)} differ (held if fewer everywhere, and at most "
-            f"{format_percent(SAME_PICTURE_SHARE)} differ)",
-            fewer,
+            f"{format_percent(MAX_SAME_PICTURE_SHARE)} differ)",
+            fewer_volumes,
             choose_reason(
-                fewer,
+                fewer_volumes,
                 "the two sides at an edge between two casting triangles cancel; only those are left whose neighbour faces away",
                 "casters share too few edges",
             ),
@@ -232,10 +235,10 @@ def section(figures: Figures) -> Section:
             COPENHAGEN_REPORT,
             "made badly, silhouettes make volumes slower than none: there by finding neighbours through comparing all edges",
             "time with silhouettes over time without, when every side is held against every other: "
-            f"{span(lambda row: relative_cost(row, 'search'))} (held if over 1 anywhere)",
-            slower,
+            f"{format_for_scenes(lambda row: relative_cost(row, 'search'))} (held if over 1 anywhere)",
+            search_is_slower,
             choose_reason(
-                slower,
+                search_is_slower,
                 "the search grows with the square of the triangles "
                 f"({format_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves "
                 "grows with their number",
@@ -246,12 +249,13 @@ def section(figures: Figures) -> Section:
             COPENHAGEN_REPORT,
             "a better structure of edges would make them much faster",
             "time over that without silhouettes, the edge table made anew each time: "
-            f"{span(lambda row: relative_cost(row, 'structure'))} (held if under 1 everywhere)",
-            faster,
+            f"{format_for_scenes(lambda row: relative_cost(row, 'structure'))} (held if under 1 everywhere)",
+            edge_table_is_faster,
             choose_reason(
-                faster,
+                edge_table_is_faster,
                 "a hash of vertex pairs finds all edges in one pass over the triangles ("
-                f"{span(lambda row: row['search_ms'] / row['structure_ms'])} times as fast as the search), and what is filled "
+                f"{format_for_scenes(lambda row: row['search_ms'] / row['structure_ms'])} times as fast as the search), and what "
+                "is filled "
                 "shrinks with the sides. The table does not depend on the light, so it is made once for a mesh",
                 "making the table costs more than the sides that it saves, where a mesh is drawn once alone",
             ),
@@ -259,26 +263,29 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "z-pass draws fewer faces than z-fail, since it needs no caps",
-            f"faces without caps over those of z-fail: {span(lambda row: row['faces_sides'] / row['faces_z_fail'])} (held if "
+            f"faces without caps over those of z-fail: {format_for_scenes(lambda row: row['faces_sides'] / row['faces_z_fail'])} "
+            "(held if "
             f"under 1 everywhere); of the pixels {format_max_percent(differing_sides)} differ without caps",
             fewer_faces,
             (
                 "a cap lies on a surface that is drawn, and is never before what is seen. "
-                if differing_sides <= SAME_PICTURE_SHARE
+                if differing_sides <= MAX_SAME_PICTURE_SHARE
                 else ""
             )
             + "The engine draws caps for z-pass too, and leaves out faces wholly on the side of the points that does not count "
             "either way, so that which way draws more of them is up to the view: by default "
-            f"{span(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",
+            f"{format_for_scenes(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",
         ),
         Claim(
             COPENHAGEN_REPORT,
             "z-pass is faster than z-fail",
-            f"time of filling, z-pass without caps over z-fail: {span(lambda row: row['fill_sides_ms'] / row['fill_z_fail_ms'])} "
-            f"(held if under 1 everywhere); by default {span(lambda row: row['fill_auto_ms'] / row['fill_z_fail_ms'])}",
-            quicker,
+            "time of filling, z-pass without caps over z-fail: "
+            f"{format_for_scenes(lambda row: row['fill_sides_ms'] / row['fill_z_fail_ms'])} "
+            "(held if under 1 everywhere); by default "
+            f"{format_for_scenes(lambda row: row['fill_auto_ms'] / row['fill_z_fail_ms'])}",
+            z_pass_is_faster,
             choose_reason(
-                quicker,
+                z_pass_is_faster,
                 "fewer faces pass over fewer pixels",
                 "faces are not what filling takes: either way the same stencil is cleared, given depths and read, and faces "
                 "cover very different shares of the picture",
@@ -288,12 +295,13 @@ def section(figures: Figures) -> Section:
         Claim(
             COPENHAGEN_REPORT,
             "z-pass is wrong with the eye in a volume; z-fail is right",
-            f"wrong of the cast shadow with the eye in the shadow: z-pass {format_percent(inside['z_pass'])}, z-fail "
-            f"{format_percent(inside['z_fail'])}, caster by caster {format_percent(inside['auto'])} (held if z-fail gets at most "
+            f"wrong of the cast shadow with the eye in the shadow: z-pass {format_percent(shadowed_eye_errors['z_pass'])}, z-fail "
+            f"{format_percent(shadowed_eye_errors['z_fail'])}, caster by caster {format_percent(shadowed_eye_errors['auto'])} "
+            "(held if z-fail gets at most "
             f"{format_percent(MAX_WRONG_SHARE)} wrong and z-pass more)",
-            robust,
+            only_z_fail_is_right,
             choose_reason(
-                robust,
+                only_z_fail_is_right,
                 "z-pass counts from the eye and starts at 0, though the eye is in volumes already; z-fail starts at infinity, "
                 "where there are none. By default each caster whose volume may reach the near plane is counted by z-fail, the "
                 "others by z-pass",

@@ -52,7 +52,7 @@ THESIS_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68
 BLOCK_PX = 16
 """Side of the blocks whose shadow shares are compared."""
 
-TERMINATOR_TEXELS = 2.0
+TERMINATOR_DISTANCE_TEXELS = 2.0
 """Distance behind the first hit of a ray from the sun, in texels, up to which a point counts as near the terminator."""
 
 MIN_STEEP_GROWTH, MAX_FLAT_GROWTH, MIN_LARGE_GAIN = 1.5, 1.1, 2.0
@@ -79,14 +79,14 @@ def measure() -> Figures:
         wrong_cast = truth_view.errors(visibility)["wrong_cast"]
         return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - visibility), true_shares)}
 
-    def soft(size: int, bits: int) -> ShadowOverrides:
+    def filtered_overrides(size: int, bits: int) -> ShadowOverrides:
         return single_map_overrides(size, depth_bits=bits, filter="auto")
 
     return {
         "times": {f"{name} {size}": {"ratio": row["ratio"], "draws": row["map_draws"]} for (name, size), row in rows.items()},
-        "passes_ms": _passes_ms(truth_view, {size: truth_view.plan(soft(size, 16)) for size in MAP_SIZES}),
-        "quality": {str(size): quality(soft(size, 16)) for size in MAP_SIZES},
-        "deeper": {str(size): quality(soft(size, 24)) for size in MAP_SIZES},
+        "passes_ms": _measure_passes_ms(truth_view, {size: truth_view.plan(filtered_overrides(size, 16)) for size in MAP_SIZES}),
+        "quality": {str(size): quality(filtered_overrides(size, 16)) for size in MAP_SIZES},
+        "deeper": {str(size): quality(filtered_overrides(size, 24)) for size in MAP_SIZES},
         "without": quality({"algorithm": "none"}),
         "hidden": {
             str(size): _measure_away_facing_surfaces(
@@ -97,7 +97,7 @@ def measure() -> Figures:
     }
 
 
-def _passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
+def _measure_passes_ms(truth_view: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
     """Return by map size the median milliseconds of drawing a shadow map and of looking it up. The sizes take turns."""
 
     def draw_frame(plan: Plan) -> PassLog:
@@ -122,52 +122,55 @@ def _measure_away_facing_surfaces(truth_view: ViewWithTruth, plan: Plan) -> dict
     Their normals are flipped, so that the map treats them as receivers. The figures are:
 
     * ``lit``: the share of such surfaces that the map leaves lit.
-    * ``near``: the share that lies within ``TERMINATOR_TEXELS`` texels, along the rays, behind the first hit from the sun.
+    * ``near``: the share that lies within ``TERMINATOR_DISTANCE_TEXELS`` texels, along the rays, behind the first hit from the sun.
     * ``lit_near``: the same share among the surfaces that are left lit.
     """
-    turned = truth_view.faces_away
+    faces_away = truth_view.faces_away
     flipped = replace(
-        truth_view.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * truth_view.buffer.normal_frame
+        truth_view.buffer,
+        normal_frame=np.where(faces_away[..., None], -1.0, 1.0).astype(np.float32) * truth_view.buffer.normal_frame,
     )
-    leaks = turned & (replace(truth_view, buffer=flipped).visibility(plan) >= 0.5)
+    left_lit = faces_away & (replace(truth_view, buffer=flipped).visibility(plan) >= 0.5)
     settings = shared_settings(truth_view, plan)
     assert isinstance(settings, ShadowMapSettings)
     texel_m = max(settings.cascades[0].texel_m)
-    near = sees_sun_when_moved(truth_view, flipped, TERMINATOR_TEXELS * texel_m) & turned
+    near_terminator = sees_sun_when_moved(truth_view, flipped, TERMINATOR_DISTANCE_TEXELS * texel_m) & faces_away
     return {
         "texel_m": texel_m,
-        "turned": float(turned.sum() / truth_view.buffer.valid.sum()),
-        "lit": float(leaks.sum() / turned.sum()),
-        "near": float(near.sum() / turned.sum()),
-        "lit_near": float((leaks & near).sum() / max(leaks.sum(), 1)),
+        "turned": float(faces_away.sum() / truth_view.buffer.valid.sum()),
+        "lit": float(left_lit.sum() / faces_away.sum()),
+        "near": float(near_terminator.sum() / faces_away.sum()),
+        "lit_near": float((left_lit & near_terminator).sum() / max(left_lit.sum(), 1)),
     }
 
 
-def section(figures: Figures) -> Section:
-    frame, ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
+def make_section(figures: Figures) -> Section:
+    frames, pass_times_ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
     first, last = str(MAP_SIZES[0]), str(MAP_SIZES[-1])
-    growth = {mode: frame[f"{mode} {last}"]["ratio"] / frame[f"{mode} {first}"]["ratio"] for mode in THESIS_FPS}
+    growth = {mode: frames[f"{mode} {last}"]["ratio"] / frames[f"{mode} {first}"]["ratio"] for mode in THESIS_FPS}
     thesis_gain = {mode: fps[0] / fps[-1] for mode, fps in THESIS_FPS.items()}
-    cached_ratio, redrawn_ratio = (frame[f"{mode} {THESIS_MAP_SIZE}"]["ratio"] for mode in ("kept", "redrawn"))
-    place = MAP_SIZES.index(int(THESIS_MAP_SIZE))
-    their_gain = THESIS_FPS["kept"][place] / THESIS_FPS["redrawn"][place]
-    map_share = {size: pass_ms["depth map"] / (pass_ms["depth map"] + pass_ms["visibility"]) for size, pass_ms in ms.items()}
-    steep, flat, pays = (
+    cached_ratio, redrawn_ratio = (frames[f"{mode} {THESIS_MAP_SIZE}"]["ratio"] for mode in ("kept", "redrawn"))
+    size_index = MAP_SIZES.index(int(THESIS_MAP_SIZE))
+    thesis_redraw_ratio = THESIS_FPS["kept"][size_index] / THESIS_FPS["redrawn"][size_index]
+    map_share = {
+        size: pass_ms["depth map"] / (pass_ms["depth map"] + pass_ms["visibility"]) for size, pass_ms in pass_times_ms.items()
+    }
+    grows_steeply, stays_flat, caching_pays = (
         at_least(growth["redrawn"], MIN_STEEP_GROWTH),
         at_most(growth["kept"], MAX_FLAT_GROWTH),
         at_least(redrawn_ratio / cached_ratio, MIN_LARGE_GAIN),
     )
     coverage, coverage_without = quality[THESIS_MAP_SIZE]["coverage"], figures["without"]["coverage"]
-    deeper = max(abs(pass_ms["coverage"] - figures["deeper"][size]["coverage"]) for size, pass_ms in quality.items())
-    suffices = all_of(
+    max_depth_change = max(abs(pass_ms["coverage"] - figures["deeper"][size]["coverage"]) for size, pass_ms in quality.items())
+    size_suffices = all_of(
         (
             at_most(coverage, MAX_COVERAGE_ERROR),
             at_least(coverage_without, MIN_LARGE_GAIN * coverage),
-            at_most(deeper, MAX_DEPTH_CHANGE * coverage),
+            at_most(max_depth_change, MAX_DEPTH_CHANGE * coverage),
         ),
     )
     hidden_figures = figures["hidden"][THESIS_MAP_SIZE]
-    hides = all_of(
+    normals_hide_leaks = all_of(
         (
             at_least(hidden_figures["lit"], MIN_LIT_SHARE),
             at_least(hidden_figures["lit_near"], MIN_LARGE_GAIN * hidden_figures["near"]),
@@ -180,11 +183,11 @@ def section(figures: Figures) -> Section:
             "much at "
             f"{last} as at {first}",
             f"{format_ratio(growth['redrawn'])} times as much (held from {MIN_STEEP_GROWTH:g} on)",
-            steep,
+            grows_steeply,
             f"making the map is {format_whole_percent(map_share[first])} of the shadow's time at {first} texels a side and "
             f"{format_whole_percent(map_share[last])} at {last}"
             + choose_reason(
-                steep,
+                grows_steeply,
                 ", so its texels are what a frame pays for",
                 "; the rest is looking it up at each pixel, of which there are as many whatever its size. By the thesis's own "
                 "account much of its time went into making the depth buffer and storing it away as a texture, and better drivers "
@@ -198,24 +201,26 @@ def section(figures: Figures) -> Section:
             f"times as much at {last} "
             f"as at {first}",
             f"{format_ratio(growth['kept'])} times as much (held up to {MAX_FLAT_GROWTH:g})",
-            flat,
+            stays_flat,
             choose_reason(
-                flat,
+                stays_flat,
                 "a pixel looks up the same number of texels whatever the size",
-                f"looking it up takes {format_ratio(ms[last]['visibility'] / ms[first]['visibility'])} times as long at {last} "
+                f"looking it up takes {format_ratio(pass_times_ms[last]['visibility'] / pass_times_ms[first]['visibility'])} times "
+                f"as long at {last} "
                 "as at "
                 f"{first}",
             ),
         ),
         Claim(
             SPATIALACE,
-            f"keeping the map is what makes a map of {THESIS_MAP_SIZE} bearable: redrawn frames take {format_ratio(their_gain)} "
+            f"keeping the map is what makes a map of {THESIS_MAP_SIZE} bearable: redrawn frames take "
+            f"{format_ratio(thesis_redraw_ratio)} "
             "times as "
             f"long",
             f"{format_ratio(redrawn_ratio / cached_ratio)} times as long (held from {MIN_LARGE_GAIN:g} on)",
-            pays,
+            caching_pays,
             choose_reason(
-                pays,
+                caching_pays,
                 "drawing is most of what the shadow costs",
                 f"the look-up is paid either way: a kept frame takes {format_ratio(cached_ratio)} times as long as one without "
                 "shadows, "
@@ -227,13 +232,14 @@ def section(figures: Figures) -> Section:
             f"16 bits of depth and {THESIS_MAP_SIZE} texels a side suffice: a little coarse, but far better than none",
             f"blocks' shadow shares are off by {format_percent(coverage)}, without shadows by "
             f"{format_percent(coverage_without)}; 24 bits change "
-            f"that by {format_max_percent(deeper)} at any size (held if off by at most {format_percent(MAX_COVERAGE_ERROR)}, by "
+            f"that by {format_max_percent(max_depth_change)} at any size (held if off by at most "
+            f"{format_percent(MAX_COVERAGE_ERROR)}, by "
             "at most half "
             f"of that without, and if bits change at most {format_whole_percent(MAX_DEPTH_CHANGE)} of it)",
-            suffices,
+            size_suffices,
             f"a texel is {hidden_figures['texel_m']:.1f} m wide, "
             + choose_reason(
-                suffices,
+                size_suffices,
                 "next to which a step of 16 bits is small",
                 "and edges are off by as much",
                 "and what edges are off by is about what is allowed",
@@ -244,16 +250,17 @@ def section(figures: Figures) -> Section:
             "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
             f"of the surface turned away a biased map of {THESIS_MAP_SIZE} alone leaves {format_percent(hidden_figures['lit'])} "
             "lit, and "
-            f"{format_whole_percent(hidden_figures['lit_near'])} of that lies within {TERMINATOR_TEXELS:g} texels, along the "
+            f"{format_whole_percent(hidden_figures['lit_near'])} of that lies within {TERMINATOR_DISTANCE_TEXELS:g} texels, along "
+            "the "
             "rays, of what "
             f"the sun meets first, where {format_whole_percent(hidden_figures['near'])} of all that is turned away lies; decided "
             "by the "
             f"normal, none of it is lit (held if at least {format_percent(MIN_LIT_SHARE)} is lit, near there at least "
             f"{MIN_LARGE_GAIN:g} times as often "
             f"as elsewhere)",
-            hides,
+            normals_hide_leaks,
             choose_reason(
-                hides,
+                normals_hide_leaks,
                 "where a surface has just turned away the map holds its own lit side, less than the bias before it; that is why "
                 "attached shadow is decided before any algorithm here",
                 "what the map leaves lit does not gather where surfaces turn away",
@@ -263,8 +270,8 @@ def section(figures: Figures) -> Section:
     table = [
         {
             "map": size,
-            "redrawn": format_ratio(frame[f"redrawn {size}"]["ratio"]),
-            "kept": format_ratio(frame[f"kept {size}"]["ratio"]),
+            "redrawn": format_ratio(frames[f"redrawn {size}"]["ratio"]),
+            "kept": format_ratio(frames[f"kept {size}"]["ratio"]),
             "theirs redrawn": format_ratio(THESIS_FPS_WITHOUT_SHADOWS / THESIS_FPS["redrawn"][k]),
             "theirs kept": format_ratio(THESIS_FPS_WITHOUT_SHADOWS / THESIS_FPS["kept"][k]),
             "map made": format_whole_percent(map_share[size]),

@@ -72,13 +72,13 @@ MAX_INDEPENDENT_RATIO = 1.25
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
 
 
-def times_by_picture_size(level: str) -> Figures:
+def measure_times_by_picture_size(level: str) -> Figures:
     """Return times in a level's main view by algorithm and picture size: full size, and a quarter of the pixels."""
     runs = {}
     for size in (SIZE_PX, HALF_SIZE_PX):
-        view_shot = benchmark_view(level, "main", size)
-        plans = make_plans(view_shot, {key: COMPARED_VARIANTS[key] for key in THESIS_ALGORITHMS})
-        runs |= {f"{key} {size[0]}": (view_shot, plan) for key, plan in plans.items()}
+        timed_view = benchmark_view(level, "main", size)
+        plans = make_plans(timed_view, {key: COMPARED_VARIANTS[key] for key in THESIS_ALGORITHMS})
+        runs |= {f"{key} {size[0]}": (timed_view, plan) for key, plan in plans.items()}
     return median_times(runs, REPEATS)
 
 
@@ -107,7 +107,7 @@ def measure_stages() -> Figures:
         "views": {
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
         },
-        "sizes": times_by_picture_size("thesis_water_tower"),
+        "sizes": measure_times_by_picture_size("thesis_water_tower"),
         "frames": measure_whole_frames("thesis_water_tower"),
     }
 
@@ -117,7 +117,7 @@ def measure_stencil() -> Figures:
     return {"levels": {level: measure_times(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
 
 
-def section_stages(figures: Figures) -> Section:
+def make_stages_section(figures: Figures) -> Section:
     tables, claims = [], []
     for sun, light in LIGHT_BY_SUFFIX.items():
         views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENE_TITLES}
@@ -150,72 +150,92 @@ def _stage_row(scene: str, key: str, times: Figures) -> dict[str, str]:
 
 
 def _timing_claims(views: Figures, light: str) -> list[Claim]:
-    def over(algorithm: str, other: str) -> dict[str, float]:
-        return {scene: time_ratio(at, algorithm, other) for scene, at in views.items()}
+    def time_ratios(algorithm: str, other: str) -> dict[str, float]:
+        return {scene: time_ratio(scene_times, algorithm, other) for scene, scene_times in views.items()}
 
     def stage_ms(times: Figures, key: str, *stages: str) -> float:
         return sum(times[key]["redrawn"]["stages"][name] for name in stages)
 
     def median_share(key: str, stage: str) -> str:
         return format_whole_percent(
-            float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()]))
+            float(
+                np.median([stage_ms(scene_times, key, stage) / scene_times[key]["redrawn"]["ms"] for scene_times in views.values()])
+            )
         )
 
     def claim(statement: str, finding: str, verdict: ClaimVerdict, reason_text: str) -> Claim:
         return Claim(f"{THESIS}, 7.1, {light}", statement, finding, verdict, reason_text)
 
-    fastest_other = {scene: min(time_ratio(at, key, SM) for key in THESIS_ALGORITHMS[1:]) for scene, at in views.items()}
-    psm_ratios, volume_ratios, hybrid_ratios = over(PSM, SM), over(SV, PSM), over(HYBRID, SV)
-    looked = float(np.median([stage_ms(at, PSM, "look-up") / stage_ms(at, SM, "look-up") for at in views.values()]))
-    stages = (
-        f"making the map is {median_share(SM, 'map')} of SM's time (medians) and {median_share(PSM, 'map')} of PSM's; PSM's "
-        f"look-up takes {format_ratio(looked)} times as long as SM's"
+    fastest_other = {
+        scene: min(time_ratio(scene_times, key, SM) for key in THESIS_ALGORITHMS[1:]) for scene, scene_times in views.items()
+    }
+    psm_ratios, volume_ratios, hybrid_ratios = time_ratios(PSM, SM), time_ratios(SV, PSM), time_ratios(HYBRID, SV)
+    lookup_ratio = float(
+        np.median([stage_ms(scene_times, PSM, "look-up") / stage_ms(scene_times, SM, "look-up") for scene_times in views.values()])
     )
-    if light == "the spot" and looked * DRAW_FACTOR < 1.0:
-        stages += (
+    stage_text = (
+        f"making the map is {median_share(SM, 'map')} of SM's time (medians) and {median_share(PSM, 'map')} of PSM's; PSM's "
+        f"look-up takes {format_ratio(lookup_ratio)} times as long as SM's"
+    )
+    if light == "the spot" and lookup_ratio * DRAW_FACTOR < 1.0:
+        stage_text += (
             ": a spot's map tests the triangle anew for each tap, a perspective map works it out once for each pixel, and it "
             "alone leaves out what is turned away from the light"
         )
-    volume = {
-        scene: stage_ms(at, HYBRID, "volumes", "counting") / stage_ms(at, SV, "volumes", "counting") for scene, at in views.items()
+    hybrid_volume_ratios = {
+        scene: stage_ms(scene_times, HYBRID, "volumes", "counting") / stage_ms(scene_times, SV, "volumes", "counting")
+        for scene, scene_times in views.items()
     }
-    loses = [scene for scene in views if hybrid_ratios[scene] > DRAW_FACTOR]
-    bare = {scene: stage_ms(views[scene], HYBRID, "volumes", "counting") / views[scene][SV]["redrawn"]["ms"] for scene in loses}
-    lead = {
-        scene: time_ratio(at, HYBRID, max((SM, PSM, SV), key=lambda key, at=at: time_ratio(at, key, SM)))
-        for scene, at in views.items()
+    slower_scenes = [scene for scene in views if hybrid_ratios[scene] > DRAW_FACTOR]
+    volume_only_ratios = {
+        scene: stage_ms(views[scene], HYBRID, "volumes", "counting") / views[scene][SV]["redrawn"]["ms"] for scene in slower_scenes
     }
-    last = {scene: max(THESIS_ALGORITHMS, key=lambda key, at=at: time_ratio(at, key, SM)) for scene, at in views.items()}
-    fastest = all_of(at_least(value, 1.0) for value in fastest_other.values())
-    near = all_of(all_of((at_least(value, 1.0), at_most(value, MAX_SLIGHTLY_SLOWER_RATIO))) for value in psm_ratios.values())
-    street = all_of(at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in volume_ratios.items())
-    boxgrid = all_of(at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid_ratios.items())
-    cheaper = all_of(
-        at_most(value, 1.0) if scene in ("boxgrid", "water_tower") else MIN_EQUAL_RATIO <= value <= 1.0 / MIN_EQUAL_RATIO
-        for scene, value in volume.items()
+    ratios_to_slowest = {
+        scene: time_ratio(
+            scene_times, HYBRID, max((SM, PSM, SV), key=lambda key, scene_times=scene_times: time_ratio(scene_times, key, SM))
+        )
+        for scene, scene_times in views.items()
+    }
+    slowest_by_scene = {
+        scene: max(THESIS_ALGORITHMS, key=lambda key, scene_times=scene_times: time_ratio(scene_times, key, SM))
+        for scene, scene_times in views.items()
+    }
+    sm_is_fastest = all_of(at_least(value, 1.0) for value in fastest_other.values())
+    psm_is_near = all_of(all_of((at_least(value, 1.0), at_most(value, MAX_SLIGHTLY_SLOWER_RATIO))) for value in psm_ratios.values())
+    sv_wins_street_only = all_of(
+        at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in volume_ratios.items()
     )
-    for_map = all_of(at_most(value, 1.0) for value in bare.values()) if loses else None
-    slowest = all_of(at_least(lead[scene], 1.0) for scene in ("rocks", "street"))
+    hybrid_wins_boxgrid_only = all_of(
+        at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid_ratios.items()
+    )
+    hybrid_volumes_are_cheaper = all_of(
+        at_most(value, 1.0) if scene in ("boxgrid", "water_tower") else MIN_EQUAL_RATIO <= value <= 1.0 / MIN_EQUAL_RATIO
+        for scene, value in hybrid_volume_ratios.items()
+    )
+    map_is_cause = all_of(at_most(value, 1.0) for value in volume_only_ratios.values()) if slower_scenes else None
+    hybrid_is_slowest = all_of(at_least(ratios_to_slowest[scene], 1.0) for scene in ("rocks", "street"))
     return [
         claim(
             "SM is the fastest everywhere",
             f"time of the fastest other, of SM's: {format_by_scene(fastest_other)} (held if over 1 everywhere)",
-            fastest,
-            choose_reason(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW_TEXT}: {stages}"),
+            sm_is_fastest,
+            choose_reason(
+                sm_is_fastest, "a look-up is one pass over the pixels, whatever casts", stage_text, f"{DRAW_TEXT}: {stage_text}"
+            ),
         ),
         claim(
             "PSM is a little behind SM in all scenes",
             f"time of PSM, of SM's: {format_by_scene(psm_ratios)} (held if over 1 and at most {MAX_SLIGHTLY_SLOWER_RATIO:g} "
             "everywhere)",
-            near,
-            choose_reason(near, stages, stages, f"{DRAW_TEXT}: {stages}"),
+            psm_is_near,
+            choose_reason(psm_is_near, stage_text, stage_text, f"{DRAW_TEXT}: {stage_text}"),
         ),
         claim(
             "SV beats PSM in Street, and only there",
             f"time of SV, of PSM's: {format_by_scene(volume_ratios)} (held if under 1 in Street, over 1 elsewhere)",
-            street,
+            sv_wins_street_only,
             choose_reason(
-                street,
+                sv_wins_street_only,
                 "Street's volumes have few faces, which draw in less time than pixels are looked up",
                 "beside Street there are scenes in which volumes cover little of the picture"
                 if volume_ratios["street"] * DRAW_FACTOR <= 1.0
@@ -226,9 +246,9 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         claim(
             "SV beats the hybrid in all scenes but BoxGrid",
             f"time of the hybrid, of SV's: {format_by_scene(hybrid_ratios)} (held if under 1 in BoxGrid, over 1 elsewhere)",
-            boxgrid,
+            hybrid_wins_boxgrid_only,
             choose_reason(
-                boxgrid,
+                hybrid_wins_boxgrid_only,
                 "only there volumes cover the picture so often that leaving them out pays for map and mask",
                 "what the hybrid leaves out would be filled by the processor here, which fills slowly: that pays for map and "
                 f"mask in {join_scene_names([scene for scene, value in hybrid_ratios.items() if value * DRAW_FACTOR <= 1.0])}",
@@ -236,12 +256,12 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
-            f"time of the hybrid's volumes and counting, of SV's: {format_by_scene(volume)} (held if under 1 in "
+            f"time of the hybrid's volumes and counting, of SV's: {format_by_scene(hybrid_volume_ratios)} (held if under 1 in "
             "these two, and within a "
             f"factor of {1.0 / MIN_EQUAL_RATIO:g} elsewhere)",
-            cheaper,
+            hybrid_volumes_are_cheaper,
             choose_reason(
-                cheaper,
+                hybrid_volumes_are_cheaper,
                 "shadow upon shadow is what the mask saves",
                 "they are drawn in rectangles of marked tiles alone, with the faces that matter there: so the hybrid saves in "
                 "proportion to what it leaves to its map, in plain scenes too",
@@ -249,25 +269,26 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "where the hybrid is slower, it is for its map and its search for silhouette pixels",
-            f"its volumes and counting alone, of SV's whole time, where it is slower: {format_by_scene(bare)} "
+            f"its volumes and counting alone, of SV's whole time, where it is slower: {format_by_scene(volume_only_ratios)} "
             "(held if under 1 everywhere)"
-            if loses
+            if slower_scenes
             else "it is slower nowhere",
-            for_map,
+            map_is_cause,
             choose_reason(
-                for_map,
+                map_is_cause,
                 "with all that makes its map and its mask taken off it would not be slower",
                 "what it draws of its volumes is no less than all of them",
-                DRAW_TEXT if loses else "nothing to explain",
+                DRAW_TEXT if slower_scenes else "nothing to explain",
             ),
         ),
         claim(
             "the hybrid is the slowest of the four where shadows are plain (Rocks, Street)",
-            f"time of the hybrid, of the slowest other's: {format_by_scene(lead)} (held if over 1 in these two); slowest: "
-            f"{', '.join(f'{SCENE_TITLES[scene]} {ABBREVIATIONS[key]}' for scene, key in last.items())}",
-            slowest,
+            f"time of the hybrid, of the slowest other's: {format_by_scene(ratios_to_slowest)} (held if over 1 in these two); "
+            "slowest: "
+            f"{', '.join(f'{SCENE_TITLES[scene]} {ABBREVIATIONS[key]}' for scene, key in slowest_by_scene.items())}",
+            hybrid_is_slowest,
             choose_reason(
-                slowest,
+                hybrid_is_slowest,
                 "map and mask come on top of volumes that cost little",
                 "where SV is slower, what the hybrid's map decides saves more than map and mask cost; where SM is, its look-up "
                 "costs more than few volumes",
@@ -277,15 +298,15 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
 
 
 def _size_claims(sizes: Figures) -> list[Claim]:
-    grown = {
+    size_ratios = {
         key: sizes[f"{key} {SIZE_PX[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE_PX[0]}"]["redrawn"]["ms"]
         for key in THESIS_ALGORITHMS
     }
-    per = ", ".join(f"{ABBREVIATIONS[key]} {value:.1f}" for key, value in grown.items())
-    finding = f"times with four times the pixels, of those before (Water Tower, the spot): {per}"
+    ratios_text = ", ".join(f"{ABBREVIATIONS[key]} {value:.1f}" for key, value in size_ratios.items())
+    finding = f"times with four times the pixels, of those before (Water Tower, the spot): {ratios_text}"
     maps_are_independent, hybrid_grows_less = (
-        at_most(max(grown[SM], grown[PSM]), MAX_INDEPENDENT_RATIO),
-        at_most(grown[HYBRID], grown[SV]),
+        at_most(max(size_ratios[SM], size_ratios[PSM]), MAX_INDEPENDENT_RATIO),
+        at_most(size_ratios[HYBRID], size_ratios[SV]),
     )
     return [
         Claim(
@@ -316,10 +337,10 @@ def _size_claims(sizes: Figures) -> list[Claim]:
 
 def _frame_claims(frames: Figures) -> list[Claim]:
     small, large = (frames[str(size)] for size in MAP_SIZES)
-    grown = large["ms"] / small["ms"]
+    frame_ratio = large["ms"] / small["ms"]
     half_as_steep = 1.0 + (THESIS_GROWTH - 1.0) / 2.0
-    near = all_of((at_least(large["map"], THESIS_MAP_SHARE_RANGE[0]), at_most(large["map"], THESIS_MAP_SHARE_RANGE[1])))
-    steep = at_least(grown, half_as_steep)
+    map_share_agrees = all_of((at_least(large["map"], THESIS_MAP_SHARE_RANGE[0]), at_most(large["map"], THESIS_MAP_SHARE_RANGE[1])))
+    grows_enough = at_least(frame_ratio, half_as_steep)
     return [
         Claim(
             f"{THESIS}, 2.1 and 2.2.10",
@@ -327,9 +348,9 @@ def _frame_claims(frames: Figures) -> list[Claim]:
             f"drawn into a texture {format_percent(large['map'])} of a finished frame (Water Tower, the spot, a map of "
             f"{MAP_SIZES[1]}; "
             f"held from {format_whole_percent(THESIS_MAP_SHARE_RANGE[0])} to {format_whole_percent(THESIS_MAP_SHARE_RANGE[1])})",
-            near,
+            map_share_agrees,
             choose_reason(
-                near,
+                map_share_agrees,
                 "the share is much the same",
                 "depths alone are drawn, with no pixel of the picture shaded; a frame's time goes with its pixels, on which a "
                 "processor works where a graphics card of 2005 hardly felt them",
@@ -340,12 +361,13 @@ def _frame_claims(frames: Figures) -> list[Claim]:
             f"a map of {MAP_SIZES[1]} instead of {MAP_SIZES[0]} makes a frame {format_ratio(THESIS_GROWTH)} times as long (260 "
             "against "
             "200 frames a second)",
-            f"{format_ratio(grown)} times as long (held from half that growth on, {format_ratio(half_as_steep)}); a frame with "
+            f"{format_ratio(frame_ratio)} times as long (held from half that growth on, {format_ratio(half_as_steep)}); a frame "
+            "with "
             "the smaller "
             f"one takes {format_ratio(small['ms'] / frames['none']['ms'])} times one without shadows",
-            steep,
+            grows_enough,
             choose_reason(
-                steep,
+                grows_enough,
                 "texels cost",
                 "texels are a small part of the frame: there are as many pixels to look up, whatever the map",
             ),
@@ -353,18 +375,18 @@ def _frame_claims(frames: Figures) -> list[Claim]:
     ]
 
 
-def section_stencil(figures: Figures) -> Section:
+def make_stencil_section(figures: Figures) -> Section:
     rows = [
         {
             "scene": scene_title(level),
-            **{mode: f"{time_ratio(tower, 'two passes', SV, mode):.2f}" for mode in ("redrawn", "kept")},
-            "counting alone": f"{_counting_ms(tower, 'two passes') / _counting_ms(tower, SV):.2f}",
+            **{mode: f"{time_ratio(level_times, 'two passes', SV, mode):.2f}" for mode in ("redrawn", "kept")},
+            "counting alone": f"{_counting_ms(level_times, 'two passes') / _counting_ms(level_times, SV):.2f}",
         }
-        for level, tower in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
+        for level, level_times in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
     ]
     tower = figures["levels"]["water_tower"]
-    faster = all_of(at_least(time_ratio(tower, "two passes", SV, mode), 1.0) for mode in ("redrawn", "kept"))
-    saved = "each face is sent, transformed and clipped once instead of twice"
+    one_pass_is_faster = all_of(at_least(time_ratio(tower, "two passes", SV, mode), 1.0) for mode in ("redrawn", "kept"))
+    saved_text = "each face is sent, transformed and clipped once instead of twice"
     times_text = (
         "two passes draw the same pixels in all: each face is filled once, and dropped once before it is filled. What is saved "
         "is transforming corners a second time, which is little beside filling and reading the stencil back"
@@ -381,8 +403,8 @@ def section_stencil(figures: Figures) -> Section:
                 "counting both sides in one pass is noticeably faster than in two",
                 f"two passes take {format_ratio(time_ratio(tower, 'two passes', SV))} times as long in the water tower, "
                 f"{format_ratio(time_ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
-                faster,
-                choose_reason(faster, saved, times_text, f"{DRAW_TEXT}: {times_text}"),
+                one_pass_is_faster,
+                choose_reason(one_pass_is_faster, saved_text, times_text, f"{DRAW_TEXT}: {times_text}"),
             )
         ],
     )

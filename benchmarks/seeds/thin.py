@@ -12,7 +12,7 @@ FRAME_SIZE_PX = (1280, 1024)
 
 MAP_SIZES = (128, 256, 512, 1024)
 SHOWN_MAP_SIZES = (128, 512)
-MASKS = ("original", "conservative")
+HYBRID_MASKS = ("original", "conservative")
 
 MAX_WRONG_SHARE = 0.001
 """Maximum wrong share of the cast shadow of an exact algorithm. The rasteriser snaps edges to 1/256 of a pixel."""
@@ -22,28 +22,28 @@ CROP: CropBox = (180, 500, 480, 300)
 
 def measure() -> Figures:
     """Measure the shadow of the water tower's ladder and braces with hybrids, by map size."""
-    rows, cells = [], []
+    rows, pictures = [], []
     truth_view = view_with_truth(bundled_scene("thesis_water_tower"), "close", FRAME_SIZE_PX)
-    for mask in MASKS:
+    for mask in HYBRID_MASKS:
         for map_size in MAP_SIZES:
             drawn_variant = draw_variant(truth_view, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
             rows.append({"mask": mask, "map_size": map_size, **drawn_variant.figures})
             if map_size in SHOWN_MAP_SIZES:
-                words = f"{mask}, map of {map_size}: {format_percent(drawn_variant.figures['wrong_cast'])} wrong"
-                cells.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, CROP), words))
-    write_sheet("seeds-thin.webp", cells, 2)
+                caption = f"{mask}, map of {map_size}: {format_percent(drawn_variant.figures['wrong_cast'])} wrong"
+                pictures.append(CaptionedPicture(draw_errors(truth_view, drawn_variant, CROP), caption))
+    write_sheet("seeds-thin.webp", pictures, 2)
     return {"rows": rows}
 
 
-def section(figures: Figures) -> Section:
-    original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in MASKS)
+def make_section(figures: Figures) -> Section:
+    original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in HYBRID_MASKS)
     coarse_row, fine_row = original[0], original[-1]
     worst = max(row["wrong_cast"] for row in conservative)
-    misses = all_of(
+    small_map_misses = all_of(
         (at_least(coarse_row["missed_shadow"], fine_row["missed_shadow"]), at_least(coarse_row["wrong_cast"], MAX_WRONG_SHARE))
     )
-    exact = at_most(worst, MAX_WRONG_SHARE)
-    mask_matters = None if exact is None else not exact
+    conservative_is_exact = at_most(worst, MAX_WRONG_SHARE)
+    mask_matters = None if conservative_is_exact is None else not conservative_is_exact
     claims = [
         Claim(
             f"{THESIS}, figure 56",
@@ -54,9 +54,9 @@ def section(figures: Figures) -> Section:
             "wrong away "
             f"from edges: {coarse_row['interior_parts']} and {fine_row['interior_parts']} (held if it misses more with the smaller "
             f"map, and over {format_percent(MAX_WRONG_SHARE)} of the cast shadow is wrong there)",
-            misses,
+            small_map_misses,
             choose_reason(
-                misses,
+                small_map_misses,
                 "a bar or a gap between texel centres shows in none of the four texels compared: they agree, nothing is marked "
                 "there, and no volume is asked",
                 "all bars are as wide as these texels",

@@ -37,10 +37,11 @@ STAGE_NAMES = (*dict.fromkeys(STAGE_BY_PASS.values()), BETWEEN_PASSES)
 @cache
 def measure_times(level: str, view: str, algorithms: tuple[str, ...] = THESIS_ALGORITHMS, repeats: int = REPEATS) -> Figures:
     """Return median times of algorithms in a view (``median_times``)."""
-    view_shot = benchmark_view(level, view, SIZE_PX)
-    every = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
+    timed_view = benchmark_view(level, view, SIZE_PX)
+    all_variants = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
     return median_times(
-        {key: (view_shot, plan) for key, plan in make_plans(view_shot, {key: every[key] for key in algorithms}).items()}, repeats
+        {key: (timed_view, plan) for key, plan in make_plans(timed_view, {key: all_variants[key] for key in algorithms}).items()},
+        repeats,
     )
 
 
@@ -53,10 +54,10 @@ def median_times(runs: dict[str, tuple[BenchmarkView, Plan]], repeats: int) -> F
     result: Figures = {}
     for (key, mode), milliseconds_of_runs in interleaved.times_ms.items():
         stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
-        for all_ms, passes_ms in zip(milliseconds_of_runs, interleaved.passes_ms[key, mode], strict=True):
+        for total_ms, passes_ms in zip(milliseconds_of_runs, interleaved.passes_ms[key, mode], strict=True):
             for name in STAGE_NAMES[:-1]:
                 stages[name].append(sum(ms for pass_name, ms in passes_ms.items() if STAGE_BY_PASS[pass_name] == name))
-            stages[BETWEEN_PASSES].append(all_ms - sum(passes_ms.values()))
+            stages[BETWEEN_PASSES].append(total_ms - sum(passes_ms.values()))
         medians_ms = {name: float(np.median(milliseconds)) for name, milliseconds in stages.items()}
         result.setdefault(key, {})[mode] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
     for key, log in interleaved.logs.items():

@@ -113,43 +113,53 @@ VARIANTS = {
 
 def measure() -> Figures:
     """Measure an open tree under a spot light and the sun: by all four algorithms, and by volumes that assume closed meshes."""
-    rows, cells, tree = [], [], open_tree_mesh()
-    sides = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
+    rows, pictures, tree = [], [], open_tree_mesh()
+    triangle_counts = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
     floor = {"version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [100, 100]}}, "meshes": [{"source": "tree.ply"}]}
-    eye = {"kind": "perspective", "eye": [8.5, -18.5, 8.5], "target": [2.2, 0.8, 3.3], "fov": 29, "size": list(SIZE_PX)}
+    view_spec = {"kind": "perspective", "eye": [8.5, -18.5, 8.5], "target": [2.2, 0.8, 3.3], "fov": 29, "size": list(SIZE_PX)}
     with TemporaryDirectory() as name:
         folder = Path(name)
         tree.export(folder / "tree.ply")
-        for light, keys in LIGHTS.items():
-            truth_view = view_with_truth(write_and_build_scene({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE_PX)
+        for light, light_keys in LIGHTS.items():
+            truth_view = view_with_truth(
+                write_and_build_scene({**floor, **light_keys, "views": {"main": view_spec}}, folder), "main", SIZE_PX
+            )
             for algorithm, variant in VARIANTS.items():
                 figures = draw_variant(truth_view, variant).figures
                 rows.append({"light": light, "algorithm": algorithm, **figures})
                 if light == "sun" and algorithm != PSM:
-                    words = f"{algorithm}: {format_percent(figures['wrong_cast'])} wrong"
-                    cells.append(CaptionedPicture(draw_crop(truth_view, variant, FULL_CROP, downscale_factor=2), words))
-    write_sheet("seeds-tree.webp", cells, 2)
-    return {"rows": rows, "triangles": len(tree.faces), "open_edges": int((sides == 1).sum()), "edges": len(sides)}
+                    caption = f"{algorithm}: {format_percent(figures['wrong_cast'])} wrong"
+                    pictures.append(CaptionedPicture(draw_crop(truth_view, variant, FULL_CROP, downscale_factor=2), caption))
+    write_sheet("seeds-tree.webp", pictures, 2)
+    return {
+        "rows": rows,
+        "triangles": len(tree.faces),
+        "open_edges": int((triangle_counts == 1).sum()),
+        "edges": len(triangle_counts),
+    }
 
 
-def section(figures: Figures) -> Section:
+def make_section(figures: Figures) -> Section:
     row_by_key = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
 
     def worst(algorithm: str, metric: str) -> float:
         return max(row_by_key[light, algorithm][metric] for light in LIGHTS)
 
-    maps = max(worst(SM, "interior"), worst(PSM, "interior"))
+    worst_interior = max(worst(SM, "interior"), worst(PSM, "interior"))
     worst_shares = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, ASSUMED_CLOSED)}
-    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG_SHARE)
+    maps_are_right, volumes_fail = (
+        at_most(worst_interior, MAX_INTERIOR),
+        at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG_SHARE),
+    )
     claims = [
         Claim(
             f"{THESIS}, figure 57",
             "shadow maps and perspective ones do not care how the geometry is made",
-            f"at most {format_percent(maps)} of the picture is wrong away from shadow edges (held if at most "
+            f"at most {format_percent(worst_interior)} of the picture is wrong away from shadow edges (held if at most "
             f"{format_percent(MAX_INTERIOR)})",
-            maps_hold,
+            maps_are_right,
             choose_reason(
-                maps_hold,
+                maps_are_right,
                 "a depth map draws triangles one by one and knows no edges between them",
                 "twigs and leaves are thinner than texels: whole ones are lost, which has nothing to do with open meshes",
             ),
@@ -161,9 +171,9 @@ def section(figures: Figures) -> Section:
             "of the cast "
             f"shadow (held if over {format_percent(MAX_WRONG_SHARE)} of either); volumes that are made as of closed meshes in "
             f"{format_percent(worst_shares[ASSUMED_CLOSED])}",
-            fail,
+            volumes_fail,
             choose_reason(
-                fail,
+                volumes_fail,
                 "sides of open edges are counted wrongly",
                 "a side counts as often as triangles meet at its edge without cancelling, once at an open one, and of open "
                 "bodies all triangles cast: taking both away brings the failure back",

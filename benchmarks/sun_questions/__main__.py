@@ -2,10 +2,11 @@
 
     python -m benchmarks.sun_questions DATA --python PATH [--side 300] [--cells 1000] [--only hours,point,masks] [--write-only]
 
-DATA is a folder with the rasters of ``asking.RASTERS``. ``--python`` is the interpreter of the Python packages (`pip install
-whitebox-workflows insolation numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`); GRASS is Debian's
-`grass-core`. Tools that are missing or fail are reported and skipped. ``--side`` is the side of the crops of the rasters for the
-sun hours, cells. ``--only`` measures some questions again and keeps the figures of the others. ``--write-only`` measures nothing.
+DATA is a folder with the rasters of ``commands_and_rasters.RASTERS``. ``--python`` is the interpreter of the Python packages
+(`pip install whitebox-workflows insolation numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`); GRASS
+is Debian's `grass-core`. Tools that are missing or fail are reported and skipped. ``--side`` is the side of the crops of the
+rasters for the sun hours, cells. ``--only`` measures some questions again and keeps the figures of the others. ``--write-only``
+measures nothing.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.sun_questions.asking import RASTERS, read_dem, tool_versions
-from benchmarks.sun_questions.day_hours import HOURS, convention_check, hours_tools, measure_hours
+from benchmarks.sun_questions.commands_and_rasters import RASTERS, read_dem, tool_versions
+from benchmarks.sun_questions.day_hours import HOURS_QUESTION, convention_check, hours_tools, measure_hours
 from benchmarks.sun_questions.figures import ConventionCheck, QuestionCase, SunAnswer, SunComparison
-from benchmarks.sun_questions.many_masks import MASKS, measure_masks
-from benchmarks.sun_questions.one_horizon import HORIZON, horizon_tools, measure_horizons, points_by_kind
-from benchmarks.sun_questions.words import format_sun_page
+from benchmarks.sun_questions.many_masks import MASKS_QUESTION, measure_masks
+from benchmarks.sun_questions.one_horizon import HORIZON_QUESTION, horizon_tools, measure_horizons, points_by_kind
+from benchmarks.sun_questions.page import format_sun_page
 from benchmarks.sweep_speed import processor_name
 
 FOLDER = Path(__file__).parent
 FIGURES_FILE = FOLDER / "sun_questions.json"
 PAGE = FOLDER.parents[1] / "docs" / "sun-questions.md"
 
-QUESTION_BY_OPTION = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
+QUESTION_BY_OPTION = {"hours": HOURS_QUESTION, "point": HORIZON_QUESTION, "masks": MASKS_QUESTION}
 
 
 REPEATS = 2
@@ -63,13 +64,13 @@ class Measurements:
             dem = read_dem(self._data, name, self._side, self._folder)
             if dem is not None:
                 rows, cols = dem.height_m.shape
-                self._case(
-                    HOURS,
+                self._add_case(
+                    HOURS_QUESTION,
                     name,
                     f"{description}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled",
                 )
                 for answer in measure_hours(tools, dem, name, self._cells, self.left_out):
-                    self._add(answer)
+                    self._add_answer(answer)
 
     def measure_horizons(self) -> None:
         """Measure the second question: horizons of points."""
@@ -78,9 +79,11 @@ class Measurements:
             if dem is not None:
                 rows, cols = dem.height_m.shape
                 for place in points_by_kind(dem):
-                    self._case(HORIZON, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m")
+                    self._add_case(
+                        HORIZON_QUESTION, f"{name}, {place}", f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m"
+                    )
                 for answer in measure_horizons(horizon_tools(self._python), dem, REPEATS, self.left_out):
-                    self._add(answer)
+                    self._add_answer(answer)
 
     def measure_masks(self) -> None:
         """Measure the third question: masks of a day."""
@@ -88,48 +91,52 @@ class Measurements:
         dem = read_dem(self._data, name, None, self._folder)
         if dem is not None:
             rows, cols = dem.height_m.shape
-            self._case(MASKS, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled")
+            self._add_case(
+                MASKS_QUESTION, name, f"{description}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled"
+            )
             for answer in measure_masks(self._python, dem, 2 * self._cells, self.left_out):
-                self._add(answer)
+                self._add_answer(answer)
 
     @property
-    def took_s(self) -> float:
+    def elapsed_s(self) -> float:
         return time.perf_counter() - self._begin
 
-    def _case(self, question: str, case: str, description: str) -> None:
+    def _add_case(self, question: str, case: str, description: str) -> None:
         self.cases.append(QuestionCase(question, case, description))
 
-    def _add(self, answer: SunAnswer) -> None:
+    def _add_answer(self, answer: SunAnswer) -> None:
         self.answers.append(answer)
         self._print_progress(f"{answer.case}: {answer.tool}: {answer.whole_s or 0.0:.1f} s, wrong {answer.wrong}")
 
     def _print_progress(self, message: str) -> None:
-        print(f"{self.took_s:4.0f} s  {message}", flush=True)
+        print(f"{self.elapsed_s:4.0f} s  {message}", flush=True)
 
 
 def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
     """Measure the questions in ``only``. The stored figures of the other questions are kept."""
     with tempfile.TemporaryDirectory() as folder_name:
-        measuring = Measurements(data, python, side, cells, Path(folder_name))
+        measurements = Measurements(data, python, side, cells, Path(folder_name))
         for name in only:
-            {"hours": measuring.measure_hours, "point": measuring.measure_horizons, "masks": measuring.measure_masks}[name]()
+            {"hours": measurements.measure_hours, "point": measurements.measure_horizons, "masks": measurements.measure_masks}[
+                name
+            ]()
     questions = {QUESTION_BY_OPTION[name] for name in only}
-    before = (
+    stored = (
         SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))
         if FIGURES_FILE.exists() and len(only) < len(QUESTION_BY_OPTION)
         else None
     )
-    cases = [entry for entry in before.cases if entry.question not in questions] if before else []
-    answers = [entry for entry in before.answers if entry.question not in questions] if before else []
+    cases = [entry for entry in stored.cases if entry.question not in questions] if stored else []
+    answers = [entry for entry in stored.answers if entry.question not in questions] if stored else []
     return SunComparison(
         where=f"{processor_name()}, {os.cpu_count()} cores",
         load=os.getloadavg()[0],
-        took_s=measuring.took_s + (before.took_s if before else 0.0),
+        took_s=measurements.elapsed_s + (stored.took_s if stored else 0.0),
         versions=tool_versions(python),
-        left_out=({} if before is None else before.left_out) | measuring.left_out,
-        checks=measuring.checks or (before.checks if before else []),
-        cases=cases + measuring.cases,
-        answers=answers + measuring.answers,
+        left_out=({} if stored is None else stored.left_out) | measurements.left_out,
+        checks=measurements.checks or (stored.checks if stored else []),
+        cases=cases + measurements.cases,
+        answers=answers + measurements.answers,
     )
 
 

@@ -14,7 +14,14 @@ import rasterio
 
 from benchmarks.peers.tools import ToolRun, run_process
 from benchmarks.sun_hours_accuracy import CellRays, ray_truth
-from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem, write_question_dem
+from benchmarks.sun_questions.commands_and_rasters import (
+    DATE,
+    PROGRAMS_FILE,
+    SKUGGA_COMMAND,
+    SKUGGA_PYTHON,
+    QuestionDem,
+    write_question_dem,
+)
 from benchmarks.sun_questions.figures import ConventionCheck, SunAnswer
 from benchmarks.sun_questions.sun_paths import (
     R_SUN_DAY_NUMBER,
@@ -33,14 +40,14 @@ from skugga.terrain.ground.sheet import sheet_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
-HOURS = "hours of a day"
+HOURS_QUESTION = "hours of a day"
 
 RAY_STEP_S = 10.0
 """Seconds between rays."""
 
 MARGIN_CELLS = 3
 
-CLIFF_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
+CLIFF_HEIGHT_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
 """Geometry of the check of conventions, a level floor with a cliff in the east: height of the cliff, side of a cell, rows and
 columns."""
 
@@ -54,7 +61,7 @@ class HoursTool:
 
     Attributes
     ----------
-    name, tool
+    name, tool_name
         Name with the settings, and name of the tool.
     sun_model
         Name of the solar position algorithm that it uses: ``astronomy``, ``solar day`` or ``suncalc``.
@@ -69,7 +76,7 @@ class HoursTool:
     """
 
     name: str
-    tool: str
+    tool_name: str
     sun_model: str
     command: Callable[[QuestionDem, Path], list[str]]
     read_hours: Callable[[Path, QuestionDem], np.ndarray]
@@ -78,7 +85,7 @@ class HoursTool:
 
     @property
     def is_skugga(self) -> bool:
-        return self.tool == "Skugga"
+        return self.tool_name == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
         """Run the tool. Return hours (rows, cols), the cost of the process, and seconds of computing.
@@ -100,13 +107,13 @@ class HoursTruth:
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
         rows, cols = dem.height_m.shape
-        inner = (np.arange(MARGIN_CELLS, length - MARGIN_CELLS) for length in (rows, cols))
-        row, col = (indices.ravel() for indices in np.meshgrid(*inner, indexing="ij"))
+        row_and_col_ranges = (np.arange(MARGIN_CELLS, length - MARGIN_CELLS) for length in (rows, cols))
+        row, col = (indices.ravel() for indices in np.meshgrid(*row_and_col_ranges, indexing="ij"))
         sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
         self.row, self.col = row[sample], col[sample]
 
     @cached_property
-    def astronomy(self) -> np.ndarray:
+    def astronomy_hours(self) -> np.ndarray:
         """Hours (n,) by NREL's sun with refraction, on the round earth, above the level plane. This is Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
@@ -115,7 +122,7 @@ class HoursTruth:
         return hours
 
     @cached_property
-    def solar_day(self) -> np.ndarray:
+    def solar_day_hours(self) -> np.ndarray:
         """Hours (n,) by GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
@@ -127,7 +134,7 @@ class HoursTruth:
         return hours
 
     @cached_property
-    def suncalc(self) -> np.ndarray:
+    def suncalc_hours(self) -> np.ndarray:
         """Hours (n,) by Whitebox's sun without refraction, on a flat earth.
 
         The sun counts from half a degree below the level plane.
@@ -145,7 +152,7 @@ class HoursTruth:
 
     def hours_by_sun_model(self, sun_model: str) -> np.ndarray:
         """Return the hours (n,) by the name of the solar position algorithm."""
-        return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun_model]
+        return {"astronomy": self.astronomy_hours, "solar day": self.solar_day_hours, "suncalc": self.suncalc_hours}[sun_model]
 
 
 def _sunlit_hours(rays: CellRays, directions: np.ndarray, min_sine: float) -> np.ndarray:
@@ -190,21 +197,23 @@ def _read_raster(path: Path, dem: QuestionDem) -> np.ndarray:
 
 def hours_tools(python: str) -> list[HoursTool]:
     """Return all tools with their settings. Python packages are those of the interpreter ``python``."""
-    asking = str(PROGRAMS_FILE)
+    programs_file = str(PROGRAMS_FILE)
 
     def skugga(minutes: int) -> HoursTool:
         return HoursTool(
             f"Skugga, steps of {minutes} min", "Skugga", "astronomy",
             lambda dem, out: [*SKUGGA_COMMAND, "sunhours", str(dem.path), "-o", str(out), "--date", DATE, "--step", f"{minutes}m"],
             _read_raster,
-            compute_command=lambda dem, out: [*SKUGGA_PYTHON, asking, "sunhours", str(dem.path), str(out), DATE, str(minutes)],
+            compute_command=lambda dem, out: [
+                *SKUGGA_PYTHON, programs_file, "sunhours", str(dem.path), str(out), DATE, str(minutes),
+            ],
         )  # fmt: skip
 
     def whitebox(degrees: int) -> HoursTool:
         day = str(SUNCALC_DAY_NUMBER)
         return HoursTool(
             f"Whitebox time_in_daylight, {degrees}°", "Whitebox Workflows", "suncalc",
-            lambda dem, out: [python, asking, "time_in_daylight", str(dem.path), str(out), day, str(degrees)],
+            lambda dem, out: [python, programs_file, "time_in_daylight", str(dem.path), str(out), day, str(degrees)],
             lambda path, dem: np.load(path) * day_length_h("suncalc", dem), ".npy",
         )  # fmt: skip
 
@@ -212,8 +221,8 @@ def hours_tools(python: str) -> list[HoursTool]:
         method, extra_arguments = (f"horizons every {degrees}°", [degrees]) if degrees else ("own walk", [])
         return HoursTool(
             f"GRASS r.sun, {method}, {minutes} min", "GRASS", "solar day",
-            lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.sun", str(dem.path),
-                              str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
+            lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, programs_file, "r.sun",
+                              str(dem.path), str(out), str(R_SUN_DAY_NUMBER), str(minutes), *extra_arguments],
             _read_raster,
         )  # fmt: skip
 
@@ -232,15 +241,15 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
     """
     floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
     cliff = floor.copy()
-    cliff[:, CLIFF_COL:] += CLIFF_M
-    middle, middle_rows = CLIFF_SHAPE[0] // 2, []
+    cliff[:, CLIFF_COL:] += CLIFF_HEIGHT_M
+    middle, hours_along_middle_row = CLIFF_SHAPE[0] // 2, []
     for name, height_m in (("floor", floor), ("cliff", cliff)):
         dem = write_question_dem(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
-        middle_rows.append(tool.run(dem)[0][middle])
+        hours_along_middle_row.append(tool.run(dem)[0][middle])
     distance_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CHECKED_COLS]) * CLIFF_CELL_M
-    expected = hours_before_cliff(*_sun_path(tool.sun_model, dem), RAY_STEP_S, CLIFF_M, distance_m)
-    error_min = np.abs(middle_rows[1][CHECKED_COLS] - expected).mean() * 60.0
-    return ConventionCheck(tool.name, float(middle_rows[0][middle]), day_length_h(tool.sun_model, dem), float(error_min))
+    expected = hours_before_cliff(*_sun_path(tool.sun_model, dem), RAY_STEP_S, CLIFF_HEIGHT_M, distance_m)
+    error_min = np.abs(hours_along_middle_row[1][CHECKED_COLS] - expected).mean() * 60.0
+    return ConventionCheck(tool.name, float(hours_along_middle_row[0][middle]), day_length_h(tool.sun_model, dem), float(error_min))
 
 
 def measure_hours(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
@@ -253,8 +262,10 @@ def measure_hours(tools: list[HoursTool], dem: QuestionDem, case: str, cells: in
             left_out[tool.name] = str(error)
             continue
         sampled_hours = hours[truth.row, truth.col]
-        error_min, as_is = (np.abs(sampled_hours - truth.hours_by_sun_model(sun)) * 60.0 for sun in (tool.sun_model, "astronomy"))
+        error_min, error_as_is_min = (
+            np.abs(sampled_hours - truth.hours_by_sun_model(sun)) * 60.0 for sun in (tool.sun_model, "astronomy")
+        )
         yield SunAnswer(
-            HOURS, case, tool.name, tool.is_skugga, compute_s, run.wall_s, run.cpu_s, float(error_min.mean()),
-            float(np.percentile(error_min, 99)), float(as_is.mean()),
+            HOURS_QUESTION, case, tool.name, tool.is_skugga, compute_s, run.wall_s, run.cpu_s, float(error_min.mean()),
+            float(np.percentile(error_min, 99)), float(error_as_is_min.mean()),
         )  # fmt: skip

@@ -108,8 +108,10 @@ class SunComparison:
     @staticmethod
     def read(values: dict[str, Any]) -> SunComparison:
         """Build the comparison from values of its JSON file."""
-        kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
-        return SunComparison(**{**values, **{key: [kind(**entry) for entry in values[key]] for key, kind in kinds.items()}})
+        entry_classes = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
+        return SunComparison(
+            **{**values, **{key: [entry_class(**entry) for entry in values[key]] for key, entry_class in entry_classes.items()}}
+        )
 
     def answers_to(self, question: str, case: str | None = None) -> list[SunAnswer]:
         """Return the answers to a question, optionally only those in one case."""

@@ -16,7 +16,7 @@ import rasterio
 
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, make_tools, run_process
 from benchmarks.sun_hours_accuracy import CellRays
-from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
+from benchmarks.sun_questions.commands_and_rasters import SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
 from skugga.api.products.mask import MASK_LIT
 from skugga.api.raster_view import raster_view
@@ -27,7 +27,7 @@ from skugga.terrain.ground.sheet import sheet_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
-MASKS = "31 masks of a day"
+MASKS_QUESTION = "31 masks of a day"
 
 MASK_COUNT, MASK_STEP_MIN, FIRST_MASK_FROM_NOON_MIN = 31, 23, -345
 """Number of masks, minutes between two masks, and minutes from mean noon to the first mask."""
@@ -83,23 +83,23 @@ def trace_mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> Mas
     nodes[..., 0], nodes[..., 1] = np.arange(cols) * dem.cell_m, -np.arange(rows)[:, None] * dem.cell_m
     nodes[..., 2] = dem.height_m
     start = nodes[row, col]
-    flat = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
-    rays = CellRays.from_cells(scene, view, row, col)
+    flat_rays = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
+    round_rays = CellRays.from_cells(scene, view, row, col)
 
-    def enu(step_deg: float) -> np.ndarray:
+    def sun_directions_enu(step_deg: float) -> np.ndarray:
         pairs = zip(path.azimuth_deg, path.altitude_deg + step_deg, strict=True)
         return np.stack([direction_enu(*pair) for pair in pairs])
 
-    def round_(step_deg: float) -> np.ndarray:
-        towards = frame.directions_from_earth(enu(step_deg) @ world.earth_from_anchor.T)
-        return np.stack([rays.sun_visible(direction) for direction in towards])
+    def lit_on_round_earth(step_deg: float) -> np.ndarray:
+        towards = frame.directions_from_earth(sun_directions_enu(step_deg) @ world.earth_from_anchor.T)
+        return np.stack([round_rays.sun_visible(direction) for direction in towards])
 
-    def flat_(step_deg: float) -> np.ndarray:
-        return np.stack([flat.sun_visible(direction) for direction in enu(step_deg)])
+    def lit_in_flat_world(step_deg: float) -> np.ndarray:
+        return np.stack([flat_rays.sun_visible(direction) for direction in sun_directions_enu(step_deg)])
 
     masks = []
-    for lit in (round_, flat_):
-        lower, nominal, higher = (lit(step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG))
+    for trace_lit in (lit_on_round_earth, lit_in_flat_world):
+        lower, nominal, higher = (trace_lit(step) for step in (-ALTITUDE_TOLERANCE_DEG, 0.0, ALTITUDE_TOLERANCE_DEG))
         masks += [nominal, lower == higher]
     scene.close()
     return MaskTruth(row, col, path.azimuth_deg, path.altitude_deg, *masks)
@@ -126,51 +126,54 @@ def measure_masks(python: str, dem: QuestionDem, cells: int, left_out: dict[str,
 def _measure_skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
     """Measure one run for all masks, and a run for each mask. An untimed run compiles the loops first."""
     begin, end = (time.strftime("%Y-%m-%dT%H:%M:%SZ") for time in (times[0], times[-1]))
-    names = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
-    shade = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]
-    single = [*shade[:-1], str(dem.path.with_name("mask.tif")), "--time"]
-    run_process([*single, begin], dem.path.with_name("mask.tif"))
-    single_run = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
-    lit = np.stack([_read_and_delete(name, truth, lambda values: values == MASK_LIT) for name in names])
+    mask_files = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
+    shade_command = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]
+    single_command = [*shade_command[:-1], str(dem.path.with_name("mask.tif")), "--time"]
+    run_process([*single_command, begin], dem.path.with_name("mask.tif"))
+    single_run = run_process([*shade_command, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], mask_files[-1])
+    lit = np.stack([_read_and_delete(mask_file, truth, lambda values: values == MASK_LIT) for mask_file in mask_files])
     error_share = wrong_share(lit, truth.round_lit, truth.round_certain)
     yield _mask_answer(dem, "Skugga shade, one run", True, [single_run], error_share, error_share)
     sampled_times = times[SAMPLING_INTERVAL // 2 :: SAMPLING_INTERVAL]
-    runs = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in sampled_times]
+    runs = [
+        run_process([*single_command, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif"))
+        for time in sampled_times
+    ]
     yield _mask_answer(
         dem, f"Skugga shade, {MASK_COUNT} runs", True, runs, error_share, error_share, MASK_COUNT / len(sampled_times)
     )
 
 
 def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
-    every = SAMPLING_INTERVAL_BY_TOOL.get(tool.name, SAMPLING_INTERVAL)
-    runs, lit, indices = [], [], list(range(every // 2, MASK_COUNT, every))
+    interval = SAMPLING_INTERVAL_BY_TOOL.get(tool.name, SAMPLING_INTERVAL)
+    runs, mask_samples, indices = [], [], list(range(interval // 2, MASK_COUNT, interval))
     for n in indices:
         job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
         runs.append(tool.run(job))
         if tool.decode_mask is not None:
-            lit.append(tool.mask(job)[truth.row, truth.col])
-    error_share = as_is = None
-    if lit:
-        lit_stack = np.stack(lit)
+            mask_samples.append(tool.read_mask(job)[truth.row, truth.col])
+    error_share = error_as_is = None
+    if mask_samples:
+        lit_stack = np.stack(mask_samples)
         error_share = wrong_share(lit_stack, truth.flat_lit[indices], truth.flat_certain[indices])
-        as_is = wrong_share(lit_stack, truth.round_lit[indices], truth.round_certain[indices])
-    times = MASK_COUNT / len(indices)
-    yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, as_is, times)
+        error_as_is = wrong_share(lit_stack, truth.round_lit[indices], truth.round_certain[indices])
+    seconds_factor = MASK_COUNT / len(indices)
+    yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, error_share, error_as_is, seconds_factor)
     computing = [run.compute_s for run in runs if run.compute_s is not None]
     if len(computing) == len(runs):
-        start = min(runs, key=lambda run: run.wall_s - (run.compute_s or 0.0))
-        compute_s, begin_s = sum(computing) * times, start.wall_s - (start.compute_s or 0.0)
+        fastest_start = min(runs, key=lambda run: run.wall_s - (run.compute_s or 0.0))
+        compute_s, overhead_s = sum(computing) * seconds_factor, fastest_start.wall_s - (fastest_start.compute_s or 0.0)
         yield SunAnswer(
-            MASKS,
+            MASKS_QUESTION,
             dem.name,
             f"{tool.name}, one process at best",
             False,
             None,
-            begin_s + compute_s,
+            overhead_s + compute_s,
             None,
             error_share,
             None,
-            as_is,
+            error_as_is,
             True,
         )
 
@@ -178,14 +181,16 @@ def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[Su
 def _mask_answer(
     dem: QuestionDem,
     name: str,
-    is_ours: bool,
+    is_skugga: bool,
     runs: list[ToolRun],
     error_share: float | None,
-    as_is: float | None,
+    error_as_is: float | None,
     seconds_factor: float = 1.0,
 ) -> SunAnswer:
     wall_s, cpu_s = (seconds_factor * sum(getattr(run, cost) for run in runs) for cost in ("wall_s", "cpu_s"))
-    return SunAnswer(MASKS, dem.name, name, is_ours, None, wall_s, cpu_s, error_share, None, as_is, seconds_factor > 1.0)
+    return SunAnswer(
+        MASKS_QUESTION, dem.name, name, is_skugga, None, wall_s, cpu_s, error_share, None, error_as_is, seconds_factor > 1.0
+    )
 
 
 def _read_and_delete(path: Path, truth: MaskTruth, decode_mask: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

@@ -11,10 +11,10 @@ import numpy as np
 from pyproj import Geod, Transformer
 
 from benchmarks.peers.tools import run_process
-from benchmarks.sun_questions.asking import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem
+from benchmarks.sun_questions.commands_and_rasters import DATE, PROGRAMS_FILE, SKUGGA_COMMAND, SKUGGA_PYTHON, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
 
-HORIZON = "horizon at a point"
+HORIZON_QUESTION = "horizon at a point"
 
 AZIMUTH_STEP_DEG = 0.5
 """Degrees between two directions of a horizon of 720 directions."""
@@ -34,7 +34,7 @@ EPSILON = 1e-9
 MARGIN_SHARE = 0.15
 """Minimum distance of points from the rim, as a share of the raster's sides."""
 
-STREET_CELLS = 15
+MAX_WALL_DISTANCE_CELLS = 15
 """Maximum distance of the walls on both sides of a street, cells."""
 
 
@@ -67,8 +67,8 @@ def exact_horizon(
         return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
     angle = distance_m / radius_m
     # (R + h) cos a - (R + h0), without cancellation of two large numbers
-    over = (z_m - z0_m) - (radius_m + z_m) * 2.0 * np.sin(angle / 2.0) ** 2
-    return float(np.degrees(np.arctan((over / ((radius_m + z_m) * np.sin(angle))).max())))
+    rise_m = (z_m - z0_m) - (radius_m + z_m) * 2.0 * np.sin(angle / 2.0) ** 2
+    return float(np.degrees(np.arctan((rise_m / ((radius_m + z_m) * np.sin(angle))).max())))
 
 
 def triangle_heights_m(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
@@ -94,8 +94,10 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
     x, y = dem.xy(row, col)
     lon, lat = to_degrees.transform(x, y)
     count = len(azimuth_deg)
-    far = Geod(ellps="WGS84").fwd(np.full(count, lon), np.full(count, lat), azimuth_deg, np.full(count, BEARING_DISTANCE_M))
-    east, north = np.array(to_degrees.transform(*far[:2], direction="INVERSE")) - np.array([[x], [y]])
+    bearing_points = Geod(ellps="WGS84").fwd(
+        np.full(count, lon), np.full(count, lat), azimuth_deg, np.full(count, BEARING_DISTANCE_M)
+    )
+    east, north = np.array(to_degrees.transform(*bearing_points[:2], direction="INVERSE")) - np.array([[x], [y]])
     length = np.hypot(east, north)
     radius = _radius_m(lat, azimuth_deg)
     return np.array([
@@ -135,10 +137,13 @@ def points_by_kind(dem: QuestionDem) -> dict[str, tuple[int, int]]:
         return top + int(row), left + int(col)
 
     if dem.name == "Essen":
-        shifts = [np.max([np.roll(inner, side * n, axis=1) for n in range(3, STREET_CELLS)], axis=0) - inner for side in (-1, 1)]
-        walls = np.minimum(*shifts)
-        walls[:, :STREET_CELLS] = walls[:, -STREET_CELLS:] = 0.0
-        return {"street": cell_of_max(walls)}
+        wall_heights_m = [
+            np.max([np.roll(inner, side * n, axis=1) for n in range(3, MAX_WALL_DISTANCE_CELLS)], axis=0) - inner
+            for side in (-1, 1)
+        ]
+        lower_wall_m = np.minimum(*wall_heights_m)
+        lower_wall_m[:, :MAX_WALL_DISTANCE_CELLS] = lower_wall_m[:, -MAX_WALL_DISTANCE_CELLS:] = 0.0
+        return {"street": cell_of_max(lower_wall_m)}
     down, right = np.gradient(inner)
     return {"summit": cell_of_max(inner), "valley": cell_of_max(-inner), "slope": cell_of_max(np.hypot(down, right))}
 
@@ -179,37 +184,37 @@ class HorizonTool:
 
 def horizon_tools(python: str) -> list[HorizonTool]:
     """Return all tools. Python packages are those of the interpreter ``python``."""
-    asking = str(PROGRAMS_FILE)
+    programs_file = str(PROGRAMS_FILE)
 
-    def grass(path: Path) -> np.ndarray:
+    def read_grass_horizon(path: Path) -> np.ndarray:
         direction, angle = np.loadtxt(path, delimiter=",", skiprows=1).T
         return np.stack([(90.0 - direction) % 360.0, angle])
 
-    def place(at: tuple[float, float]) -> list[str]:
-        return [f"{value:.9f}" for value in at]
+    def format_xy(xy: tuple[float, float]) -> list[str]:
+        return [f"{value:.9f}" for value in xy]
 
     def grass_tool(distance: str) -> HorizonTool:
         return HorizonTool(
             f"GRASS r.horizon, distance={distance}", False,
-            lambda dem, out, at: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.horizon",
-                                  str(dem.path), str(out), *place(at), f"{AZIMUTH_STEP_DEG:g}", distance],
-            grass, true_horizon, ".csv",
+            lambda dem, out, xy: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, programs_file, "r.horizon",
+                                  str(dem.path), str(out), *format_xy(xy), f"{AZIMUTH_STEP_DEG:g}", distance],
+            read_grass_horizon, true_horizon, ".csv",
         )  # fmt: skip
 
     return [
         HorizonTool(
             "Skugga", True,
-            lambda dem, out, at: [*SKUGGA_PYTHON, asking, "point", str(dem.path), str(out), *place(at)],
+            lambda dem, out, xy: [*SKUGGA_PYTHON, programs_file, "point", str(dem.path), str(out), *format_xy(xy)],
             np.load, true_horizon,
-            full_command=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(place(at)), "--crs",
+            full_command=lambda dem, out, xy: [*SKUGGA_COMMAND, "point", str(dem.path), "--at", ",".join(format_xy(xy)), "--crs",
                                         dem.crs, "--date", DATE, "--horizon", "pvlib", "-o", str(out.with_suffix(".csv"))],
         ),
         grass_tool("1"),
         grass_tool("0.5"),
         HorizonTool(
             "topocalc", False,
-            lambda dem, out, at: [
-                python, asking, "topocalc", str(dem.path), str(out), *place(at), f"{TOPOCALC_AZIMUTH_STEP_DEG:g}",
+            lambda dem, out, xy: [
+                python, programs_file, "topocalc", str(dem.path), str(out), *format_xy(xy), f"{TOPOCALC_AZIMUTH_STEP_DEG:g}",
             ],
             np.load, flat_horizon, direction_share=AZIMUTH_STEP_DEG / TOPOCALC_AZIMUTH_STEP_DEG,
         ),
@@ -223,9 +228,9 @@ def measure_horizons(tools: list[HorizonTool], dem: QuestionDem, repeats: int, l
     """
     for tool in tools:
         if tool.full_command is not None:
-            out, at = dem.path.with_name(f"horizon{tool.suffix}"), dem.xy(*(length // 2 for length in dem.height_m.shape))
-            run_process(tool.command(dem, out, at), out)
-            run_process(tool.full_command(dem, out, at), out.with_suffix(".csv"))
+            out, xy = dem.path.with_name(f"horizon{tool.suffix}"), dem.xy(*(length // 2 for length in dem.height_m.shape))
+            run_process(tool.command(dem, out, xy), out)
+            run_process(tool.full_command(dem, out, xy), out.with_suffix(".csv"))
     for place, (row, col) in points_by_kind(dem).items():
         for tool in tools:
             out = dem.path.with_name(f"horizon{tool.suffix}")
@@ -243,12 +248,13 @@ def measure_horizons(tools: list[HorizonTool], dem: QuestionDem, repeats: int, l
                 continue
             azimuth, angle = tool.read_horizon(out)
             error_deg = np.abs(angle - tool.true_horizon(dem, row, col, azimuth))
-            as_is = np.abs(angle - true_horizon(dem, row, col, azimuth))
+            error_as_is_deg = np.abs(angle - true_horizon(dem, row, col, azimuth))
             compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
-            more_s = compute_s * (1.0 / tool.direction_share - 1.0)
+            unmeasured_s = compute_s * (1.0 / tool.direction_share - 1.0)
             yield SunAnswer(
-                HORIZON, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + more_s,
-                float(np.median([run.wall_s for run in whole_runs])) + more_s,
-                float(np.median([run.cpu_s for run in whole_runs])) + more_s,
-                float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(as_is.mean()), tool.direction_share < 1.0,
+                HORIZON_QUESTION, f"{dem.name}, {place}", tool.name, tool.is_skugga, compute_s + unmeasured_s,
+                float(np.median([run.wall_s for run in whole_runs])) + unmeasured_s,
+                float(np.median([run.cpu_s for run in whole_runs])) + unmeasured_s,
+                float(error_deg.mean()), float(np.percentile(error_deg, 99)), float(error_as_is_deg.mean()),
+                tool.direction_share < 1.0,
             )  # fmt: skip

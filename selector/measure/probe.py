@@ -163,5 +163,6 @@ def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
         sure = "more than 99 %" if chance < 0.01 else format_percent(1.0 - chance)
         return f"{text}; no time was left to draw it: it stays within {limit} with a chance of {sure}"
     if probe.confirmed:
-        return f"{text}; {'it stays within' if chance <= 0.5 else 'it misses'} {limit}, and no other candidate promises more"
-    return f"{text}; the time ended while other candidates still promised more"
+        outcome = "it stays within" if chance <= 0.5 else "it misses"
+        return f"{text}; {outcome} {limit}, and no other candidate is expected to be better"
+    return f"{text}; the time budget ended before all candidates that may be better were drawn"

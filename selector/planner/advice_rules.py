@@ -196,7 +196,7 @@ def _lamp_near_camera(case: RuleInput) -> str | None:
         return None
     return (
         f"lamp near the camera: {light_facts.eye_to_lamp_m:.1f} m from the eye, where the nearest shadow edge is "
-        f"{light_facts.nearest_edge_m:.1f} m away, so texels are as even in the picture as pixels"
+        f"{light_facts.nearest_edge_m:.1f} m away, so all texels are about equally large in the picture"
     )
 
 

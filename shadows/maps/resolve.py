@@ -192,7 +192,7 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[NamedReason]]:
             NamedReason(name=f"{prefix}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")
         ]
     if taps == "auto":
-        filter_reason = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
+        filter_reason = "for the least wrong share of the cast shadow: 3 x 3 taps smooth the steps of texels along shadow edges"
         return 3, [NamedReason(name=f"{prefix}filter 3", reason=filter_reason)]
     return taps, []
 

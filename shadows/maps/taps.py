@@ -34,11 +34,11 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
     """Return the taps along a side for the cascades of a sun's map, and the reason."""
     share = fine_texel_share(descriptor, cascades)
     if share is None:
-        return 3, "it is not known how wide penumbrae are: 3 x 3 taps smooth the texel stairs along shadow edges"
+        return 3, "the width of penumbrae is unknown: 3 x 3 taps smooth the steps of texels along shadow edges"
     words = f"texels are finer than penumbrae in {100.0 * share:.0f} % of the cast shadow"
     if share >= 0.5:
-        return 3, f"by soft error: {words}, so 3 x 3 taps come nearer to the sun's disc than one"
-    return 1, f"by soft error: {words}, so one tap comes nearer to the sun's disc than 3 x 3, which only blur"
+        return 3, f"for the least soft error: {words}, so 3 x 3 taps come nearer to the sun's disc than one"
+    return 1, f"for the least soft error: {words}, so one tap comes nearer to the sun's disc than 3 x 3, which only blur"
 
 
 def fine_texel_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:

@@ -74,7 +74,7 @@ def homogeneous(light: np.ndarray) -> np.ndarray:
     light_frame = np.asarray(light, np.float64)
     is_valid = light_frame.shape == (4,) and np.isfinite(light_frame).all() and light_frame[3] in (0.0, 1.0) and light_frame.any()
     if not is_valid:
-        raise InputError("light", light, "a direction that is not zero followed by 0, or a position followed by 1")
+        raise InputError("light", light, "(x, y, z, 0) with a direction that is not zero, or (x, y, z, 1) with a position")
     return light_frame
 
 

@@ -155,7 +155,7 @@ def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestF
         return "library", owner, getattr(value, "__qualname__", None) or getattr(value, "__name__", None) or repr(value)
     if isinstance(value, FunctionType):  # registered with numba, which compiles it into its callers
         return "function", describe_function(value, digest_of_callee)
-    raise UnknownValueError(f"a {type(value).__name__} of {owner}")
+    raise UnknownValueError(f"a value of the type {type(value).__name__} in {owner}")
 
 
 def _is_library(module: str) -> bool:

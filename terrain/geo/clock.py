@@ -77,7 +77,7 @@ def day_bounds(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datet
     following = day + timedelta(days=1)
     end = datetime(following.year, following.month, following.day, tzinfo=clock)
     if end.astimezone(UTC) <= first.astimezone(UTC):
-        raise InputError(parameter, day.isoformat(), f"a day in the calendar of {clock}, which skips this one")
+        raise InputError(parameter, day.isoformat(), f"a day that the calendar of {clock} does not skip")
     return first, end
 
 

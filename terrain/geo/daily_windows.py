@@ -76,7 +76,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     minutes = (end - start) / timedelta(minutes=1)
     if minutes <= 0.0:
         window_text = f"{clock_text(first_min)}-{clock_text(last_min)}"
-        raise InputError("window", window_text, f"times that occur in {clock} on {day.isoformat()}, whose clocks skip these")
+        raise InputError("window", window_text, f"times that {clock} does not skip on {day.isoformat()}")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
     midnight = datetime.combine(day, time(), UTC)
     clock_min = (start - midnight) / timedelta(minutes=1) + before

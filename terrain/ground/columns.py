@@ -237,7 +237,7 @@ def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame:
         ends.append((int(low), max(int(high - low) + 1, 2)))
     (row0, rows), (col0, cols) = ends
     if rows * cols > MAX_WINDOW_CELLS:
-        problem = f"a block of this map has {rows * cols} columns under it, more than the limit of {MAX_WINDOW_CELLS}"
+        problem = f"a block of this map covers {rows * cols} columns of cubes, more than the limit of {MAX_WINDOW_CELLS}"
         raise UnsupportedError("terrain.surface", "blocks", problem)
     return columns.window(row0, col0, rows, cols, frame)
 

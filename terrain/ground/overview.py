@@ -119,7 +119,7 @@ def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -
     coarsest = max((factor for factor in factors if factor <= 2**lod), default=1)
     if rows * cols > MAX_CELLS_READ * coarsest**2:
         cell_count_text = f"it has {cols} x {rows} cells and " + (
-            "no overviews" if coarsest == 1 else f"overviews of {coarsest} cells at most"
+            "no overviews" if coarsest == 1 else f"no overviews that are coarser than {coarsest} cells a pixel side"
         )
         requirement = f"a raster of more than {MAX_CELLS_READ / 1e6:,.0f} million cells needs coarse overviews"
         raise SourceError(

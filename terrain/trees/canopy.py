@@ -117,7 +117,7 @@ class Canopy:
             crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
-            raise SourceError(source, reason or "cannot be opened", "Use a raster with a CRS that GDAL reads") from None
+            raise SourceError(source, reason or "cannot be opened", "Use a raster that GDAL reads") from None
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             problem = f"band 1 has the data type {dataset.dtypes[0]}" if dataset.count else "no band"
             raise SourceError(source, problem, "Use a raster whose first band holds canopy heights as real numbers")

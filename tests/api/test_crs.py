@@ -74,7 +74,7 @@ def open_scene(raster: Path) -> Scene:
     return build_scene(load_level(raster))
 
 
-def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
+def shadow_faults(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
     """Return the faults of a tower's shadows at a place of a CRS's own celestial body.
 
     A body so small that the tower's shadow has no end, or that night covers a corner of the plain, is not judged.
@@ -96,7 +96,7 @@ def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[fl
 
 @pytest.mark.parametrize(("code", "lon", "lat"), SAMPLES)
 def test_shadows_follow_geodesics(tmp_path, code, lon, lat):
-    assert not faults_of(tmp_path, CRS.from_user_input(code), lon, lat, AZIMUTHS_DEG[::2])
+    assert not shadow_faults(tmp_path, CRS.from_user_input(code), lon, lat, AZIMUTHS_DEG[::2])
 
 
 CRS_TYPES = (PJType.PROJECTED_CRS, PJType.GEOGRAPHIC_2D_CRS, PJType.DERIVED_PROJECTED_CRS)
@@ -151,7 +151,7 @@ def test_every_crs_of_proj_is_correct_or_refused(tmp_path):
             warnings.simplefilter("ignore", FutureWarning)
             crs = CRS.from_user_input(code)
         try:
-            faults += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
+            faults += [f"{code}: {fault}" for fault in shadow_faults(folder, crs, *place_in(crs, area))]
             served_count += 1
         except (ProjError, CRSError):  # PROJ itself cannot transform it
             origin_and_cell = (10.0, 20.0, 1e-4) if crs.is_geographic else (3e5, 4e5, 10.0)
@@ -168,17 +168,17 @@ def test_every_crs_of_proj_is_correct_or_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "lon", "lat", "said"),
+    ("code", "lon", "lat", "expected_text"),
     [
         ("IAU_2015:30155", 0.1, 21.3, "beyond the area of its CRS"),  # the Moon, 3 km off the edge of a map of all of it
         ("IAU_2015:1025", 12.0, 21.3, "coordinates below 1e9"),  # the Sun
         ("IAU_2015:200417940", 12.0, 21.3, "outside of the area of"),  # Toutatis, off its map for a camera's fit
     ],
 )
-def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, lon, lat, said):
+def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, lon, lat, expected_text):
     crs = CRS.from_user_input(code)
-    with pytest.raises(InputError, match=said) as caught:
-        faults_of(tmp_path, crs, lon, lat, AZIMUTHS_DEG[:1])
+    with pytest.raises(InputError, match=expected_text) as caught:
+        shadow_faults(tmp_path, crs, lon, lat, AZIMUTHS_DEG[:1])
     assert crs.name in str(caught.value) and "\n" not in str(caught.value)
 
 

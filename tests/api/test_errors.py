@@ -27,41 +27,41 @@ def every_error() -> list[type[SkuggaError]]:
             importlib.import_module(module.name)
     error_classes, pending = set(), [SkuggaError]
     while pending:
-        kind = pending.pop()
-        error_classes.add(kind)
-        pending += kind.__subclasses__()
-    return sorted(error_classes, key=lambda kind: kind.__name__)
+        error_class = pending.pop()
+        error_classes.add(error_class)
+        pending += error_class.__subclasses__()
+    return sorted(error_classes, key=lambda error_class: error_class.__name__)
 
 
-def make(kind: type[SkuggaError]) -> SkuggaError:
-    if issubclass(kind, errors.InputError):
-        return kind("azimuth", 7, "something else")
-    return kind("x", "a message") if kind is NotServedError else kind("a message")
+def make_error(error_class: type[SkuggaError]) -> SkuggaError:
+    if issubclass(error_class, errors.InputError):
+        return error_class("azimuth", 7, "something else")
+    return error_class("x", "a message") if error_class is NotServedError else error_class("a message")
 
 
 def test_the_table_has_every_error_and_no_other():
-    kinds = every_error()
-    assert len(kinds) > 10
-    assert set(ERROR_REPORTS) == set(kinds)
+    error_classes = every_error()
+    assert len(error_classes) > 10
+    assert set(ERROR_REPORTS) == set(error_classes)
 
 
 def test_http_statuses_agree_with_exit_statuses():
-    for kind, report in ERROR_REPORTS.items():
+    for error_class, report in ERROR_REPORTS.items():
         assert 400 <= report.status < 600
         assert report.exit_status in (EXIT_FAILURE, EXIT_WRONG_INPUT)
         if report.status < 500:
-            assert report.exit_status == EXIT_WRONG_INPUT, kind
+            assert report.exit_status == EXIT_WRONG_INPUT, error_class
     assert EXIT_SUCCESS == 0
 
 
 def test_error_codes_are_unique():
     # Both of these errors share the codes of their bases.
-    codes = [report.code for kind, report in ERROR_REPORTS.items() if kind not in (NotServedError, RetryLaterError)]
+    codes = [report.code for error_class, report in ERROR_REPORTS.items() if error_class not in (NotServedError, RetryLaterError)]
     assert len(set(codes)) == len(codes)
 
 
 @pytest.mark.parametrize(
-    ("kind", "status", "leaves"),
+    ("error_class", "status", "expected_exit_status"),
     [
         (errors.InputError, 422, 2),
         (errors.UnsupportedError, 422, 2),
@@ -74,16 +74,16 @@ def test_error_codes_are_unique():
         (errors.GraphicsError, 503, 1),
     ],
 )
-def test_errors_have_their_documented_statuses(kind: type[SkuggaError], status: int, leaves: int):
-    error = make(kind)
+def test_errors_have_their_documented_statuses(error_class: type[SkuggaError], status: int, expected_exit_status: int):
+    error = make_error(error_class)
     assert error_report_of(error).status == status
-    assert exit_status(error) == leaves
+    assert exit_status(error) == expected_exit_status
 
 
-@pytest.mark.parametrize("kind", [kind for kind in every_error() if kind is not NotServedError])
-def test_errors_cross_the_pipe(kind: type[SkuggaError]):
-    error = make(kind)
+@pytest.mark.parametrize("error_class", [error_class for error_class in every_error() if error_class is not NotServedError])
+def test_errors_cross_the_pipe(error_class: type[SkuggaError]):
+    error = make_error(error_class)
     received = pickle.loads(pickle.dumps(Failure.from_error(error))).to_error()
-    assert type(received) is kind
+    assert type(received) is error_class
     assert str(received) == str(error)
     assert getattr(received, "name", None) == getattr(error, "name", None)

@@ -12,32 +12,32 @@ from skugga.terrain.level.level_source import LevelSource
 from tests.rasters import write_geotiff
 
 
-def version(path: Path) -> str:
+def version_of(path: Path) -> str:
     loaded = load_level(LevelSource(path=path))
     return level_version(loaded, file_stamps(watched_files(loaded)))
 
 
-def ground(path: Path, height_m: float) -> Path:
+def write_flat_ground(path: Path, height_m: float) -> Path:
     return write_geotiff(path, np.full((8, 9), height_m, np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
 def test_the_version_of_a_raster_depends_on_its_cells(tmp_path: Path):
-    raster = ground(tmp_path / "dem.tif", 100.0)
-    before = version(raster)
-    assert version(raster) == before
-    ground(raster, 200.0)
-    assert version(raster) != before
+    raster = write_flat_ground(tmp_path / "dem.tif", 100.0)
+    before = version_of(raster)
+    assert version_of(raster) == before
+    write_flat_ground(raster, 200.0)
+    assert version_of(raster) != before
 
 
 def test_the_version_of_a_level_depends_on_text_and_raster(tmp_path: Path):
-    ground(tmp_path / "dem.tif", 100.0)
+    write_flat_ground(tmp_path / "dem.tif", 100.0)
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\nterrain: {source: dem.tif}\n", encoding="utf-8")
-    before = version(level)
+    before = version_of(level)
     level.write_text(level.read_text(encoding="utf-8"), encoding="utf-8")
-    assert version(level) == before, "it was written again as it was"
-    ground(tmp_path / "dem.tif", 200.0)
-    changed = version(level)
+    assert version_of(level) == before, "a rewritten file with the same text has the same version"
+    write_flat_ground(tmp_path / "dem.tif", 200.0)
+    changed = version_of(level)
     assert changed != before
     level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 2}\n", encoding="utf-8")
-    assert version(level) != changed
+    assert version_of(level) != changed

@@ -125,7 +125,7 @@ def test_a_film_may_have_one_frame(tmp_path):
     with Image.open(tmp_path / "film.webp") as film:
         assert np.abs(np.asarray(film.convert("RGB")).astype(int) - source_frame).mean() < 6.0
     assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == source_frame).all()
-    assert len(decoded(tmp_path / "film.mp4")) == 1
+    assert len(decoded_frames_of(tmp_path / "film.mp4")) == 1
 
 
 def test_png_frames_keep_every_pixel(tmp_path):
@@ -136,7 +136,7 @@ def test_png_frames_keep_every_pixel(tmp_path):
         assert (np.asarray(Image.open(tmp_path / f"frames/00{number}.png")) == picture).all()
 
 
-def decoded(path: Path) -> list:
+def decoded_frames_of(path: Path) -> list:
     import av
 
     with av.open(str(path)) as container:
@@ -158,7 +158,7 @@ def test_mp4_has_the_format_that_browsers_play(tmp_path):
         assert (context.name, stream.pix_fmt, stream.width, stream.height) == ("h264", "yuv420p", 162, 122)
         assert (context.color_primaries, context.color_trc, context.colorspace, context.color_range) == (1, 1, 1, 1)
         assert stream.average_rate == 20 and float(stream.duration * stream.time_base) == pytest.approx(5 / FPS)
-    frames = decoded(tmp_path / "film.mp4")
+    frames = decoded_frames_of(tmp_path / "film.mp4")
     assert len(frames) == 5
     decoded_frame = frames[-1].reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
     for number, color in enumerate(colors):
@@ -171,19 +171,19 @@ def test_mp4_has_the_format_that_browsers_play(tmp_path):
 @pytest.mark.parametrize("name", FILMS)
 def test_at_most_a_frame_for_each_core_is_in_memory(tmp_path, name):
     references: list[weakref.ref[np.ndarray]] = []
-    most = 0
+    max_count = 0
 
-    def made() -> Iterator[np.ndarray]:
-        nonlocal most
+    def generate_frames() -> Iterator[np.ndarray]:
+        nonlocal max_count
         for number in range(30):
             picture = np.full((30, 44, 3), number, np.uint8)
             references.append(weakref.ref(picture))
             yield picture
             del picture
-            most = max(most, sum(reference() is not None for reference in references))
+            max_count = max(max_count, sum(reference() is not None for reference in references))
 
-    write_film(tmp_path / name, made(), 30, FPS)
-    assert len(references) == 30 and most <= CORES + 3
+    write_film(tmp_path / name, generate_frames(), 30, FPS)
+    assert len(references) == 30 and max_count <= CORES + 3
 
 
 class StopError(Exception):
@@ -192,18 +192,18 @@ class StopError(Exception):
 
 @pytest.mark.parametrize("name", FILMS)
 @pytest.mark.parametrize("error", [StopError, KeyboardInterrupt, SystemExit])
-@pytest.mark.parametrize("is_there", [True, False])
-def test_a_film_that_fails_keeps_the_old_files(tmp_path, name, error, is_there):
-    if is_there:
+@pytest.mark.parametrize("has_old_files", [True, False])
+def test_a_film_that_fails_keeps_the_old_files(tmp_path, name, error, has_old_files):
+    if has_old_files:
         write_film(tmp_path / name, iter(pictures(5)[::-1]), 5, FPS)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
-    def ended() -> Iterator[np.ndarray]:
+    def frames_until_error() -> Iterator[np.ndarray]:
         yield from pictures(3)
         raise error
 
     with pytest.raises(error):
-        write_film(tmp_path / name, ended(), 5, FPS)
+        write_film(tmp_path / name, frames_until_error(), 5, FPS)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     assert not [path for path in tmp_path.rglob(".*")]
 

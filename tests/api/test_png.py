@@ -13,10 +13,10 @@ from PIL import Image
 from skugga.api import png
 from skugga.api.png import encode_png
 
-SHAPES = {"gray": (5, 7), "gray and alpha": (5, 7, 2), "RGB": (256, 256, 3), "RGBA": (1, 9, 4), "one pixel": (1, 1, 3)}
+PICTURE_SHAPES = {"gray": (5, 7), "gray and alpha": (5, 7, 2), "RGB": (256, 256, 3), "RGBA": (1, 9, 4), "one pixel": (1, 1, 3)}
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("shape", PICTURE_SHAPES.values(), ids=PICTURE_SHAPES)
 def test_png_survives_a_round_trip(shape):
     array = np.random.default_rng(3).integers(0, 256, shape).astype(np.uint8)
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(array)))), array)

@@ -26,7 +26,7 @@ from skugga.api.workers.jobs import Failure
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_state import WorkerState
 from skugga.terrain.errors import SourceError
-from tests.api.animations.test_animations import order as film_order
+from tests.api.animations.test_animations import film_order
 from tests.api.http.test_level_checks import no_threads
 from tests.api.http.test_openapi import ROUTERS
 from tests.api.workers.test_pool import block, run_with_pool, wait_until
@@ -78,14 +78,14 @@ def test_routes_are_coroutines():
     threads.
     """
 
-    def parts(dependant: Dependant) -> Iterator[object]:
+    def dependency_calls(dependant: Dependant) -> Iterator[object]:
         yield dependant.call
         for dependency in dependant.dependencies:
-            yield from parts(dependency)
+            yield from dependency_calls(dependency)
 
     routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
     assert {"/healthz", "/readyz"} <= {route.path for route in routes}
-    functions = {part for route in routes for part in parts(route.dependant)}
+    functions = {part for route in routes for part in dependency_calls(route.dependant)}
     assert not [part for part in functions if not inspect.iscoroutinefunction(part)]
 
 
@@ -125,19 +125,20 @@ def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.Monkey
     async def scenario() -> None:
         failed: list[str] = []
 
-        async def done(result: object) -> None:
+        async def fail_on_result(result: object) -> None:
             raise AssertionError(result)
 
         work = IdleWork(lambda: False)
         monkeypatch.setattr(work, "_is_idle", lambda: True)
         work.start()
-        before = len(os.listdir("/proc/self/fd"))
+        open_file_count = len(os.listdir("/proc/self/fd"))
         with no_threads(monkeypatch):
             for _ in range(5):
-                work.add(IdleJob(os.getpid, (), done, failed.append))
+                work.add(IdleJob(os.getpid, (), fail_on_result, failed.append))
             await wait_until(lambda: len(failed) == 5)
         assert "no thread can be started" in failed[0]
-        assert len(os.listdir("/proc/self/fd")) == before
+        # Files of earlier tests may be closed meanwhile, when Python collects their objects. So the number may also be smaller.
+        assert len(os.listdir("/proc/self/fd")) <= open_file_count
         await work.close()
 
     asyncio.run(scenario())
@@ -153,13 +154,13 @@ def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
             compiling.start_if_needed(7)
             await wait_until(lambda: not compiling.is_running)
         compiling.start_if_needed(7)
-        assert not compiling.is_running, "not at once"
+        assert not compiling.is_running, "the next try waits for some seconds"
         monkeypatch.setattr(compiling, "_not_before_s", 0.0)
         compiling.start_if_needed(7)
         await wait_until(lambda: not compiling.is_running)
         assert compiled.is_set()
         compiling.start_if_needed(7)
-        assert not compiling.is_running, "once done it is done"
+        assert not compiling.is_running, "finished compilation is not repeated"
         await compiling.close()
 
     asyncio.run(scenario())
@@ -192,10 +193,10 @@ def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPa
 def test_exhausted_jobs_are_retried_later(monkeypatch: pytest.MonkeyPatch, error: Exception):
     """A render process tells exhaustion from faults: 503 with a time to wait, and not 500."""
 
-    def run_out(job: object, state: object) -> NoReturn:
+    def raise_error(job: object, state: object) -> NoReturn:
         raise error
 
-    monkeypatch.setattr(render_worker, "run_job", run_out)
+    monkeypatch.setattr(render_worker, "run_job", raise_error)
     answer = render_worker._try_job(block(0), WorkerState("a device"))
     assert isinstance(answer, Failure) and isinstance(answer.to_error(), ExhaustedError)
     assert error_report_of(answer.to_error()).status == 503

@@ -21,7 +21,7 @@ def test_the_default_is_one_worker_per_core_within_bounds(monkeypatch: pytest.Mo
 
 
 def test_calibration_when_idle_is_the_default(monkeypatch: pytest.MonkeyPatch):
-    assert not load_settings().calibrate_when_idle, "services of tests must not"
+    assert not load_settings().calibrate_when_idle, "conftest.py disables calibration for services of tests"
     monkeypatch.delenv("SKUGGA_CALIBRATE_WHEN_IDLE")
     assert load_settings().calibrate_when_idle
 

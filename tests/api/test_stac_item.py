@@ -70,16 +70,16 @@ def test_an_item_gives_the_sun_and_its_finest_cells(write):
         (sentinel_2(), (163.4, 19.6), 10.0, (240, 300)),
         (landsat(), (160.2, 18.1), 15.0, (160, 200)),
     ):
-        read = read_stac_item(write(item))
-        assert (read.sun.azimuth, read.sun.altitude, read.sun.time) == (*angles, None)
-        assert read.cells is not None and read.cells.crs.to_epsg() == 32633
-        assert (read.cells.rows, read.cells.cols) == shape
-        assert tuple(read.cells.transform)[:6] == (cell, 0.0, WEST, 0.0, -cell, NORTH)
+        stac_item = read_stac_item(write(item))
+        assert (stac_item.sun.azimuth, stac_item.sun.altitude, stac_item.sun.time) == (*angles, None)
+        assert stac_item.cells is not None and stac_item.cells.crs.to_epsg() == 32633
+        assert (stac_item.cells.rows, stac_item.cells.cols) == shape
+        assert tuple(stac_item.cells.transform)[:6] == (cell, 0.0, WEST, 0.0, -cell, NORTH)
 
 
 def test_a_missing_angle_falls_back_to_the_time(write):
-    read = read_stac_item(write(sentinel_2(**{"view:sun_elevation": None})))
-    assert read.sun.azimuth is None and read.sun.time == datetime(2024, 1, 15, 10, 3, 9, 24000, tzinfo=UTC)
+    stac_item = read_stac_item(write(sentinel_2(**{"view:sun_elevation": None})))
+    assert stac_item.sun.azimuth is None and stac_item.sun.time == datetime(2024, 1, 15, 10, 3, 9, 24000, tzinfo=UTC)
 
 
 def test_the_time_of_a_span_is_its_middle(write):
@@ -99,7 +99,7 @@ def test_an_item_without_a_crs_has_no_cells(write):
 
 
 @pytest.mark.parametrize(
-    ("item", "words"),
+    ("item", "expected_texts"),
     [
         ("{", ("not JSON",)),
         ("[1]", ("not a STAC item", "Feature")),
@@ -116,14 +116,14 @@ def test_an_item_without_a_crs_has_no_cells(write):
         (landsat(**{"proj:shape": [80]}), ("proj:shape", "[80]")),
     ],
 )
-def test_an_invalid_item_is_one_line(write, item, words):
+def test_an_invalid_item_is_one_line(write, item, expected_texts):
     path = write(item)
     with pytest.raises(InputError) as caught:
         read_stac_item(path)
     message = str(caught.value)
     assert "item.json" in message and "\n" not in message
-    for word in words:
-        assert word in message, message
+    for text in expected_texts:
+        assert text in message, message
 
 
 @pytest.fixture

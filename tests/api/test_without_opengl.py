@@ -72,7 +72,7 @@ def test_the_command_line_draws_terrain_without_opengl(level: Path, environment:
     assert map_result == mask == [0, "", ""]
     color = snapshot(level, "map", ProductRequest(), {}, size=(200, 200)).computed.array
     with Image.open(picture_path) as picture:
-        assert picture.convert("RGB").tobytes() == color[..., :3].tobytes(), "as with OpenGL"
+        assert picture.convert("RGB").tobytes() == color[..., :3].tobytes(), "the picture equals that with OpenGL"
     with rasterio.open(raster_path) as dataset:
         assert 0.02 < float((dataset.read(1) < 128).mean()) < 0.98
     for status, output, error_text in opengl_results:
@@ -91,7 +91,9 @@ def test_the_service_draws_terrain_without_opengl(level: Path, environment: dict
         with httpx.Client(base_url=address, timeout=TIMEOUT_S) as software_client:
             tile = software_client.get(f"/levels/hills/{TILE}")
             assert tile.status_code == 200
-            assert tile.content == client.get(f"/levels/hills/{TILE}", timeout=TIMEOUT_S).content, "as with OpenGL"
+            assert tile.content == client.get(f"/levels/hills/{TILE}", timeout=TIMEOUT_S).content, (
+                "the picture equals that with OpenGL"
+            )
             ready = software_client.get("/readyz").json()
             assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
             for resource in ("snapshot.png?view=eye&size=64x64", f"{TILE}?algorithm=shadow_map"):
@@ -101,7 +103,7 @@ def test_the_service_draws_terrain_without_opengl(level: Path, environment: dict
         process.terminate()
         _, log_text = process.communicate(timeout=TIMEOUT_S)
     assert "only terrain without objects can be drawn, under the sun" in log_text
-    assert "is replaced" not in log_text, "a refusal ends no render process"
+    assert "is replaced" not in log_text, "a refusal does not end the render process"
 
 
 def test_a_service_without_its_expected_renderer_refuses(level: Path, environment: dict[str, str]):

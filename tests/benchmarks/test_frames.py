@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.frame_tables import (
-    BASE,
-    NOW,
+    BASE_SIDE,
+    NOW_SIDE,
     TABLES_BEGIN,
     TABLES_END,
-    YARDSTICK,
+    YARDSTICK_SIDE,
     FrameKey,
     Target,
     format_report,
@@ -54,7 +54,7 @@ def test_a_ratio_is_the_median_of_paired_ratios():
 
 def test_targets_are_met_at_their_limit():
     key = FrameKey("SpatialAce", "planned", "new")
-    frames = {key: {NOW: [cost_row(35.0)], BASE: [cost_row(100.0)]}}
+    frames = {key: {NOW_SIDE: [cost_row(35.0)], BASE_SIDE: [cost_row(100.0)]}}
     (counting_target,) = (target for target in frame_targets(frames, {}) if target.is_required)
     assert (counting_target.value, counting_target.cpu_value, counting_target.upper_bound, counting_target.is_met) == (
         0.35,
@@ -62,16 +62,18 @@ def test_targets_are_met_at_their_limit():
         0.35,
         True,
     )
-    assert counting_target.line == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
-    frames[key][NOW] = [cost_row(36.0)]
+    assert (
+        counting_target.summary == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
+    )
+    frames[key][NOW_SIDE] = [cost_row(36.0)]
     (counting_target,) = (target for target in frame_targets(frames, {}) if target.is_required)
-    assert not counting_target.is_met and counting_target.line.startswith("MISSED")
+    assert not counting_target.is_met and counting_target.summary.startswith("MISSED")
 
 
 def test_the_target_uses_the_yardstick_of_one_tap():
-    sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK: [cost_row(ms)]} for name, ms in
+    sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK_SIDE: [cost_row(ms)]} for name, ms in
               (("unshadowed", 1.0), ("512, 1 tap", 10.0), ("512, 3 x 3 taps", 20.0))}  # fmt: skip
-    frames = {FrameKey("SpatialAce", "planned", "new"): {NOW: [cost_row(40.0)]}, **sticks}
+    frames = {FrameKey("SpatialAce", "planned", "new"): {NOW_SIDE: [cost_row(40.0)]}, **sticks}
     ratios = {target.is_required: target.value for target in frame_targets(frames, {})}
     assert ratios == {True: 4.0, False: 2.0}
 
@@ -79,13 +81,13 @@ def test_the_target_uses_the_yardstick_of_one_tap():
 def test_a_first_frame_is_compared_with_warm_ones():
     first = {"ms": 30.0, "cpu_ms": 40.0, "answer_ms": 130.0, "cpu_answer_ms": 140.0}
     warm = {"ms": 10.0, "cpu_ms": 10.0, "answer_ms": 20.0, "cpu_answer_ms": 20.0}
-    targets = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
+    targets = frame_targets({}, {"valley": {NOW_SIDE: [{"first": first, "warm": warm}]}})
     assert [(target.value, target.cpu_value, target.is_required) for target in targets] == [(3.0, 4.0, True), (6.5, 7.0, False)]
 
 
 def test_the_memory_target_uses_the_peak_of_all_frames():
     million = FrameKey("a million trees", "planned", "new")
-    targets = frame_targets({million: {NOW: [cost_row(1.0, peak_gb=1.1), cost_row(1.0, peak_gb=1.3)]}}, {})
+    targets = frame_targets({million: {NOW_SIDE: [cost_row(1.0, peak_gb=1.1), cost_row(1.0, peak_gb=1.3)]}}, {})
     assert targets == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not targets[0].is_met
 
 
@@ -102,24 +104,26 @@ def test_writing_tables_between_marks_is_idempotent():
 def test_alternating_sides_of_equal_code_draw_equal_frames():
     """Both sides are this checkout. With a moved sun and camera everything is drawn again. Without changes the map is cached."""
     measurements = FrameMeasurements()
-    measure_interleaved("SpatialAce", TINY_PICTURE, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, measurements)
+    measure_interleaved(
+        "SpatialAce", TINY_PICTURE, "spatialace", {NOW_SIDE: ROOT, BASE_SIDE: ROOT, YARDSTICK_SIDE: ROOT}, 2, measurements
+    )
     moves = [FrameKey("SpatialAce", "planned", move) for move in ("new", "sun", "resting")]
     assert set(measurements.frames) == {*moves, *(FrameKey("SpatialAce", "yardstick", name) for name in
                                            ("unshadowed", "512, 1 tap", "512, 3 x 3 taps"))}  # fmt: skip
     for key in moves:
         sides = measurements.frames[key]
-        assert [len(sides[side_name]) for side_name in (NOW, BASE)] == [2, 2]
+        assert [len(sides[side_name]) for side_name in (NOW_SIDE, BASE_SIDE)] == [2, 2]
         assert measurements.differences[key] == {"frames": 2, "color": 2, "visibility": 2, "pixels": 0, "most": 0, "classes": 0}
-        for frame_row in sides[NOW]:
+        for frame_row in sides[NOW_SIDE]:
             assert frame_row["cpu_ms"] > 0.0 and 0.05 < frame_row["peak_gb"] < 4.0
             assert sum(frame_row["passes_ms"].values()) == pytest.approx(frame_row["ms"])
-    new, sun, resting = (measurements.frames[key][NOW] for key in moves)
+    new, sun, resting = (measurements.frames[key][NOW_SIDE] for key in moves)
     assert all(frame_row["reads"] > 0 and frame_row["draws"] > 0 for frame_row in new)
     assert len({frame_row["color"] for frame_row in (*new, *sun)}) == 4  # no position is drawn twice
     assert [frame_row["color"] for frame_row in resting] == [frame_row["color"] for frame_row in sun]
     assert resting[0]["draws"] < sun[0]["draws"]
     assert [
-        frame_row["reads"] for frame_row in measurements.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]
+        frame_row["reads"] for frame_row in measurements.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK_SIDE]
     ] == [1, 1]
     header = {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y", "plans": measurements.plans}
     table = format_report(header, measurements.frames, {}, measurements.differences)
@@ -132,11 +136,11 @@ def test_an_error_in_a_side_is_raised():
         process.request("frame", plan="nothing")
 
 
-@pytest.mark.parametrize("wrong", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
-def test_wrong_options_are_named(wrong, capsys):
+@pytest.mark.parametrize("wrong_options", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
+def test_wrong_options_are_named(wrong_options, capsys):
     with pytest.raises(SystemExit):
-        main(wrong)
-    assert wrong[0] in capsys.readouterr().err.splitlines()[-1]
+        main(wrong_options)
+    assert wrong_options[0] in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_the_yardstick_shows_the_same_scene():

@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from benchmarks.reports import __main__ as reports
-from benchmarks.reports.measure import MAX_BYTES, stored_figures, write_report
+from benchmarks.reports.measure import MAX_REPORT_BYTES, stored_figures, write_report
 from benchmarks.reports.page import format_comparisons, omitted_row_commands
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
@@ -24,7 +24,7 @@ DOCS = reports.ROOT / "docs"
 PAGE = reports.PAGE.read_text(encoding="utf-8")
 
 REPORT_FACTS = dict.fromkeys(("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made"), "said")
-RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
+RUN_FIGURES = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
 
 
 def parse_command(command: str) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def parse_command(command: str) -> dict[str, Any]:
 
 
 def make_record(*rows: dict[str, Any], **other_figures: Any) -> dict[str, Any]:
-    return stored_figures(SCENES["city"], comparison(*rows, **other_figures), REPORT_FACTS) | RUN
+    return stored_figures(SCENES["city"], comparison(*rows, **other_figures), REPORT_FACTS) | RUN_FIGURES
 
 
 def measured_part(text: str) -> str:
@@ -58,8 +58,8 @@ def test_the_page_links_exactly_the_existing_reports() -> None:
 def test_a_published_report_is_one_small_file(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
     text, stored_record = report.read_text(encoding="utf-8"), reports.stored_records()[name]
-    assert report.stat().st_size < MAX_BYTES
-    assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
+    assert report.stat().st_size < MAX_REPORT_BYTES
+    assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "the page loads no other file"
     assert f"<dd>{stored_record['made']}</dd>" in text, "the page names the run of the report"
     assert all(row in text for row in stored_record["rows"])
 
@@ -129,10 +129,10 @@ def test_names_of_rows_in_sentences_are_code() -> None:
 
 def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report("å" * (MAX_BYTES // 2 - 1), path)
+    write_report("å" * (MAX_REPORT_BYTES // 2 - 1), path)
     with pytest.raises(RuntimeError, match="less than 1000000"):
-        write_report("å" * (MAX_BYTES // 2), path)
-    assert path.stat().st_size == MAX_BYTES - 2
+        write_report("å" * (MAX_REPORT_BYTES // 2), path)
+    assert path.stat().st_size == MAX_REPORT_BYTES - 2
 
 
 def test_a_failed_scene_is_reported_and_the_others_are_made(

@@ -66,7 +66,7 @@ def test_experiments_of_a_single_device_name_it():
 def test_a_new_run_replaces_only_the_device_s_own_figures():
     measured = measured_on(CPU, CARD, CPU, times=({"one": 2}, {"one": 0.25}, {"one": 3}))
     assert [device_figures["experiments"]["times"]["times"]["one"] for device_figures in measured.values()] == [3, 0.25]
-    assert list(measured) == [CPU.renderer, CARD.renderer], "the page stays about the first"
+    assert list(measured) == [CPU.renderer, CARD.renderer], "the first device remains the main device of the page"
 
 
 def test_the_page_says_whether_a_gpu_was_measured():

@@ -8,13 +8,13 @@ import pytest
 from benchmarks.sun_questions.figures import SunAnswer, SunComparison, tool_standings
 from benchmarks.sun_questions.many_masks import MASK_COUNT, mask_times, wrong_share
 from benchmarks.sun_questions.one_horizon import exact_horizon, triangle_heights_m
+from benchmarks.sun_questions.page import answer_table, format_verdict
 from benchmarks.sun_questions.sun_paths import hours_before_cliff, r_sun_path, suncalc_path
-from benchmarks.sun_questions.words import answer_table, format_verdict
 from skugga.terrain.geo.sun_path import sun_path
 
 
-def make_answer(tool: str, is_ours: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
-    return SunAnswer(question, "somewhere", tool, is_ours, seconds, seconds + 1.0, seconds, error, error, error)
+def make_answer(tool: str, is_skugga: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
+    return SunAnswer(question, "somewhere", tool, is_skugga, seconds, seconds + 1.0, seconds, error, error, error)
 
 
 def make_comparison(*answers: SunAnswer) -> SunComparison:

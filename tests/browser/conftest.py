@@ -41,7 +41,7 @@ WINDOW_SIZE_PX = ViewportSize(width=1280, height=800)
 READY_TIMEOUT_S, DRAWN_TIMEOUT_S = 180, 90
 """Timeouts of the service's start, at which a render worker may compile, and of drawing a map."""
 
-STILL_FRAMES = 3
+EQUAL_SCREENSHOT_COUNT = 3
 """Number of equal screenshots in a row after which the map counts as drawn. Tiles fade in after they arrive."""
 
 MARGIN_PX = 6
@@ -125,11 +125,11 @@ class Viewer(WatchedPage):
     def wait_until_drawn(self) -> LevelPicture:
         """Return the level on the map, once all tiles are drawn and the picture is still."""
         end = time.monotonic() + DRAWN_TIMEOUT_S
-        before, alike = None, 0
-        while alike < STILL_FRAMES:
+        before, equal_count = None, 0
+        while equal_count < EQUAL_SCREENSHOT_COUNT:
             self.wait_until_settled()
             pixels = self.pixels(self.level_rectangle())
-            alike = alike + 1 if before is not None and np.array_equal(before, pixels) else 1
+            equal_count = equal_count + 1 if before is not None and np.array_equal(before, pixels) else 1
             before = pixels
             assert time.monotonic() < end, f"the map still changes after {DRAWN_TIMEOUT_S} s"
         tiles = [address for address in self.requested_urls if "/tiles/" in address]
@@ -196,8 +196,8 @@ def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
 @pytest.fixture
 def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
     """Yield a factory of viewers, not yet opened, in windows of their own; its arguments are those of ``new_context``."""
-    with viewer_factory(chromium, service) as make:
-        yield make
+    with viewer_factory(chromium, service) as make_viewer:
+        yield make_viewer
 
 
 @contextmanager
@@ -207,7 +207,7 @@ def viewer_factory(chromium: Browser, service: Client) -> Iterator[Callable[...,
         skip_missing("the viewer is not built: 'make viewer' does it")
     with ExitStack() as stack:
 
-        def make(**window: Any) -> Viewer:
+        def make_viewer(**window: Any) -> Viewer:
             context = stack.enter_context(chromium.new_context(**{"viewport": WINDOW_SIZE_PX, "locale": "en-GB"} | window))
             # A busy machine is slow, which is no fault.
             context.set_default_timeout(1000 * DRAWN_TIMEOUT_S)
@@ -216,7 +216,7 @@ def viewer_factory(chromium: Browser, service: Client) -> Iterator[Callable[...,
             stack.push(lambda failed, *_: None if failed else viewer.check())
             return viewer
 
-        yield make
+        yield make_viewer
 
 
 @pytest.fixture
@@ -237,9 +237,9 @@ def service_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
 @pytest.fixture(scope="session")
 def clients_address() -> Iterator[str]:
     """Yield the address of the pages with map clients, on another server than the service, like a third-party site."""
-    lacking = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
-    if lacking:
-        skip_missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
+    missing_libraries = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
+    if missing_libraries:
+        skip_missing(f"there is no {', '.join(missing_libraries)} in {CLIENTS}: 'make test-browser' installs it")
     with serve_folder(CLIENTS) as address:
         yield address
 

@@ -18,7 +18,7 @@ CELLS_PER_DEG = 1200
 ROUNDING_M = 0.01
 """The maximum zoom of the level's tiles, the nodes of its raster per degree, and the rounding of heights at points."""
 
-ARITHMETIC_M = 1e-4
+PIXEL_ROUNDING_M = 1e-4
 """Rounding error from a longitude to a pixel."""
 
 
@@ -113,6 +113,6 @@ def test_maplibre_terrain_agrees_with_point_heights(
     )
     assert None not in on_map and np.ptp(on_map) > 50
     between, triangles_m = bilinear_heights_m(service, points)
-    rounded_m = ROUNDING_M / 2 + step_m / 2 + ARITHMETIC_M
+    rounded_m = ROUNDING_M / 2 + step_m / 2 + PIXEL_ROUNDING_M
     assert np.abs(on_map - between).max() < rounded_m
     assert (np.abs(on_map - heights_of_api(service, points)) < ROUNDING_M / 2 + rounded_m + triangles_m).all()

@@ -91,7 +91,7 @@ def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Clien
     assert period == "PT10M" and begin < min(TIMES) < max(TIMES) < end
     for time in TIMES:
         since = datetime.fromisoformat(time) - datetime.fromisoformat(begin)
-        assert not since % timedelta(minutes=10), "it is one of those that clients are told of"
+        assert not since % timedelta(minutes=10), "the capabilities advertise the time"
 
     pictures = []
     for time in TIMES:
@@ -141,4 +141,4 @@ def test_openlayers_shows_the_legends(openlayers: MapClient):
     assert "REQUEST=GetLegendGraphic" in legends[-1]["address"]
     for legend in legends:
         assert legend["size"] == legend["told"]
-        assert legend["colors"] > 100, "a scale of colours"
+        assert legend["colors"] > 100, "the legend shows a scale of many colours"

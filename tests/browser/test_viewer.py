@@ -29,7 +29,7 @@ def test_viewer_opens_with_the_whole_level(viewer: Viewer):
     expect(viewer.page).to_have_title("Jacksboro fault, Tennessee · Skugga")
     assert level.queries == {(("time", "2024-10-21T17:45:00-04:00"),)}
     assert len(np.unique(level.pixels.reshape(-1, 3), axis=0)) > 5000
-    assert not (level.pixels == BACKGROUND_COLOR).all(axis=2).any(), "there is no hole in it"
+    assert not (level.pixels == BACKGROUND_COLOR).all(axis=2).any(), "no pixel of the level shows the background"
 
 
 def test_time_of_day_moves_the_shadows(viewer: Viewer):
@@ -47,7 +47,7 @@ def test_time_of_day_moves_the_shadows(viewer: Viewer):
 
     time_of_day.fill("17:45")
     evening_again = viewer.wait_until_drawn()
-    assert np.array_equal(evening_again.pixels, evening.pixels), "and back again"
+    assert np.array_equal(evening_again.pixels, evening.pixels), "the earlier shadows return with the earlier time"
     assert not evening_again.queries, "cached tiles are not requested again"
 
 
@@ -103,7 +103,7 @@ def test_lower_sun_casts_more_shadow(viewer: Viewer):
         assert shadows.queries == {(("altitude", f"{degrees}"), ("azimuth", "315"), ("layer", "shadow"))}
         dark[degrees] = dark_share(shadows.pixels)
     assert dark[12] > 0.15
-    assert dark[60] < 0.01, "no slope is as steep"
+    assert dark[60] < 0.01, "no slope is steeper than 60 degrees, so the ground casts no shadow"
 
 
 def test_address_restores_all_settings(make_viewer: Callable[..., Viewer]):

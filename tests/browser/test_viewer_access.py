@@ -73,10 +73,10 @@ def test_viewer_works_by_keyboard(viewer: Viewer):
         }""")
         if name == "BODY" or name in reached[:1]:
             break
-        assert outlined, f"where the focus is cannot be seen: {name}"
+        assert outlined, f"the focused control has no visible outline: {name}"
         reached.append(name)
     assert {"skip", "level", "theme", "play", "clock", "date", "minutes", "days", "solid"} <= set(reached), reached
-    assert any("canvas" in control for control in reached), "the map itself"
+    assert any("canvas" in control for control in reached), "the map itself can be reached"
 
     viewer.page.locator("#minutes").focus()
     viewer.page.keyboard.press("ArrowLeft")
@@ -112,7 +112,7 @@ def test_phone_panel_is_a_sheet(make_viewer: Callable[..., Viewer]):
         box = viewer.page.locator(part).bounding_box()
         assert box is not None
         assert box["x"] >= 0 and box["x"] + box["width"] <= width
-        assert box["y"] > height / 2, "the upper half is the map's"
+        assert box["y"] > height / 2, "panel and dock leave the upper half of the screen to the map"
         assert box["y"] + box["height"] <= height + 1
     solid = viewer.page.get_by_label("Three dimensions")
     expect(solid).to_be_hidden()
@@ -150,13 +150,15 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     side, dock = (viewer.page.locator(part).bounding_box() for part in ("#side", "#sun"))
     assert side is not None and dock is not None
     assert dock["y"] > 0.75 * height and dock["x"] >= 0 and dock["x"] + dock["width"] <= width
-    assert viewer.page.locator("#sun").evaluate("each => each.scrollWidth <= each.clientWidth"), "all of the dock is in it"
+    assert viewer.page.locator("#sun").evaluate("each => each.scrollWidth <= each.clientWidth"), (
+        "the content of the dock does not overflow it"
+    )
     free_px = dock["y"] * width - side["width"] * side["height"]
     assert free_px > 0.7 * width * height
     for part in ("#play", "#clock", "#date", "#minutes", "#by"):
         expect(viewer.page.locator(part)).to_be_in_viewport(ratio=1)
     map_pixels = viewer.pixels()[8 : int(dock["y"]) - 40, int(side["width"]) + 60 : width - 60]
-    assert (map_pixels != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the level"
+    assert (map_pixels != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the map shows the level"
     assert not axe_violations(viewer.page)
 
     drawer = viewer.page.get_by_role("button", name="Open the panel")
@@ -166,7 +168,9 @@ def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], windo
     expect(solid).to_be_in_viewport()
     expect(viewer.page.locator("#play")).to_be_in_viewport(ratio=1)
     panel = viewer.page.locator("#side").bounding_box()
-    assert panel is not None and panel["y"] + panel["height"] <= dock["y"], "the sun can be moved meanwhile"
+    assert panel is not None and panel["y"] + panel["height"] <= dock["y"], (
+        "the open panel does not cover the dock with the sun's controls"
+    )
     assert not axe_violations(viewer.page)
     viewer.page.get_by_role("button", name="Close the panel").click()
     expect(solid).to_be_hidden()

@@ -57,7 +57,7 @@ class FakeDay:
     def picture(self) -> np.ndarray:
         """Return the level's greys on the page, (rows, cols) uint8."""
         pixels = self.viewer.pixels(self.viewer.level_rectangle())
-        assert int(np.ptp(pixels.astype(int), axis=2).max()) <= COLOR_TOLERANCE, "that is no tile"
+        assert int(np.ptp(pixels.astype(int), axis=2).max()) <= COLOR_TOLERANCE, "the page shows a colour, but all tiles are grey"
         return pixels[..., 0]
 
     def wait_until_later(self, minutes: int) -> None:
@@ -114,11 +114,11 @@ def test_played_day_has_no_blank_frame(day: FakeDay):
     day.play()
     day.wait_until_later(16 * 60 + 30)
     frames = np.array(day.viewer.page.evaluate("() => window.looks"))
-    assert np.ptp(frames, axis=1).max() <= COLOR_TOLERANCE, "the ground, or two times at once"
+    assert np.ptp(frames, axis=1).max() <= COLOR_TOLERANCE, "a frame shows the ground, or two times side by side"
     # The map below the day's pictures shows the starting time, so a missing picture would be seen.
-    assert np.diff(frames[:, 0]).min() >= -COLOR_TOLERANCE, "back to an earlier time"
+    assert np.diff(frames[:, 0]).min() >= -COLOR_TOLERANCE, "a frame shows an earlier time than the frame before it"
     assert tile_grey(9 * 60) - COLOR_TOLERANCE <= frames.min() and frames.max() <= tile_grey(LAST) + COLOR_TOLERANCE
-    assert len(np.unique(frames[:, 0])) > 40, "each step is seen"
+    assert len(np.unique(frames[:, 0])) > 40, "the frames show most steps of the day"
     expect(day.viewer.page.locator("#sun-words")).to_contain_text("high")
 
     # In the next round only the times before the start of this one are new.
@@ -131,7 +131,9 @@ def test_played_day_has_no_blank_frame(day: FakeDay):
 
     day.viewer.page.get_by_role("button", name="Pause the day").click()
     day.viewer.wait_until_settled()
-    assert abs(int(day.picture().max()) - tile_grey(day.minutes)) <= COLOR_TOLERANCE, "it stays where it was paused"
+    assert abs(int(day.picture().max()) - tile_grey(day.minutes)) <= COLOR_TOLERANCE, (
+        "the page shows the time at which the day was paused"
+    )
 
 
 def test_day_goes_on_after_the_map_moves(day: FakeDay):
@@ -169,7 +171,9 @@ def test_reduced_motion_does_not_fade(make_viewer: Callable[..., Viewer]):
     unblended_greys = {tile_grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
     for _ in range(12):
         shown_grey = int(day.picture()[0, 0])
-        assert min(abs(shown_grey - unblended_grey) for unblended_grey in unblended_greys) <= 1, "between two times"
+        assert min(abs(shown_grey - unblended_grey) for unblended_grey in unblended_greys) <= 1, (
+            "the page shows a picture blended from two times"
+        )
     day.wait_until_later(9 * 60)
 
 
@@ -193,7 +197,7 @@ def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
     status = day.viewer.page.locator("#status")
     expect(status).to_contain_text(re.compile(r"^Drawing 09:10: 0 of \d+ tiles, 0 of \d+ pictures of the day"))
     times = [parse_qs(urlsplit(route.request.url).query)["time"][0][11:16] for route in day.held_routes]
-    assert times[0] == "09:10" and times == sorted(times), "first the picture that is wanted now"
+    assert times[0] == "09:10" and times == sorted(times), "the next picture of the day is requested first, the others in order"
     assert not axe_violations(day.viewer.page)
     status.get_by_role("button", name="Stop").click()
     expect(status).to_be_hidden()
@@ -212,9 +216,9 @@ def test_waiting_day_shows_progress_and_can_be_stopped(day: FakeDay):
 
 def test_day_begins_once_the_sunrise_is_known(day: FakeDay):
     """Until then the page says so, and the day can be stopped."""
-    waiting: list[Route] = []
+    held_routes: list[Route] = []
     day.viewer.hide_preparations()
-    day.viewer.page.route(re.compile("/point[?]"), lambda route: waiting.append(route))
+    day.viewer.page.route(re.compile("/point[?]"), lambda route: held_routes.append(route))
     day.viewer.page.goto(f"{day.viewer.address}/#time={DATE}T09:00:00-05:00")
     day.viewer.page.wait_for_function("() => document.body.dataset.shown")
     status = day.viewer.page.locator("#status")
@@ -225,7 +229,7 @@ def test_day_begins_once_the_sunrise_is_known(day: FakeDay):
     day.play()
     expect(status).to_contain_text("The day begins")
     day.viewer.page.unroute(re.compile("/point[?]"))
-    for route in waiting:
+    for route in held_routes:
         route.continue_()
     day.wait_until_later(9 * 60 + 10)
 
@@ -239,4 +243,4 @@ def test_failed_day_shows_the_error(day: FakeDay):
     expect(status).to_contain_text("The worker is gone. (500)")
     expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
     below = day.viewer.pixels()[200:500, 500:1000].astype(int)
-    assert np.abs(below - tile_grey(day.minutes)).max() <= COLOR_TOLERANCE, "what was seen is seen still"
+    assert np.abs(below - tile_grey(day.minutes)).max() <= COLOR_TOLERANCE, "the earlier picture stays visible"

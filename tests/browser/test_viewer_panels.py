@@ -50,13 +50,13 @@ def point_report(service: Client, lon_lat: str, time: str = TIME, **parameters: 
     return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **parameters}).json()
 
 
-def instants(viewer: Viewer, selector: str) -> list[str]:
+def shown_times(viewer: Viewer, selector: str) -> list[str]:
     """Return the instants in the ``time`` elements of a part of the page."""
     return viewer.page.locator(f"{selector} time").evaluate_all("found => found.map(each => each.dateTime)")
 
 
 def shown_intervals(viewer: Viewer) -> list[tuple[str, str]]:
-    times = instants(viewer, ".intervals")
+    times = shown_times(viewer, ".intervals")
     return list(zip(times[::2], times[1::2], strict=True))
 
 
@@ -76,7 +76,9 @@ def test_click_shows_the_intervals_of_the_service(viewer: Viewer, service: Clien
     begins, ends = ([datetime.fromisoformat(entry[key]) for entry in day["sunlit"]] for key in ("begin", "end"))
     edges = sorted([*begins, *ends, *(datetime.fromisoformat(day[key]) for key in ("sunrise", "sunset"))])
     enclosing_edges = max(entry for entry in edges if entry <= at), min(entry for entry in edges if entry > at)
-    assert tuple(map(datetime.fromisoformat, instants(viewer, ".reasons"))) == enclosing_edges, "since when and until when"
+    assert tuple(map(datetime.fromisoformat, shown_times(viewer, ".reasons"))) == enclosing_edges, (
+        "the panel shows when the present state of the light began and when it will end"
+    )
 
     reasons = viewer.page.locator(".reasons")
     expect(reasons).to_contain_text("ridge")
@@ -180,7 +182,7 @@ def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Clien
     viewer.page.get_by_role("button", name="Look there").click()
     viewer.page.mouse.click(900, 250)
     expect(viewer.page).not_to_have_url(re.compile(re.escape(f"views-target={TARGET}")))
-    assert "&point=" not in viewer.page.url, "that click was the view's"
+    assert "&point=" not in viewer.page.url, "the click set the view's target, not the point of the point report"
 
 
 def test_comparison_shows_two_times(viewer: Viewer):

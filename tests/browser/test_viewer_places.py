@@ -113,8 +113,8 @@ def test_scene_without_a_georeference_shows_its_views(levels_viewer: Viewer):
 
 def test_scene_of_lamps_needs_no_sun(levels_viewer: Viewer):
     open_at(levels_viewer, f"#level={LAMPS}&view=close")
-    (only,) = snapshot_queries(levels_viewer)
-    assert only["view"] == ["close"] and not {"time", "azimuth", "altitude"} & set(only)
+    (query,) = snapshot_queries(levels_viewer)
+    assert query["view"] == ["close"] and not {"time", "azimuth", "altitude"} & set(query)
     expect(levels_viewer.page.locator("#sun")).to_contain_text("lit by lamps of its own")
     expect(levels_viewer.page.get_by_label("Height above the horizon")).to_be_hidden()
     expect(levels_viewer.page.locator("#notice")).to_be_hidden()
@@ -124,8 +124,8 @@ def test_scene_of_lamps_needs_no_sun(levels_viewer: Viewer):
 def test_raster_without_a_georeference_shows_its_map_view(make_levels_viewer: Callable[..., Viewer]):
     """The view fits on a phone, too."""
     viewer = open_at(make_levels_viewer(**PHONE), "#level=site&time=2024-06-21T12:00:00Z")
-    (only,) = snapshot_queries(viewer)
-    assert only["view"] == ["map"]
+    (query,) = snapshot_queries(viewer)
+    assert query["view"] == ["map"]
     expect(viewer.page.locator("#notice")).to_contain_text("there is no sun by time without a place on the earth")
     box = viewer.page.locator("#stage .shot").bounding_box()
     dock = viewer.page.locator("#sun").bounding_box()
@@ -138,17 +138,17 @@ def test_picture_requested_again_while_it_loads_is_shown(levels_viewer: Viewer):
     levels_viewer.allowed_faults = re.compile("503")
     readiness = ServiceReadiness(levels_viewer.page)
     readiness.starting()
-    held: list[Route] = []
-    levels_viewer.page.route(re.compile("/snapshot.png"), lambda route: held.append(route))
+    held_routes: list[Route] = []
+    levels_viewer.page.route(re.compile("/snapshot.png"), lambda route: held_routes.append(route))
     levels_viewer.page.goto(f"{levels_viewer.address}/#level={LAMPS}&view=close")
     expect(levels_viewer.page.locator("#stage .picture.busy")).to_be_visible()
     readiness.ready()
     with levels_viewer.page.expect_request(re.compile("/snapshot.png")):
         pass
     levels_viewer.page.wait_for_timeout(SECOND_DRAW_MS)
-    addresses = [route.request.url for route in held]
-    assert len(set(addresses)) == len(addresses), "a picture that is under way is requested once"
-    for route in held:
+    addresses = [route.request.url for route in held_routes]
+    assert len(set(addresses)) == len(addresses), "a pending picture is not requested again"
+    for route in held_routes:
         route.continue_()
     levels_viewer.wait_until_settled()
     assert count_stage_colors(levels_viewer) > 500
@@ -189,7 +189,7 @@ def test_raster_without_a_sun_opens_in_the_morning(levels_viewer: Viewer, levels
     page.get_by_text("Shadows", exact=True).click()
     levels_viewer.wait_until_settled()
     dark = levels_viewer.pixels()[20 : WINDOW_SIZE_PX["height"] // 2, LEFT_PX:].max(axis=2) < 64
-    assert dark.mean() > 0.05, "it shows shadows"
+    assert dark.mean() > 0.05, "the picture shows shadows"
 
     page.get_by_label("Date", exact=True).fill("2026-12-21")
     expect(page.locator("#offset option:checked")).to_have_text("UTC+1 · Zurich")

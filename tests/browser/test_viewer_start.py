@@ -185,7 +185,7 @@ def test_nothing_is_drawn_before_readiness(viewer: Viewer, readiness: ServiceRea
     paths = rendering_requests(viewer)
     assert any("/tiles/" in path for path in paths)
     times = {path.partition("time=2024-10-21T")[2][:7] for path in paths if "/tiles/" in path and "terrain-rgb" not in path}
-    assert times == {"15%3A10", "09%3A30"}, "what the page was set to at last, and what it is compared with"
+    assert times == {"15%3A10", "09%3A30"}, "tiles are requested for the last chosen time and for the time of the comparison only"
     assert any("/point?" in path for path in paths)
 
 
@@ -208,7 +208,7 @@ def test_map_appears_once_the_service_is_ready(viewer: Viewer, readiness: Servic
     expect(viewer.page.get_by_role("button", name="Sunset")).to_be_visible()
     expect(viewer.page.get_by_role("button", name="Play the day")).to_be_enabled()
     expect(viewer.page.locator("#said")).to_have_text("The service is ready. The map is being drawn.")
-    assert bounding_boxes(viewer.page) == before, "nothing moves"
+    assert bounding_boxes(viewer.page) == before, "no part of the page has moved"
 
 
 def test_background_work_is_shown_on_one_line(viewer: Viewer, readiness: ServiceReadiness):
@@ -332,7 +332,7 @@ def test_ready_service_shows_no_start_card(viewer: Viewer, readiness: ServiceRea
         readiness.starting()
         viewer.page.reload()
     expect(viewer.page.locator("#start")).to_be_visible()
-    assert viewer.page.evaluate("() => window.hasFlashed"), "the watch is not blind"
+    assert viewer.page.evaluate("() => window.hasFlashed"), "the observer detects the card when it is shown"
 
 
 @pytest.mark.parametrize("window", [{}, {"color_scheme": "dark"}, PHONE], ids=["light", "dark", "phone"])
@@ -364,4 +364,4 @@ def test_start_card_is_accessible(make_viewer: Callable[..., Viewer], window: di
             apart_x = box["x"] >= other["x"] + other["width"] or other["x"] >= box["x"] + box["width"]
             apart_y = box["y"] >= other["y"] + other["height"] or other["y"] >= box["y"] + box["height"]
             assert apart_x or apart_y, part
-    assert len(heights) == 1, "its height stays"
+    assert len(heights) == 1, "the height of the card does not change"

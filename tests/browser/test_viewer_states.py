@@ -67,7 +67,7 @@ def test_long_error_stays_in_its_box(make_viewer: Callable[..., Viewer], window:
 
 
 @pytest.mark.parametrize(
-    ("part", "said"),
+    ("fragment", "expected_text"),
     [
         ("level=nosuch", "there is no level 'nosuch' here; this is Jacksboro fault, Tennessee"),
         ("time=yesterday", "time=yesterday is not understood: a time is as 2024-06-21T12:00:00+02:00"),
@@ -83,12 +83,12 @@ def test_long_error_stays_in_its_box(make_viewer: Callable[..., Viewer], window:
         ("tiem=12:00", "'tiem' means nothing"),
     ],
 )
-def test_invalid_parts_of_the_address_are_reported(viewer: Viewer, part: str, said: str):
+def test_invalid_parts_of_the_address_are_reported(viewer: Viewer, fragment: str, expected_text: str):
     """One line, which can be closed, reports them beside the map."""
     viewer.hide_preparations()
-    viewer.open(f"#{part}")
+    viewer.open(f"#{fragment}")
     line = viewer.page.locator("#notice")
-    expect(line).to_contain_text(said)
+    expect(line).to_contain_text(expected_text)
     expect(line).to_contain_text("In the address, ")
     expect(viewer.page).to_have_title("Jacksboro fault, Tennessee · Skugga")
     line.get_by_role("button", name="Close").click()
@@ -108,15 +108,15 @@ def test_page_understands_its_own_address(viewer: Viewer):
 
 def test_slow_service_shows_that_it_works(viewer: Viewer):
     """A line runs along the top, and words follow after a while; both disappear once all is drawn."""
-    waiting: list[Route] = []
-    slow = [True]
+    held_routes: list[Route] = []
+    holds_tiles = [True]
     viewer.hide_preparations()
-    viewer.page.route(re.compile("/tiles/"), lambda route: waiting.append(route) if slow else route.continue_())
+    viewer.page.route(re.compile("/tiles/"), lambda route: held_routes.append(route) if holds_tiles else route.continue_())
     viewer.page.goto(viewer.address)
     expect(viewer.page.locator("body.working")).to_be_attached()
     expect(viewer.page.locator("#status")).to_contain_text("Still drawing")
-    slow.clear()
-    for route in waiting:
+    holds_tiles.clear()
+    for route in held_routes:
         route.continue_()
     viewer.wait_until_drawn()
     expect(viewer.page.locator("#status")).to_be_hidden()
@@ -150,11 +150,11 @@ def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewe
         viewer.page.get_by_role("button", name="Use").click()
         expect(viewer.page.get_by_label("Shadows", exact=True)).to_be_checked()
         pixels = viewer.wait_until_drawn().pixels.astype(int)
-        assert (pixels[..., 0] >= pixels[..., 1]).all(), "nothing but red and shadow"
-        assert (np.abs(pixels - (220, 60, 60)).max(axis=2) < 3).mean() > 0.2, "light is the base map alone"
+        assert (pixels[..., 0] >= pixels[..., 1]).all(), "each pixel shows the red base map or shadow over it"
+        assert (np.abs(pixels - (220, 60, 60)).max(axis=2) < 3).mean() > 0.2, "lit ground shows the unchanged base map"
         assert (pixels[..., 0] < 150).mean() > 0.15, "shadows are dark"
         outside = viewer.pixels()[100, WINDOW_SIZE_PX["width"] - 150]
-        assert np.abs(outside.astype(int) - (220, 60, 60)).max() < 3, "it goes on beyond the level"
+        assert np.abs(outside.astype(int) - (220, 60, 60)).max() < 3, "the base map continues beyond the level"
 
         viewer.page.get_by_role("button", name="Remove the base map").click()
         assert not (np.abs(viewer.wait_until_drawn().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
@@ -162,11 +162,11 @@ def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewe
 
 def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
     """The previous tiles are removed, and a line shows the progress; also for another quantity or date."""
-    waiting: list[Route] = []
+    held_routes: list[Route] = []
     tile = BytesIO()
     Image.new("RGB", (256, 256), SUN_HOURS_COLOR).save(tile, "PNG")
     viewer.hide_preparations()
-    viewer.page.route(re.compile("/tiles/.*sunhours"), lambda route: waiting.append(route))
+    viewer.page.route(re.compile("/tiles/.*sunhours"), lambda route: held_routes.append(route))
     viewer.open()
     page, status = viewer.page, viewer.page.locator("#status")
 
@@ -174,24 +174,24 @@ def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
         """Return the largest difference of the level, below the text at the top, from a colour."""
         return int(np.abs(viewer.pixels(viewer.level_rectangle())[80:].astype(int) - color).max())
 
-    def drawn_anew() -> None:
+    def check_redraw() -> None:
         expect(status).to_contain_text(re.compile(r"^Drawing hours of sun: 0 of \d+ tiles"), timeout=4000)
         page.wait_for_function("() => document.body.classList.contains('working')")
         page.wait_for_timeout(300)
-        assert color_distance(BACKGROUND_COLOR) < 3, "nothing but the ground's colour"
-        for route in waiting:
+        assert color_distance(BACKGROUND_COLOR) < 3, "the page shows only the background colour"
+        for route in held_routes:
             route.fulfill(body=tile.getvalue(), content_type="image/png")
-        waiting.clear()
+        held_routes.clear()
         viewer.wait_until_drawn()
         expect(status).to_be_hidden()
         assert color_distance(SUN_HOURS_COLOR) < 3
 
     page.get_by_text("Hours of sun", exact=True).first.click()
-    drawn_anew()
+    check_redraw()
     page.get_by_label("Quantity").select_option("first")
-    drawn_anew()
+    check_redraw()
     page.get_by_label("Day of the year").fill("172")
-    drawn_anew()
+    check_redraw()
     page.get_by_text("Shaded", exact=True).click()
     assert len(np.unique(viewer.wait_until_drawn().pixels.reshape(-1, 3), axis=0)) > 1000
 
@@ -229,4 +229,4 @@ def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
     viewer.page.get_by_label("Three dimensions").uncheck()
     viewer.page.wait_for_function("() => !location.hash.includes('solid') && !/map=.*\\/.*\\/.*\\//.test(location.hash)")
     viewer.wait_until_settled()
-    assert np.array_equal(viewer.wait_until_drawn().pixels, flat.pixels), "and flat again"
+    assert np.array_equal(viewer.wait_until_drawn().pixels, flat.pixels), "the map is flat again and shows the same picture"

@@ -199,7 +199,7 @@ def test_cached_tile_answers_if_none_match(deployment: Deployment):
     assert status_and_cache_status(deployment.client.get(TILE, headers={"If-None-Match": '"another"'})) == (200, "HIT")
     head = deployment.client.head(TILE)
     assert status_and_cache_status(head) == (200, "HIT") and head.headers["etag"] == tag and not head.content
-    assert deployment.read_counters() == before, "nothing of that reached the service"
+    assert deployment.read_counters() == before, "no request reached the service"
 
 
 def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
@@ -212,7 +212,7 @@ def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
     second = deployment.client.get(TILE)
     assert status_and_cache_status(second) == (200, "REVALIDATED") and second.content == first.content
     assert deployment.read_counters() - before == {"304": 1}
-    assert status_and_cache_status(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
+    assert status_and_cache_status(deployment.client.get(TILE)) == (200, "HIT"), "the revalidated tile is fresh for another hour"
 
 
 def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
@@ -231,7 +231,7 @@ def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
     assert [status_and_cache_status(answer) for answer in answers] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
     assert {answer.content for answer in answers} == {first.content}
     wait_until(lambda: status_and_cache_status(deployment.client.get(TILE)) == (200, "HIT"))
-    assert deployment.read_counters() - before == {"304": 1}, "asked for once"
+    assert deployment.read_counters() - before == {"304": 1}, "nginx has revalidated the tile with one request"
 
 
 def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
@@ -279,7 +279,9 @@ def test_cache_key_includes_query_and_host(deployment: Deployment):
     later = deployment.client.get(f"{TILE}?time={quote('2024-06-21T20:00:00+02:00')}")
     assert before.headers["x-skugga-time"] != later.headers["x-skugga-time"] and before.content != later.content
     other = deployment.client.get(TILE, headers={"Host": "other.example"})
-    assert status_and_cache_status(other) == (200, "MISS"), "addresses in answers hang on the host"
+    assert status_and_cache_status(other) == (200, "MISS"), (
+        "answers contain addresses with the host of the request, so each host has its own cache entry"
+    )
 
 
 def test_error_answers_are_not_cached(deployment: Deployment):

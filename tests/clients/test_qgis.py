@@ -95,19 +95,19 @@ def qgis_result(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Qg
     west, south, east, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
     zooms = service.get(f"/levels/{LEVEL}").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]
     middle = MATRIX_SET.tile((west + east) / 2, (south + north) / 2, ZOOM)
-    corner, other = MATRIX_SET.xy_bounds(middle.x - 1, middle.y - 1, ZOOM), MATRIX_SET.xy_bounds(middle.x, middle.y, ZOOM)
-    bounds = corner.left, other.bottom, other.right, corner.top
+    north_west, south_east = MATRIX_SET.xy_bounds(middle.x - 1, middle.y - 1, ZOOM), MATRIX_SET.xy_bounds(middle.x, middle.y, ZOOM)
+    bounds = north_west.left, south_east.bottom, south_east.right, north_west.top
     lon_lat = MATRIX_SET.bounds(middle.x, middle.y, ZOOM)
     degrees = lon_lat.left, lon_lat.bottom, lon_lat.left + 0.0625, lon_lat.bottom + 0.0625
     small_bounds = MATRIX_SET.xy_bounds(middle.x * 16, middle.y * 16, ZOOM + 4)
-    deep = small_bounds.left, small_bounds.bottom, small_bounds.right, small_bounds.top
+    fine_bounds = small_bounds.left, small_bounds.bottom, small_bounds.right, small_bounds.top
     # Hours of sun take longest: the service refuses tiles that would wait for 20 s, and QGIS leaves them out.
     fetch_map(service, bounds, "sunhours")
     for x, y in product(range(middle.x - 1, middle.x + 2), range(middle.y - 1, middle.y + 2)):
         fetch_tile(service, x, y, "sunhours")
     folder = tmp_path_factory.mktemp("qgis")
     plan = {
-        "bounds": bounds, "degrees": degrees, "deep": deep, "side": SIDE, "times": TIMES,
+        "bounds": bounds, "degrees": degrees, "deep": fine_bounds, "side": SIDE, "times": TIMES,
         "zooms": [zooms["minzoom"], zooms["maxzoom"]],
     }  # fmt: skip
     process = subprocess.run(

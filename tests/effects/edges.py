@@ -39,7 +39,7 @@ GROUND_CENTRE = (15.0086, 47.8475)
 
 
 @dataclass(frozen=True)
-class Case:
+class EffectCase:
     """A level (its keys except ``version``) and its view to draw."""
 
     name: str
@@ -106,7 +106,7 @@ class EffectComparison:
         path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
         return build_scene(load_level(path))
 
-    def change_by(self, effect: str, case: Case) -> EffectChange:
+    def change_by(self, effect: str, case: EffectCase) -> EffectChange:
         """Return the change by an effect in a case."""
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
@@ -165,33 +165,35 @@ def level_keys(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys
     return {"terrain": {"source": f"{name}.tif"}, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
 
 
-def cast_shadows() -> Iterator[Case]:
+def cast_shadows() -> Iterator[EffectCase]:
     for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", PERSPECTIVE, 70.0)):
         for altitude in (-1.0, 0.3, 12.0, 24.0, 29.0, 31.0, 34.0, 40.0, 60.0, 88.0):
-            yield Case(f"hills {view_name} {altitude}", level_keys("hills", azimuth, altitude), view)
+            yield EffectCase(f"hills {view_name} {altitude}", level_keys("hills", azimuth, altitude), view)
         for altitude in (8.0, 11.0, 11.6, 15.0):
-            yield Case(f"slope turned away {view_name} {altitude}", level_keys("slope", 90.0, altitude), view)
+            yield EffectCase(f"slope turned away {view_name} {altitude}", level_keys("slope", 90.0, altitude), view)
         for cover in (0.99, 1.0):
-            yield Case(f"clouds {view_name} {cover}", level_keys("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
+            yield EffectCase(
+                f"clouds {view_name} {cover}", level_keys("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view
+            )
     for distance_m in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high casts 20.8 m at 30 degrees
         post = [{"source": "post.obj", "at": [0.0, -distance_m]}]
-        yield Case(
+        yield EffectCase(
             f"post {distance_m} m before",
             level_keys("floor", 180.0, meshes=post),
             perspective_view((0, 12, 30), (0, 12.5, 0), 40.0, 3),
         )
 
 
-def alpha_test() -> Iterator[Case]:
+def alpha_test() -> Iterator[EffectCase]:
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     post = [{"source": "post.obj", "at": [3.0, 1.0]}]
     for north in np.arange(-24.0, 43.0, 3.0).tolist():
         keys = level_keys("floor", 180.0, forest=forest, meshes=post)
-        yield Case(f"looking {north} m north of a tree", keys, perspective_view((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
-    yield Case("no tree", level_keys("floor", 180.0, meshes=post), perspective_view((0, 8, 24), (0, 8.5, 0), 30.0, 3))
+        yield EffectCase(f"looking {north} m north of a tree", keys, perspective_view((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
+    yield EffectCase("no tree", level_keys("floor", 180.0, meshes=post), perspective_view((0, 8, 24), (0, 8.5, 0), 30.0, 3))
 
 
-def soft_edges() -> Iterator[Case]:
+def soft_edges() -> Iterator[EffectCase]:
     post = [{"source": "post.obj", "at": [0.0, -20.0]}]
     for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
         for half_width_m in (10.0, 40.0):
@@ -199,37 +201,37 @@ def soft_edges() -> Iterator[Case]:
             keys = level_keys(
                 "floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map"}
             )  # volumes have sharp edges
-            yield Case(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
+            yield EffectCase(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
 
 
-def outside_casters() -> Iterator[Case]:
+def outside_casters() -> Iterator[EffectCase]:
     west, north = CORNER_M
     for altitude in (2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 14.0, 18.0, 23.0, 28.0, 40.0, 50.0, 70.0):
         # A window of the hill's east side, in its shadow under the sun in the west.
         bounds = [west + 420.0, north - 900.0, west + 900.0, north - 420.0]
-        yield Case(f"beside a hill {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": bounds})
+        yield EffectCase(f"beside a hill {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": bounds})
         full_bounds = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
-        yield Case(f"all there is {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": full_bounds})
+        yield EffectCase(f"all there is {altitude}", level_keys("hill", 270.0, altitude), {**MAP, "bounds": full_bounds})
 
 
-def refraction() -> Iterator[Case]:
+def refraction() -> Iterator[EffectCase]:
     for hour in ("05:35", "06:00", "06:30", "07:30", "08:30", "09:30", "11:00", "12:00"):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             keys = {
                 "terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"},
                 "shadows": {"algorithm": "sweep"},  # not a map, whose texels turn with the sun
             }  # fmt: skip
-            yield Case(f"hills {view_name} {hour}", keys, view)
-    yield Case("angles", level_keys("hills", 100.0, 10.0), MAP)
+            yield EffectCase(f"hills {view_name} {hour}", keys, view)
+    yield EffectCase("angles", level_keys("hills", 100.0, 10.0), MAP)
 
 
-def lamps() -> Iterator[Case]:
+def lamps() -> Iterator[EffectCase]:
     for distance_m in (30.0, 100.0, 250.0, 500.0):
         for intensity in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0):
             lamp = {"kind": "omni", "position": [0, 0, 20.0], "intensity": intensity}
             view = perspective_view((0, -distance_m - 10.0, 20.0), (0, -distance_m, 0), 20.0)
             for hour, altitude in (("day", 30.0), ("night", -20.0)):
-                yield Case(
+                yield EffectCase(
                     f"omni {intensity} at {distance_m} m by {hour}",
                     level_keys("floor", 180.0, altitude, lights={"lamp": lamp}),
                     view,
@@ -238,107 +240,111 @@ def lamps() -> Iterator[Case]:
         target = [100.0 * float(np.sin(np.radians(angle_deg))), 0.0, 100.0 - 100.0 * float(np.cos(np.radians(angle_deg)))]
         lamp = {"kind": "spot", "position": [0, 0, 100.0], "target": target, "cutoff": 35.0}
         keys = {**level_keys("floor"), "sun": "none", "lights": {"lamp": lamp}}
-        yield Case(f"spot turned {angle_deg}", keys, perspective_view((0, -10, 60), (0, 0, 0), 20.0))
+        yield EffectCase(f"spot turned {angle_deg}", keys, perspective_view((0, -10, 60), (0, 0, 0), 20.0))
     lamp = {"kind": "omni", "position": [*GROUND_CENTRE, 10.0], "intensity": 0.05}
     for east_m in (660.0, 800.0, 1000.0, 1200.0):
-        yield Case(f"window {east_m}", level_keys("hills", lights={"lamp": lamp}), map_window(east_m, 640.0, 60.0))
+        yield EffectCase(f"window {east_m}", level_keys("hills", lights={"lamp": lamp}), map_window(east_m, 640.0, 60.0))
 
 
-def snow() -> Iterator[Case]:
+def snow() -> Iterator[EffectCase]:
     for name in ("plain", "hills", "slope"):
         for has_snow in (False, True):
             for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-                yield Case(f"{name} {view_name} {has_snow}", level_keys(name, weather={"snow": has_snow}), view)
+                yield EffectCase(f"{name} {view_name} {has_snow}", level_keys(name, weather={"snow": has_snow}), view)
     for up_m in (200.0, 240.0, 250.0, 260.0, 270.0, 280.0, 320.0):
-        yield Case(f"skyline {up_m}", level_keys("plain", weather={"snow": True}), skyline_view(up_m))
+        yield EffectCase(f"skyline {up_m}", level_keys("plain", weather={"snow": True}), skyline_view(up_m))
 
 
-def ground_detail() -> Iterator[Case]:
+def ground_detail() -> Iterator[EffectCase]:
     middle = (0.0, 0.0, 0.0)
     for up_m in (1.7, 30.0, 300.0, 1000.0, 2000.0, 4000.0, 8000.0, 12_000.0, 18_000.0, 30_000.0, 80_000.0):
-        yield Case(
+        yield EffectCase(
             f"slope from {up_m} m",
             level_keys("slope"),
             perspective_view((*GROUND_CENTRE, up_m), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0), 30.0),
         )
     for up_m in (1.7, 300.0, 20_000.0, 60_000.0):
-        yield Case(f"floor from {up_m} m", level_keys("floor"), perspective_view((0.0, -1.0, up_m), middle, 30.0))
+        yield EffectCase(f"floor from {up_m} m", level_keys("floor"), perspective_view((0.0, -1.0, up_m), middle, 30.0))
     for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
-        yield Case(f"skyline {up_m}", level_keys("plain"), skyline_view(up_m))
-    yield Case("map", level_keys("hills"), map_window(640.0, 640.0, 20.0))
+        yield EffectCase(f"skyline {up_m}", level_keys("plain"), skyline_view(up_m))
+    yield EffectCase("map", level_keys("hills"), map_window(640.0, 640.0, 20.0))
 
 
-def crowns() -> Iterator[Case]:
+def crowns() -> Iterator[EffectCase]:
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     for altitude in (-2.0, 5.0, 20.0, 45.0):
         for east in (0.0, 12.0, 16.0, 20.0, 40.0):
             keys = level_keys("floor", 240.0, altitude, forest=forest)
-            yield Case(
+            yield EffectCase(
                 f"looking {east} m past a tree, sun at {altitude}", keys, perspective_view((0, -40, 8), (east, 0, 6), 30.0, 2)
             )
-    yield Case("map of a tree", level_keys("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
-    yield Case("no tree", level_keys("floor", 240.0), perspective_view((0, -40, 8), (0, 0, 6), 30.0))
+    yield EffectCase("map of a tree", level_keys("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
+    yield EffectCase("no tree", level_keys("floor", 240.0), perspective_view((0, -40, 8), (0, 0, 6), 30.0))
 
 
-def clouds() -> Iterator[Case]:
+def clouds() -> Iterator[EffectCase]:
     for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
         for view_name, view, seconds in (("map", MAP, 0), ("perspective", PERSPECTIVE, 300)):
-            yield Case(f"{view_name} {cover}", level_keys("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
+            yield EffectCase(f"{view_name} {cover}", level_keys("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
     for altitude in (-1.0, 0.01, 0.5):
-        yield Case(f"half the sky, sun at {altitude}", level_keys("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
+        yield EffectCase(
+            f"half the sky, sun at {altitude}", level_keys("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP
+        )
     for east_m in range(100, 1200, 100):  # the first clouds of a window
-        yield Case(
+        yield EffectCase(
             f"window {east_m}", level_keys("hills", weather={"cloud_cover": 0.2}, seconds=60.0), map_window(east_m, 600.0, 50.0)
         )
     for up_m in (240.0, 260.0, 280.0, 320.0):
-        yield Case(f"skyline {up_m}", level_keys("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline_view(up_m))
+        yield EffectCase(f"skyline {up_m}", level_keys("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline_view(up_m))
 
 
-def sky_view() -> Iterator[Case]:
+def sky_view() -> Iterator[EffectCase]:
     for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-            yield Case(f"valley of {percent} % {view_name}", level_keys(f"valley{percent}"), view)
+            yield EffectCase(f"valley of {percent} % {view_name}", level_keys(f"valley{percent}"), view)
     for name in ("plain", "slope"):
-        yield Case(name, level_keys(name), MAP)
+        yield EffectCase(name, level_keys(name), MAP)
     for altitude in (-20.0, -3.0, 70.0):
-        yield Case(f"shallow valley, sun at {altitude}", level_keys("valley4", altitude=altitude), MAP)
+        yield EffectCase(f"shallow valley, sun at {altitude}", level_keys("valley4", altitude=altitude), MAP)
     for south_m in (640.0, 800.0, 1000.0, 1150.0):  # a hill far north of the window
         for side_m in (50.0, 200.0):
-            yield Case(f"{side_m} m of ground {south_m} m south", level_keys("hill"), map_window(450.0, south_m, side_m))
+            yield EffectCase(f"{side_m} m of ground {south_m} m south", level_keys("hill"), map_window(450.0, south_m, side_m))
 
 
-def water() -> Iterator[Case]:
+def water() -> Iterator[EffectCase]:
     for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-            yield Case(f"level {level} {view_name}", level_keys("hills", 40.0, 20.0, water={"level": level}), view)
+            yield EffectCase(f"level {level} {view_name}", level_keys("hills", 40.0, 20.0, water={"level": level}), view)
     for altitude in (-30.0, -10.0, -3.0):
-        yield Case(f"lake by night {altitude}", level_keys("hills", 40.0, altitude, water={"level": -40.0}), MAP)
+        yield EffectCase(f"lake by night {altitude}", level_keys("hills", 40.0, altitude, water={"level": -40.0}), MAP)
     for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground within SHORE_M of the water's height is water
-        yield Case(f"floor {below_m} m above the water", level_keys("floor", water={"level": -below_m}), MAP)
+        yield EffectCase(f"floor {below_m} m above the water", level_keys("floor", water={"level": -below_m}), MAP)
     for level in (-75.0, -70.0, -60.0):  # ponds outside the window, or lost in the averages of a small map
         for size in (2, 8, 72):
-            yield Case(
+            yield EffectCase(
                 f"ponds at {level} of {size} pixels", level_keys("hills", water={"level": level}), {**MAP, "size": [size, size]}
             )
         for east_m in (200.0, 700.0, 1150.0):
-            yield Case(
+            yield EffectCase(
                 f"ponds at {level}, {east_m} m east", level_keys("hills", water={"level": level}), map_window(east_m, 640.0, 150.0)
             )
-    yield Case("no water", level_keys("hills", 40.0, 20.0), PERSPECTIVE)
+    yield EffectCase("no water", level_keys("hills", 40.0, 20.0), PERSPECTIVE)
 
 
-def haze() -> Iterator[Case]:
+def haze() -> Iterator[EffectCase]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
-        yield Case(f"hills {visibility:g} m", level_keys("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE)
-    yield Case("clear", level_keys("hills", 220.0, 20.0), PERSPECTIVE)
+        yield EffectCase(
+            f"hills {visibility:g} m", level_keys("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE
+        )
+    yield EffectCase("clear", level_keys("hills", 220.0, 20.0), PERSPECTIVE)
     for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # ground below an eye, in clear air
-        yield Case(
+        yield EffectCase(
             f"clear, {distance_m} m above a floor", level_keys("floor"), perspective_view((0, 0, distance_m), (0, 0.01, 0), 20.0)
         )
-    yield Case("map", level_keys("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
+    yield EffectCase("map", level_keys("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
 
 
-CASES: dict[str, Callable[[], Iterator[Case]]] = {
+CASES: dict[str, Callable[[], Iterator[EffectCase]]] = {
     "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
     "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view, "lamps": lamps, "water": water,
     "haze": haze, "ground_detail": ground_detail, "crowns": crowns,

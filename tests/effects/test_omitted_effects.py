@@ -37,7 +37,7 @@ def test_every_effect_has_cases():
 def test_omitted_effects_would_not_be_visible(gl, effect_comparison: EffectComparison, effect: str):
     changes = [effect_comparison.change_by(effect, case) for case in CASES[effect]()]
     print("\n".join(map(str, changes)))
-    _check(effect, changes)
+    _check_changes(effect, changes)
 
 
 @pytest.mark.parametrize("effect", CASES)
@@ -56,8 +56,8 @@ def _difference(effect: str, change: EffectChange) -> int:
     return change.max_neighbourhood_excess if effect in EDGE_MOVING_EFFECTS else change.max_difference
 
 
-def _check(effect: str, changes: list[EffectChange]) -> None:
-    runs, left_out = ([change for change in changes if change.is_planned is which] for which in (True, False))
+def _check_changes(effect: str, changes: list[EffectChange]) -> None:
+    runs, left_out = ([change for change in changes if change.is_planned is runs_effect] for runs_effect in (True, False))
     assert runs and left_out, "all cases lie on one side of the threshold"
     assert 2 * sum(change.ran_when_forced for change in left_out) >= len(left_out), "the forced effect does not run"
     visible_changes = [str(change) for change in left_out if _difference(effect, change) > KNOWN_DIFFERENCES.get(change.case, 1)]

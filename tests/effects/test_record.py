@@ -25,13 +25,13 @@ SIZE = {"map": (96, 72), "perspective": (160, 120)}
 def scene_of():
     scenes: dict[Path, Scene] = {}
 
-    def of(path: Path) -> Scene:
+    def cached_scene(path: Path) -> Scene:
         if path not in scenes:
             scenes.clear()
             scenes[path] = build_scene(load_level(path))
         return scenes[path]
 
-    return of
+    return cached_scene
 
 
 def render_level_view(scene: Scene, name: str) -> Frame:

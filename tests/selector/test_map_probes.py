@@ -10,11 +10,11 @@ import pytest
 from skugga.selector import probe_store
 from skugga.selector.map_probes import BLOCK_ERROR_SD, BLOCK_TIME_SD, MapClass, MapProbes, ProbedClass, map_class
 from skugga.selector.probe_store import load_probes, probes_folder, save_probes
-from tests.api.workers.fake_probes import seen
+from tests.api.workers.fake_probes import observation as make_observation
 
 
 def make_probes(scale: int, sun: int, *choices: str) -> MapProbes:
-    return MapProbes(classes=(ProbedClass(scale=scale, sun=sun, seen={"sun": tuple(map(seen, choices))}),))
+    return MapProbes(classes=(ProbedClass(scale=scale, sun=sun, seen={"sun": tuple(map(make_observation, choices))}),))
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_map_probes_add_noise_for_other_blocks():
     probes = make_probes(3, -1, "sweep").merged_with(make_probes(4, -1, "shadow_map 512"))
     observations = probes.observations_of_class(MapClass(4, -1))
     assert observations is not None and [observation.choice for observation in observations["sun"]] == ["shadow_map 512"]
-    observation, original = observations["sun"][0], seen()
+    observation, original = observations["sun"][0], make_observation()
     assert (observation.error, observation.ms) == (original.error, original.ms)
     assert observation.error_noise == hypot(original.error_noise, BLOCK_ERROR_SD) > observation.ms_noise
     assert observation.ms_noise == hypot(original.ms_noise, BLOCK_TIME_SD) > original.ms_noise

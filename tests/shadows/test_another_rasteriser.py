@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.golden import RENDERER
+from tests.golden import REFERENCE_RENDERER
 from tests.softpipe import SOFTPIPE, UNSUPPORTED_LEVELS
 
 ROOT = Path(__file__).parents[2]
@@ -27,8 +27,8 @@ ALL_GOLDENS_FILTER = " and ".join(f"not {name}" for name in UNSUPPORTED_LEVELS)
     ids=["few", "all"],
 )
 def test_goldens_on_softpipe(gl, test_filter, count):
-    if not gl.renderer.startswith(RENDERER):
-        pytest.skip(f"softpipe needs a Mesa with {RENDERER}. The renderer is {gl.renderer}.")
+    if not gl.renderer.startswith(REFERENCE_RENDERER):
+        pytest.skip(f"softpipe needs a Mesa with {REFERENCE_RENDERER}. The renderer is {gl.renderer}.")
     command = [
         sys.executable,
         "-m",

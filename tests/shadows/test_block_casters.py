@@ -19,8 +19,8 @@ from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
-from tests.params import quick
-from tests.products import drawn as drawn_fast
+from tests.params import mark_long_except
+from tests.products import draw_map
 from tests.render import plan_of
 
 LEVELS = ("jacksboro", "jacksboro_alpine", "jacksboro_wooded", "spatialace")
@@ -79,9 +79,9 @@ def count_omissions(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, s
     random, omission_counts = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
     for number, (lit, view) in enumerate(random_windows(scene, random, count)):
         plan = plan_of(lit, view, **OVERRIDES[number % len(OVERRIDES)])
-        frame, picture = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
+        frame, picture = render_frame(lit, view, plan), draw_map(lit, view, plan)
         with omissions_disabled(monkeypatch):
-            full_frame, full_picture = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
+            full_frame, full_picture = render_frame(lit, view, plan), draw_map(lit, view, plan)
         assert_frames_equal(frame, full_frame)
         assert np.array_equal(picture.color, full_picture.color) and np.array_equal(picture.opacity, full_picture.opacity)
         assert [record.name for record in frame.passes] == plan.passes == [record.name for record in full_frame.passes]
@@ -92,7 +92,7 @@ def count_omissions(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, s
     return omission_counts
 
 
-@pytest.mark.parametrize("name", quick(LEVELS, "jacksboro"))
+@pytest.mark.parametrize("name", mark_long_except(LEVELS, "jacksboro"))
 def test_block_casters_keep_pictures_of_bundled_levels(gl, monkeypatch, name):
     scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
     omission_counts = count_omissions(scene, monkeypatch, 8 if name == "jacksboro" else 4, 5)
@@ -102,7 +102,7 @@ def test_block_casters_keep_pictures_of_bundled_levels(gl, monkeypatch, name):
     )
 
 
-@pytest.mark.parametrize("source", quick(MOUNTAIN_RASTERS, MOUNTAIN_RASTERS[0]))
+@pytest.mark.parametrize("source", mark_long_except(MOUNTAIN_RASTERS, MOUNTAIN_RASTERS[0]))
 def test_block_casters_keep_pictures_of_real_mountains(gl, monkeypatch, shared_data, make_scene, source):
     omission_counts = count_omissions(make_scene(shared_data / source), monkeypatch, 4, 6)
     print(source, omission_counts)
@@ -123,6 +123,6 @@ def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     assert records["outside_casters"].note == NO_OUTSIDE_CASTERS_NOTE and records["outside_casters"].is_left_out
     assert records["sun/relief: sweep"].note == NO_CASTERS_NOTE and records["sun/relief: sweep"].is_left_out
     assert frame.effects == plan.effect_names - {"cast_shadows", "outside_casters"}
-    assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
+    assert executed_effects(draw_map(scene, view, plan).passes) == frame.effects
     with omissions_disabled(monkeypatch):
         assert render_frame(scene, view, plan).effects == plan.effect_names

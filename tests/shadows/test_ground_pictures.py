@@ -15,8 +15,8 @@ from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from tests.params import quick
-from tests.products import draw_by_heights, drawn
+from tests.params import mark_long_except
+from tests.products import draw_by_heights, draw_map
 from tests.render import plan_of
 
 MAX_DIFFERING_SHARE = 1e-4
@@ -25,7 +25,7 @@ MAX_DIFFERING_SHARE = 1e-4
 SUNS = ((225.0, 22.0), (180.0, 4.0), (91.0, 2.0), (20.0, 65.0), (300.0, -3.0))
 """Azimuth and altitude: noon, slanted lines, grazing light, a high sun, and night."""
 
-ZOOMS_AND_OFFSETS = quick(
+ZOOMS_AND_OFFSETS = mark_long_except(
     [(10, 0, 0), (12, 0, 0), (13, 0, 0), (13, -300, -300), (14, 0, 0), (15, 800, 0)], (12, 0, 0)
 )  # fmt: skip
 """Zoom, and offset in pixels from the level's middle: coarse pixels, pixels of the data's size, and magnified ones."""
@@ -89,7 +89,7 @@ def test_ground_picture_has_the_colours_of_a_style(gl, hills, style, exaggeratio
 
 def test_ground_picture_contains_shadow(gl, hills):
     """The comparisons are not vacuous: opacity ranges from 0 to 255, and heights give many colours."""
-    picture = drawn(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
+    picture = draw_map(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
     assert {0, 255} < set(np.unique(picture.opacity)) and len(np.unique(picture.color.reshape(-1, 3), axis=0)) > 1000
 
 
@@ -122,7 +122,7 @@ def test_ground_picture_with_other_level_settings(gl, hills, keys):
     scene = hills(225.0, 22.0, **keys)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
-    picture, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+    picture, frame = draw_map(scene, view, plan), render_frame(scene, view, plan)
     assert heights_suffice(scene, view, plan, SHADING_NEEDS) != ("weather" in keys)
     assert np.array_equal(picture.opacity, frame.opacity)
     assert np.abs(picture.color.astype(int) - frame.color).max() <= 1
@@ -159,7 +159,7 @@ def test_ground_picture_caches_its_ground_for_all_suns(gl, hills, monkeypatch):
 def test_ground_picture_off_the_ground_is_empty(gl, hills):
     scene = hills(225.0, 22.0)
     view = view_of(scene, 13, rows=2000)
-    picture = drawn(scene, view, plan_of(scene, view))
+    picture = draw_map(scene, view, plan_of(scene, view))
     assert not picture.valid.any() and not picture.color.any() and not picture.opacity.any()
 
 
@@ -172,6 +172,6 @@ def test_ground_picture_of_one_node_wide_ground(gl, write_raster, make_scene):
     for zoom in (12, 13, 15):
         view = view_of(scene, zoom)
         plan = plan_of(scene, view)
-        picture, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+        picture, frame = draw_map(scene, view, plan), render_frame(scene, view, plan)
         assert np.array_equal(picture.valid, frame.valid) and np.array_equal(picture.opacity, frame.opacity)
         assert np.abs(picture.color.astype(int) - frame.color).max() <= 1

@@ -20,13 +20,17 @@ class Answers:
 
     def ms(self, share: float, status: int | None = None) -> float:
         """Return the latency within which a share of the answers came, milliseconds."""
-        chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if status in (None, got)]
-        return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
+        latencies_s = [
+            latency_s
+            for latency_s, answer_status in zip(self.seconds, self.statuses, strict=True)
+            if status in (None, answer_status)
+        ]
+        return float(np.quantile(latencies_s, share) * 1000.0) if latencies_s else float("nan")
 
     def count(self, status: int) -> int:
         return self.statuses.count(status)
 
-    def line(self, name: str) -> str:
+    def summary(self, name: str) -> str:
         counts = ", ".join(f"{status}: {self.count(status)}" for status in sorted(set(self.statuses)))
         return (
             f"{name}: {len(self.statuses)} answers ({counts}); of 200 and 304 half within {self.success_ms(0.5):.1f} ms, "
@@ -34,8 +38,10 @@ class Answers:
         )
 
     def success_ms(self, share: float) -> float:
-        chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if got in (200, 304)]
-        return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
+        latencies_s = [
+            latency_s for latency_s, answer_status in zip(self.seconds, self.statuses, strict=True) if answer_status in (200, 304)
+        ]
+        return float(np.quantile(latencies_s, share) * 1000.0) if latencies_s else float("nan")
 
 
 class Connection:
@@ -51,16 +57,16 @@ class Connection:
 
     async def get(self, path: str, answers: Answers, headers: str = "") -> dict[str, str]:
         """Send one request, store the answer's ``body`` and return its headers; failures count as status 0."""
-        began = time.perf_counter()
+        start_s = time.perf_counter()
         self.body = b""
         response_headers: dict[str, str] = {}
         request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
-            first_line = b"" if self._streams is None else await self._ask(request)
+            first_line = b"" if self._streams is None else await self._send(request)
             if not first_line:  # the service closes connections that were idle for some seconds
                 self.close()
                 self._streams = await asyncio.open_connection("127.0.0.1", self._port, local_addr=(self._address, 0))
-                first_line = await self._ask(request)
+                first_line = await self._send(request)
             reader, _ = self._streams
             status = int(first_line.split()[1])
             while (line := (await reader.readline()).decode("latin-1").strip()) != "":
@@ -72,11 +78,11 @@ class Connection:
             status = 0
             self.close()
         answers.statuses.append(status)
-        answers.seconds.append(time.perf_counter() - began)
+        answers.seconds.append(time.perf_counter() - start_s)
         answers.retry_after_count += status in (503, 429) and "retry-after" in response_headers
         return response_headers
 
-    async def _ask(self, request: bytes) -> bytes:
+    async def _send(self, request: bytes) -> bytes:
         """Return the first line of the answer; empty where the connection has been closed."""
         assert self._streams is not None
         reader, writer = self._streams
@@ -96,37 +102,37 @@ async def closed_loop(port: int, path: Callable[[], str], clients: int, seconds:
     """Run clients that each send the next request as soon as they have an answer."""
     answers = Answers()
 
-    async def one() -> None:
-        connection, until = Connection(port), time.perf_counter() + seconds
-        while time.perf_counter() < until:
+    async def run_client() -> None:
+        connection, end_s = Connection(port), time.perf_counter() + seconds
+        while time.perf_counter() < end_s:
             await connection.get(path(), answers)
         connection.close()
 
-    await asyncio.gather(*(one() for _ in range(clients)))
+    await asyncio.gather(*(run_client() for _ in range(clients)))
     return answers
 
 
 async def open_loop(
-    port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "", skip_s: float = 0.0
+    port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "", warm_up_s: float = 0.0
 ) -> Answers:
     """Send requests at a steady rate, whether or not earlier ones have been answered.
 
-    Answers to the requests of the first ``skip_s`` seconds are not recorded.
+    Answers to the requests of the first ``warm_up_s`` seconds are not recorded.
     """
-    answers, skipped, free, running = Answers(), Answers(), list[Connection](), set[asyncio.Task[None]]()
+    answers, warm_up_answers, idle_connections, running = Answers(), Answers(), list[Connection](), set[asyncio.Task[None]]()
 
-    async def one() -> None:
-        connection = free.pop() if free else Connection(port)
-        await connection.get(path(), skipped if time.perf_counter() < began + skip_s else answers, headers)
-        free.append(connection)
+    async def send_one() -> None:
+        connection = idle_connections.pop() if idle_connections else Connection(port)
+        await connection.get(path(), warm_up_answers if time.perf_counter() < start_s + warm_up_s else answers, headers)
+        idle_connections.append(connection)
 
-    began = time.perf_counter()
-    for number in range(int(per_second * (seconds + skip_s))):
-        await asyncio.sleep(max(began + number / per_second - time.perf_counter(), 0.0))
-        task = asyncio.create_task(one())
+    start_s = time.perf_counter()
+    for number in range(int(per_second * (seconds + warm_up_s))):
+        await asyncio.sleep(max(start_s + number / per_second - time.perf_counter(), 0.0))
+        task = asyncio.create_task(send_one())
         running.add(task)
         task.add_done_callback(running.discard)
     await asyncio.gather(*running)
-    for connection in free:
+    for connection in idle_connections:
         connection.close()
     return answers

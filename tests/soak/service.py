@@ -39,9 +39,9 @@ def service(folder: Path, launcher: Sequence[str] = (), **environment: str) -> I
     with log.open("w") as log_file:
         process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=log_file, text=True)
     try:
-        until = time.monotonic() + 300
+        deadline = time.monotonic() + 300
         while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not is_ready(int(port[1]), workers):
-            assert process.poll() is None and time.monotonic() < until, log.read_text()[-2000:]
+            assert process.poll() is None and time.monotonic() < deadline, log.read_text()[-2000:]
             time.sleep(0.2)
         yield int(port[1]), process, log
     finally:
@@ -50,7 +50,9 @@ def service(folder: Path, launcher: Sequence[str] = (), **environment: str) -> I
 
 
 @contextmanager
-def command(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Iterator[subprocess.Popen[str]]:
+def skugga_process(
+    arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """Run ``skugga`` with arguments in a process of its own, and yield the process. Kill it at the end if it still runs."""
     process = subprocess.Popen(
         [*SKUGGA, *map(str, arguments)],
@@ -67,7 +69,7 @@ def command(arguments: Sequence[str | Path], environment: Mapping[str, str] | No
 
 def run_command(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> tuple[int, str]:
     """Run ``skugga`` with arguments to its end, and return its exit status and what it printed."""
-    with command(arguments, environment) as process:
+    with skugga_process(arguments, environment) as process:
         output, _ = process.communicate(timeout=600)
     return process.returncode, output
 
@@ -83,11 +85,11 @@ def is_ready(port: int, workers: int = WORKERS) -> bool:
 
 def wait_until_ready(port: int, timeout_s: float = 120.0) -> float:
     """Wait until a service is ready with all of its render processes, and return the seconds that it took."""
-    began = time.monotonic()
+    start_s = time.monotonic()
     while not is_ready(port):
-        assert time.monotonic() - began < timeout_s, "the service did not become ready again"
+        assert time.monotonic() - start_s < timeout_s, "the service did not become ready again"
         time.sleep(0.2)
-    return time.monotonic() - began
+    return time.monotonic() - start_s
 
 
 def render_processes(service_pid: int) -> list[int]:
@@ -108,7 +110,7 @@ def new_sun_paths() -> Iterator[str]:
     return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
 
 
-def ask(port: int, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
+def request_until_accepted(port: int, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
     """Ask the service, again after a refusal with a time to come back: ``location`` and the ``body`` of its answer."""
     data = None if body is None else json.dumps(body).encode()
     while True:

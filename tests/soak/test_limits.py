@@ -30,11 +30,20 @@ from typing import Any
 import pytest
 
 from tests.api.conftest import write_level
-from tests.soak.service import TILE, command, is_ready, new_sun_paths, render_processes, run_command, service, wait_until_ready
+from tests.soak.service import (
+    TILE,
+    is_ready,
+    new_sun_paths,
+    render_processes,
+    run_command,
+    service,
+    skugga_process,
+    wait_until_ready,
+)
 
 pytestmark = pytest.mark.soak
 
-MOMENTS, MOMENT_S = 7, 4.0
+MOMENT_COUNT, MOMENT_S = 7, 4.0
 """Number of moments without a free thread, and their duration."""
 
 PAUSE_S = float(os.environ.get("SOAK_PAUSE_S", "31"))
@@ -63,7 +72,7 @@ class Answer:
 
 
 @dataclass
-class Observed:
+class ObservedAnswers:
     """Statuses by kind of request, seconds of each answer, and descriptions of answers that must not occur."""
 
     allowed: set[int] = field(default_factory=lambda: set(ALLOWED_STATUSES))
@@ -84,12 +93,12 @@ class Observed:
         """Fail if an answer occurred that must not, with some examples of each kind."""
         kinds = Counter(fault[:60] for fault in self.faults)
         examples = [next(fault for fault in self.faults if fault.startswith(kind)) for kind in kinds]
-        assert not self.faults, "\n".join([f"{len(self.faults)} wrong answers: {self.line()}", *examples[:8]])
+        assert not self.faults, "\n".join([f"{len(self.faults)} wrong answers: {self.summary()}", *examples[:8]])
 
     def count(self, status: int) -> int:
         return sum(counter[status] for counter in self.statuses.values())
 
-    def line(self) -> str:
+    def summary(self) -> str:
         kinds = (
             f"{kind} {dict(sorted(counter.items()))} in up to {self.slowest_s[kind]:.1f} s"
             for kind, counter in sorted(self.statuses.items())
@@ -112,22 +121,22 @@ def send(port: int, path: str, body: dict[str, Any] | None = None, timeout_s: fl
         connection.close()
 
 
-def picture(port: int, path: str, within_s: float = 300.0) -> bytes:
+def fetch_picture(port: int, path: str, within_s: float = 300.0) -> bytes:
     """Return the body of a picture, requested again after refusals."""
-    until = time.monotonic() + within_s
+    deadline = time.monotonic() + within_s
     while (answer := send(port, path)).status != 200:
-        assert answer.status in ALLOWED_STATUSES and time.monotonic() < until, (path, answer)
+        assert answer.status in ALLOWED_STATUSES and time.monotonic() < deadline, (path, answer)
         time.sleep(0.5)
     return answer.body
 
 
-def film(port: int, order: dict[str, Any], within_s: float = 300.0) -> bytes:
+def fetch_film(port: int, film_order: dict[str, Any], within_s: float = 300.0) -> bytes:
     """Return a film, ordered again after refusals and after failures for want of resources."""
-    until = time.monotonic() + within_s
-    while time.monotonic() < until:
-        answer = send(port, "/levels/hills/animations", order)
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        answer = send(port, "/levels/hills/animations", film_order)
         if answer.status in (200, 202):
-            answer = result_of_film(port, answer, Observed())
+            answer = result_of_film(port, answer, ObservedAnswers())
         if answer.status == 200:
             return answer.body
         assert answer.status in {*ALLOWED_STATUSES, 507}, answer
@@ -135,24 +144,24 @@ def film(port: int, order: dict[str, Any], within_s: float = 300.0) -> bytes:
     raise AssertionError("no film was drawn in time")
 
 
-def address_of_ended_film(port: int, accepted: Answer, observed: Observed) -> str:
+def address_of_ended_film(port: int, accepted: Answer, observed_answers: ObservedAnswers) -> str:
     """Wait until an accepted film has ended, and return the address of its result."""
     location = accepted.headers["location"]
     address = location[location.index("/animations") :]
     deadline = time.monotonic() + 600.0
     while True:
-        began = time.monotonic()
-        assert began < deadline, "the film has not ended within ten minutes"
+        start_s = time.monotonic()
+        assert start_s < deadline, "the film has not ended within ten minutes"
         state = send(port, address)
-        observed.add("film's state", state, time.monotonic() - began)
+        observed_answers.add("film's state", state, time.monotonic() - start_s)
         if state.status == 200 and state.json()["status"] not in ("accepted", "running"):
             return f"{address}/result"
         time.sleep(0.3)
 
 
-def result_of_film(port: int, accepted: Answer, observed: Observed) -> Answer:
+def result_of_film(port: int, accepted: Answer, observed_answers: ObservedAnswers) -> Answer:
     """Wait until an accepted film has ended, and return the answer to a request for its result."""
-    return send(port, address_of_ended_film(port, accepted, observed))
+    return send(port, address_of_ended_film(port, accepted, observed_answers))
 
 
 def film_orders() -> Iterator[dict[str, Any]]:
@@ -160,11 +169,11 @@ def film_orders() -> Iterator[dict[str, Any]]:
     return (DAY | {"fps": 1 + number % 30, "size": [320 + 2 * (number // 30), 240]} for number in itertools.count())
 
 
-class Load:
+class BackgroundLoad:
     """Clients in threads that request pictures and films of a service until they are stopped."""
 
-    def __init__(self, port: int, observed: Observed) -> None:
-        self._port, self._observed = port, observed
+    def __init__(self, port: int, observed_answers: ObservedAnswers) -> None:
+        self._port, self._observed = port, observed_answers
         self._lock, self._stop = threading.Lock(), threading.Event()
         self._suns, self._orders = new_sun_paths(), film_orders()
         self._requests: list[Callable[[], object]] = [
@@ -202,20 +211,20 @@ class Load:
         return self._next_tile().replace(TILE, SNAPSHOT).replace("240?", "240&")
 
     def _get(self, kind: str, path: str, pause_s: float) -> Answer:
-        began = time.monotonic()
+        start_s = time.monotonic()
         answer = send(self._port, path)
         with self._lock:
-            self._observed.add(kind, answer, time.monotonic() - began)
+            self._observed.add(kind, answer, time.monotonic() - start_s)
         time.sleep(pause_s)
         return answer
 
     def _film(self) -> None:
-        began = time.monotonic()
+        start_s = time.monotonic()
         accepted = send(self._port, "/levels/hills/animations", next(self._orders))
-        self._observed.add("film's order", accepted, time.monotonic() - began)
+        self._observed.add("film's order", accepted, time.monotonic() - start_s)
         if accepted.status == 202:
-            began = time.monotonic()
-            self._observed.add("film", result_of_film(self._port, accepted, self._observed), time.monotonic() - began)
+            start_s = time.monotonic()
+            self._observed.add("film", result_of_film(self._port, accepted, self._observed), time.monotonic() - start_s)
         else:
             time.sleep(0.5)
 
@@ -237,11 +246,11 @@ def replace_raster(folder: Path, upside_down: bool) -> None:
 
 def wait_for_picture(port: int, expected: Callable[[bytes], bool], within_s: float = 60.0) -> float:
     """Wait until the level's tile is as expected, and return the seconds that it took."""
-    began = time.monotonic()
-    while not expected(picture(port, TILE)):
-        assert time.monotonic() - began < within_s, "the replaced raster was not read"
+    start_s = time.monotonic()
+    while not expected(fetch_picture(port, TILE)):
+        assert time.monotonic() - start_s < within_s, "the replaced raster was not read"
         time.sleep(0.5)
-    return time.monotonic() - began
+    return time.monotonic() - start_s
 
 
 def descriptor_count(pid: int) -> int:
@@ -254,19 +263,19 @@ def address_space(pid: int) -> int:
 
 
 @contextmanager
-def soft_limit(kind: int, value_by_pid: dict[int, int]) -> Iterator[None]:
+def soft_limit(resource_kind: int, value_by_pid: dict[int, int]) -> Iterator[None]:
     """Lower a soft limit of running processes within the block."""
     before = {}
     for pid, value in value_by_pid.items():
         with suppress(ProcessLookupError):
-            before[pid] = resource.prlimit(pid, kind)
-            resource.prlimit(pid, kind, (value, before[pid][1]))
+            before[pid] = resource.prlimit(pid, resource_kind)
+            resource.prlimit(pid, resource_kind, (value, before[pid][1]))
     try:
         yield
     finally:
         for pid, limits in before.items():
             with suppress(ProcessLookupError):
-                resource.prlimit(pid, kind, limits)
+                resource.prlimit(pid, resource_kind, limits)
 
 
 def kill_render_processes(service_pid: int) -> None:
@@ -275,18 +284,18 @@ def kill_render_processes(service_pid: int) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def settle(processes: Callable[[], list[int]], timeout_s: float = 15.0) -> list[int]:
+def remaining_after_wait(processes: Callable[[], list[int]], timeout_s: float = 15.0) -> list[int]:
     """Return processes that have not ended after some seconds."""
-    until = time.monotonic() + timeout_s
-    while (left := processes()) and time.monotonic() < until:
+    deadline = time.monotonic() + timeout_s
+    while (remaining := processes()) and time.monotonic() < deadline:
         time.sleep(0.2)
-    return left
+    return remaining
 
 
 # Threads
 
 
-def as_limited_user() -> list[str]:
+def limited_user_command() -> list[str]:
     """Return a command that runs another one as a user whose number of processes is limited.
 
     Root's is not. The other user may read and write all files, since the interpreter can be in root's home folder.
@@ -305,10 +314,10 @@ def as_limited_user() -> list[str]:
 def set_process_limit(pid: int, limit: int) -> None:
     """Set the soft limit of the processes and threads of a process's user (RLIMIT_NPROC), for the calls of that process."""
     soft = "unlimited" if limit == resource.RLIM_INFINITY else str(limit)
-    subprocess.run([*as_limited_user(), "prlimit", f"--pid={pid}", f"--nproc={soft}:"], check=True, timeout=30)
+    subprocess.run([*limited_user_command(), "prlimit", f"--pid={pid}", f"--nproc={soft}:"], check=True, timeout=30)
 
 
-def test_moments_without_a_free_thread(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_service_survives_moments_without_threads(tmp_path: Path, capsys: pytest.CaptureFixture):
     """Seven moments at which the service can start neither threads nor processes, then a replaced raster.
 
     The limit is RLIMIT_NPROC of the running service. The kernel does not apply it to root. If root runs the test, the service runs
@@ -316,37 +325,39 @@ def test_moments_without_a_free_thread(tmp_path: Path, capsys: pytest.CaptureFix
     """
     if shutil.which("prlimit") is None:
         pytest.skip("prlimit is not installed")
-    observed, back_s = Observed(), []
-    with service(tmp_path, as_limited_user(), SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
-        original = picture(port, TILE)
+    observed_answers, ready_after_s = ObservedAnswers(), []
+    with service(tmp_path, limited_user_command(), SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
+        original = fetch_picture(port, TILE)
         replace_raster(tmp_path, upside_down=True)
         wait_for_picture(port, lambda body: body != original)
-        finished_film = address_of_ended_film(port, send(port, "/levels/hills/animations", DAY | {"size": [256, 256]}), Observed())
-        load = Load(port, observed)
-        usual = resource.getrlimit(resource.RLIMIT_NPROC)[0]
-        for moment in range(MOMENTS):
-            began = time.monotonic()
+        finished_film = address_of_ended_film(
+            port, send(port, "/levels/hills/animations", DAY | {"size": [256, 256]}), ObservedAnswers()
+        )
+        load = BackgroundLoad(port, observed_answers)
+        original_limit = resource.getrlimit(resource.RLIMIT_NPROC)[0]
+        for moment in range(MOMENT_COUNT):
+            start_s = time.monotonic()
             set_process_limit(process.pid, 1)
             with load.running():
                 time.sleep(MOMENT_S / 2)
                 if moment % 2:
                     kill_render_processes(process.pid)
                 time.sleep(MOMENT_S / 2)
-                observed.add("finished film", send(port, finished_film), 0.0)
-                set_process_limit(process.pid, usual)
-            back_s.append(wait_until_ready(port))
-            if moment < MOMENTS - 1:
-                time.sleep(max(PAUSE_S - (time.monotonic() - began), 0.0))
+                observed_answers.add("finished film", send(port, finished_film), 0.0)
+                set_process_limit(process.pid, original_limit)
+            ready_after_s.append(wait_until_ready(port))
+            if moment < MOMENT_COUNT - 1:
+                time.sleep(max(PAUSE_S - (time.monotonic() - start_s), 0.0))
         text = log.read_text()
         replace_raster(tmp_path, upside_down=False)
-        read_s = wait_for_picture(port, lambda body: body == original)
-        assert film(port, DAY | {"fps": 29})
+        reread_s = wait_for_picture(port, lambda body: body == original)
+        assert fetch_film(port, DAY | {"fps": 29})
         assert process.poll() is None
     with capsys.disabled():
-        print(f"\n{MOMENTS} moments without threads: {observed.line()}")
-        print(f"ready again after {max(back_s):.1f} s at most; the replaced raster was served after {read_s:.1f} s")
-    observed.check()
-    assert observed.count(503) > 0, "the limit was not reached"
+        print(f"\n{MOMENT_COUNT} moments without threads: {observed_answers.summary()}")
+        print(f"ready again after {max(ready_after_s):.1f} s at most; the replaced raster was served after {reread_s:.1f} s")
+    observed_answers.check()
+    assert observed_answers.count(503) > 0, "the limit was not reached"
     assert "its files cannot be checked" in text, "the limit was not reached by checks of the level"
     assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:4000]
 
@@ -354,18 +365,18 @@ def test_moments_without_a_free_thread(tmp_path: Path, capsys: pytest.CaptureFix
 # File handles
 
 
-def test_few_file_handles(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_service_survives_few_file_handles(tmp_path: Path, capsys: pytest.CaptureFixture):
     """A limit of 64 open files of the running service and its render processes, then limits just above what they have open."""
     # Starlette opens a file after it has sent the headers.
-    observed, back_s, counts = Observed(kinds_cut_short={"page's file"}), [], []
+    observed_answers, ready_after_s, counts = ObservedAnswers(kinds_cut_short={"page's file"}), [], []
     with service(tmp_path, SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
-        original = picture(port, TILE)
+        original = fetch_picture(port, TILE)
         for number, spare in enumerate((None, 8, 4, 2, 1, 0)):
             pids = [process.pid, *render_processes(process.pid)]
             open_counts = {pid: descriptor_count(pid) for pid in pids}
             counts.append(open_counts[process.pid])
             limits = {pid: 64 if spare is None else count + spare for pid, count in open_counts.items()}
-            load = Load(port, observed)
+            load = BackgroundLoad(port, observed_answers)
             with load.running():
                 time.sleep(0.5)
                 with soft_limit(resource.RLIMIT_NOFILE, limits):
@@ -375,19 +386,20 @@ def test_few_file_handles(tmp_path: Path, capsys: pytest.CaptureFixture):
                     if number % 2:
                         kill_render_processes(process.pid)
                     time.sleep(4.0)
-            back_s.append(wait_until_ready(port))
+            ready_after_s.append(wait_until_ready(port))
         text = log.read_text()
         replace_raster(tmp_path, upside_down=False)
-        read_s = wait_for_picture(port, lambda body: body == original)
-        assert film(port, DAY | {"fps": 29})
+        reread_s = wait_for_picture(port, lambda body: body == original)
+        assert fetch_film(port, DAY | {"fps": 29})
         assert process.poll() is None
     with capsys.disabled():
-        print(f"\nfew file handles: {observed.line()}")
+        print(f"\nfew file handles: {observed_answers.summary()}")
         print(
-            f"{counts} open files before each limit; ready again after {max(back_s):.1f} s at most; raster read in {read_s:.1f} s"
+            f"{counts} open files before each limit; ready again after {max(ready_after_s):.1f} s at most; "
+            f"raster read in {reread_s:.1f} s"
         )
-    observed.check()
-    assert observed.count(503) > 0 and "connections cannot be accepted" in text, "the limit was not reached"
+    observed_answers.check()
+    assert observed_answers.count(503) > 0 and "connections cannot be accepted" in text, "the limit was not reached"
     assert max(counts) < min(counts) + 16, "descriptors leak"
     assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:4000]
 
@@ -398,17 +410,17 @@ SERVICE_SPARE_MIB = 96
 """Address space that the service keeps at least: a stack has 8 MiB, and an arena of malloc reserves 64 MiB."""
 
 
-def test_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_service_survives_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture):
     """Limits of the address space just above what the render processes have, and somewhat above what the service has.
 
     The service keeps memory for the stacks of its threads: in Python 3.11 ``Thread.start`` waits for ever for a thread that cannot
     allocate its first objects.
     """
-    observed, back_s, sizes_mib = Observed(), [], []
+    observed_answers, ready_after_s, sizes_mib = ObservedAnswers(), [], []
     with service(tmp_path, SKUGGA_LEVEL_CHECK_S="0.2") as (port, process, log):
-        original = picture(port, TILE)
+        original = fetch_picture(port, TILE)
         for number, spare_mib in enumerate((256, 64, 8, 0)):
-            load = Load(port, observed)
+            load = BackgroundLoad(port, observed_answers)
             with load.running():
                 time.sleep(0.5)
                 sizes = {pid: address_space(pid) for pid in [process.pid, *render_processes(process.pid)]}
@@ -425,15 +437,17 @@ def test_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture):
             assert process.poll() is None, log.read_text()[-2000:]
             kill_render_processes(process.pid)  # those that were started meanwhile have inherited the limit
             time.sleep(1.0)
-            back_s.append(wait_until_ready(port))
+            ready_after_s.append(wait_until_ready(port))
         replace_raster(tmp_path, upside_down=False)
-        read_s = wait_for_picture(port, lambda body: body == original)
-        assert film(port, DAY | {"fps": 29})
+        reread_s = wait_for_picture(port, lambda body: body == original)
+        assert fetch_film(port, DAY | {"fps": 29})
     with capsys.disabled():
-        print(f"\nlittle memory: {observed.line()}")
-        print(f"address space {sizes_mib} MiB; ready again after {max(back_s):.1f} s at most; raster read in {read_s:.1f} s")
-    observed.check()
-    assert observed.count(503) > 0, "the limit was not reached"
+        print(f"\nlittle memory: {observed_answers.summary()}")
+        print(
+            f"address space {sizes_mib} MiB; ready again after {max(ready_after_s):.1f} s at most; raster read in {reread_s:.1f} s"
+        )
+    observed_answers.check()
+    assert observed_answers.count(503) > 0, "the limit was not reached"
 
 
 # A full disk
@@ -454,7 +468,7 @@ def small_disk(folder: Path, size: int) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def fill(disk: Path, free_bytes: int = 0) -> Path:
+def fill_disk(disk: Path, free_bytes: int = 0) -> Path:
     """Fill a disk to the last byte with a file, then truncate the file by some bytes. Return the file."""
     path = disk / "filler"
     with path.open("ab", buffering=0) as file, suppress(OSError):
@@ -467,13 +481,13 @@ def fill(disk: Path, free_bytes: int = 0) -> Path:
     return path
 
 
-def test_a_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_full_disk_leaves_no_damaged_output(tmp_path: Path, capsys: pytest.CaptureFixture):
     """A small disk with all caches, temporary files and outputs is full while pictures, films and an archive are made."""
     undisturbed = tmp_path / "undisturbed.pmtiles"
     assert run_command(seed_arguments(write_level(tmp_path, "hills"), undisturbed))[0] == 0
     loops = Path(os.environ["NUMBA_CACHE_DIR"])
     disk_size = 4 * 2**20 + sum(path.stat().st_size + 4096 for path in loops.iterdir())
-    observed, messages = Observed(ALLOWED_STATUSES | {507}), []
+    observed_answers, messages = ObservedAnswers(ALLOWED_STATUSES | {507}), []
     with small_disk(tmp_path / "disk", disk_size) as disk:
         shutil.copytree(loops, disk / "loops")
         (disk / "tmp").mkdir()
@@ -482,43 +496,47 @@ def test_a_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture):
             "MESA_SHADER_CACHE_DIR": str(disk / "shaders"),
         }  # fmt: skip
         with service(tmp_path, **environment) as (port, process, log):
-            order = DAY | {"size": [256, 256]}
-            first_tile, first_snapshot, first_film = picture(port, TILE), picture(port, SNAPSHOT), film(port, order)
+            film_order = DAY | {"size": [256, 256]}
+            first_tile, first_snapshot, first_film = (
+                fetch_picture(port, TILE),
+                fetch_picture(port, SNAPSHOT),
+                fetch_film(port, film_order),
+            )
             archive = disk / "hills.pmtiles"
             for free_bytes in (0, 4096, 2**16):
-                filler = fill(disk, free_bytes)
-                with Load(port, observed).running():
+                filler = fill_disk(disk, free_bytes)
+                with BackgroundLoad(port, observed_answers).running():
                     status, output = run_command(seed_arguments(tmp_path / "hills.yaml", archive), environment)
                     messages.append(output.strip().splitlines()[-1])
                     assert status == 1 and "No space left on device" in output and "Traceback" not in output, (status, output)
                     assert not archive.exists(), "an archive was published that cannot be whole"
                     kill_render_processes(process.pid)
                     wait_until_ready(port)
-                    fill(disk, free_bytes)
+                    fill_disk(disk, free_bytes)
                     time.sleep(2.0)
                 filler.unlink()
-            began = time.monotonic()
+            start_s = time.monotonic()
             status, output = run_command(seed_arguments(tmp_path / "hills.yaml", archive), environment)
-            seed_s = time.monotonic() - began
+            seed_s = time.monotonic() - start_s
             assert status == 0, output
             assert archive.read_bytes() == undisturbed.read_bytes()
-            again = picture(port, TILE), picture(port, SNAPSHOT), film(port, order)
-            assert again == (first_tile, first_snapshot, first_film)
-            assert film(port, order | {"fps": 7})
-            left = [path.name for path in (disk / "tmp").iterdir()]
+            later_results = fetch_picture(port, TILE), fetch_picture(port, SNAPSHOT), fetch_film(port, film_order)
+            assert later_results == (first_tile, first_snapshot, first_film)
+            assert fetch_film(port, film_order | {"fps": 7})
+            remaining = [path.name for path in (disk / "tmp").iterdir()]
             text = log.read_text()
     with capsys.disabled():
-        print(f"\na full disk: {observed.line()}")
+        print(f"\na full disk: {observed_answers.summary()}")
         print(f"skugga seed ended with {messages}; afterwards it took {seed_s:.1f} s")
-    observed.check()
-    assert observed.count(507) > 0, "the limit was not reached"
-    assert not left, "temporary files are left behind"
+    observed_answers.check()
+    assert observed_answers.count(507) > 0, "the limit was not reached"
+    assert not remaining, "temporary files are left behind"
     assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:4000]
 
 
 # Killed processes
 
-KILLS = int(os.environ.get("SOAK_KILLS", "6"))
+KILL_COUNT = int(os.environ.get("SOAK_KILLS", "6"))
 """Number of kills of each kind of work."""
 
 
@@ -536,7 +554,7 @@ def processes_of(folder: Path) -> list[int]:
     return result
 
 
-def children(parent_pid: int) -> list[int]:
+def child_pids(parent_pid: int) -> list[int]:
     """Return the children of a process."""
     result = []
     for path in Path("/proc").glob("[0-9]*"):
@@ -546,66 +564,66 @@ def children(parent_pid: int) -> list[int]:
     return result
 
 
-def kill_one(pids: list[int], chosen: random.Random) -> bool:
+def kill_random(pids: list[int], rng: random.Random) -> bool:
     """Kill one of some processes, and return whether there was one."""
     with suppress(ProcessLookupError):
         if pids:
-            os.kill(chosen.choice(sorted(pids)), signal.SIGKILL)
+            os.kill(rng.choice(sorted(pids)), signal.SIGKILL)
             return True
     return False
 
 
-@pytest.mark.parametrize("kind", ["tile", "snapshot", "film"])
-def test_render_processes_killed_during(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture):
+@pytest.mark.parametrize("request_kind", ["tile", "snapshot", "film"])
+def test_killed_render_processes_change_no_picture(request_kind: str, tmp_path: Path, capsys: pytest.CaptureFixture):
     """Render processes are killed while they draw: pictures are the same to the byte, or refused with a time to come back."""
-    chosen, observed, kill_count = random.Random(kind), Observed(), 0
-    body = hashlib.sha256
+    rng, observed_answers, kill_count = random.Random(request_kind), ObservedAnswers(), 0
+    digest_of = hashlib.sha256
     with service(tmp_path) as (port, process, log):
 
         def draw(number: int) -> bytes:
-            if kind == "film":
-                return film(port, DAY | {"fps": 1 + number})
-            address = TILE if kind == "tile" else SNAPSHOT
-            return picture(port, f"{address}{'&' if '?' in address else '?'}azimuth={100 + number}&altitude=17")
+            if request_kind == "film":
+                return fetch_film(port, DAY | {"fps": 1 + number})
+            address = TILE if request_kind == "tile" else SNAPSHOT
+            return fetch_picture(port, f"{address}{'&' if '?' in address else '?'}azimuth={100 + number}&altitude=17")
 
-        undisturbed = [body(draw(number)).digest() for number in range(3)]
+        undisturbed = [digest_of(draw(number)).digest() for number in range(3)]
         wait_until_ready(port)
-        duration_s = 3.0 if kind == "film" else 0.4
-        began = time.monotonic()
-        load = Load(port, observed)
+        duration_s = 3.0 if request_kind == "film" else 0.4
+        start_s = time.monotonic()
+        load = BackgroundLoad(port, observed_answers)
         with load.running():
-            while kill_count < KILLS:
-                time.sleep(chosen.uniform(0.2, 0.2 + duration_s))
-                kill_count += kill_one(render_processes(process.pid), chosen)
+            while kill_count < KILL_COUNT:
+                time.sleep(rng.uniform(0.2, 0.2 + duration_s))
+                kill_count += kill_random(render_processes(process.pid), rng)
                 if kill_count % 2:
                     wait_until_ready(port)
         wait_until_ready(port)
-        seconds = time.monotonic() - began
+        seconds = time.monotonic() - start_s
     with service(tmp_path) as (port, process, log):  # nothing is cached
         disturbed, stop, disturbing_kills = [], threading.Event(), 0
 
         def kill_repeatedly() -> None:
             nonlocal disturbing_kills
-            while not stop.wait(chosen.uniform(0.0, 4.0) if disturbing_kills else 0.0):
+            while not stop.wait(rng.uniform(0.0, 4.0) if disturbing_kills else 0.0):
                 if is_ready(port):  # else none of them would ever finish its start
-                    disturbing_kills += kill_one(render_processes(process.pid), chosen)
+                    disturbing_kills += kill_random(render_processes(process.pid), rng)
 
         killer = threading.Thread(target=kill_repeatedly)
         killer.start()
         try:
-            disturbed = [body(draw(number)).digest() for number in range(3)]
+            disturbed = [digest_of(draw(number)).digest() for number in range(3)]
         finally:
             stop.set()
             killer.join()
         wait_until_ready(port)
         pids = [process.pid, *render_processes(process.pid)]
         text = log.read_text()
-    left = settle(lambda: [pid for pid in pids if Path(f"/proc/{pid}").exists()])
+    remaining = remaining_after_wait(lambda: [pid for pid in pids if Path(f"/proc/{pid}").exists()])
     with capsys.disabled():
-        print(f"\n{kill_count} kills in {seconds:.0f} s, {kind}: {observed.line()}")
-    observed.check()
+        print(f"\n{kill_count} kills in {seconds:.0f} s, {request_kind}: {observed_answers.summary()}")
+    observed_answers.check()
     assert disturbing_kills and disturbed == undisturbed
-    assert not left, "processes outlived the service"
+    assert not remaining, "processes outlived the service"
     assert "Traceback" not in text
 
 
@@ -620,19 +638,19 @@ def wait_for_shards(archive: Path, count: int, process: subprocess.Popen[str]) -
         time.sleep(0.02)
 
 
-def test_seed_killed_and_run_again(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_seed_run_again_after_kills_writes_the_same(tmp_path: Path, capsys: pytest.CaptureFixture):
     """An archive is whole and the same to the byte, although the command or its render processes are killed at random moments."""
-    chosen, kills = random.Random(5), Counter[str]()
+    rng, kills = random.Random(5), Counter[str]()
     level, undisturbed, archive = write_level(tmp_path, "hills"), tmp_path / "a.pmtiles", tmp_path / "b.pmtiles"
-    began = time.monotonic()
+    start_s = time.monotonic()
     assert run_command(seed_arguments(level, undisturbed))[0] == 0
-    duration_s = time.monotonic() - began
-    for number in range(KILLS):
-        with command(seed_arguments(level, archive)) as process:
-            wait_for_shards(archive, chosen.randrange(shard_count(undisturbed)), process)
-            time.sleep(chosen.uniform(0.0, 0.3))
+    duration_s = time.monotonic() - start_s
+    for number in range(KILL_COUNT):
+        with skugga_process(seed_arguments(level, archive)) as process:
+            wait_for_shards(archive, rng.randrange(shard_count(undisturbed)), process)
+            time.sleep(rng.uniform(0.0, 0.3))
             if number % 2:  # a render process: the command goes on
-                kills["render process"] += kill_one(children(process.pid), chosen)
+                kills["render process"] += kill_random(child_pids(process.pid), rng)
                 output, _ = process.communicate(timeout=300)
                 assert process.returncode == 0 and archive.read_bytes() == undisturbed.read_bytes(), output
                 shutil.rmtree(f"{archive}.seed")
@@ -640,7 +658,7 @@ def test_seed_killed_and_run_again(tmp_path: Path, capsys: pytest.CaptureFixture
                 continue
             process.kill()
             kills["command"] += 1
-        assert not settle(lambda: processes_of(archive)), "processes outlived the command"
+        assert not remaining_after_wait(lambda: processes_of(archive)), "processes outlived the command"
         assert not archive.exists() or archive.read_bytes() == undisturbed.read_bytes()
         if number % 4 == 2:  # each second time it is resumed at once
             status, output = run_command(seed_arguments(level, archive))
@@ -649,15 +667,15 @@ def test_seed_killed_and_run_again(tmp_path: Path, capsys: pytest.CaptureFixture
             archive.unlink()
     status, output = run_command(seed_arguments(level, archive))
     assert status == 0, output
-    left = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
-    assert kills["command"] and (kills["render process"] or KILLS < 2), "the command had ended before"
+    remaining = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+    assert kills["command"] and (kills["render process"] or KILL_COUNT < 2), "the command had ended before"
     with capsys.disabled():
         print(f"\nskugga seed, {duration_s:.1f} s undisturbed: {dict(kills)} killed, archives of {archive.stat().st_size} bytes")
     assert archive.read_bytes() == undisturbed.read_bytes()
-    assert not left, "temporary files are left behind"
+    assert not remaining, "temporary files are left behind"
 
 
-ESTIMATE = """
+STORE_ESTIMATE_SCRIPT = """
 from skugga.selector.cost.device_estimate import typical_profile
 from skugga.selector.cost.device_profile import save_profile
 from skugga.terrain.gl.device import renderer_and_version
@@ -665,7 +683,7 @@ print(save_profile(typical_profile(*renderer_and_version())))
 """
 """Program that stores a calibration without measuring one, and prints its path."""
 
-READ = """
+READ_PROFILE_SCRIPT = """
 from skugga.selector.cost.device_profile import load_profile
 from skugga.terrain.gl.device import renderer_and_version
 print(load_profile(*renderer_and_version()).model_dump_json())
@@ -678,62 +696,62 @@ def run_program(program: str, environment: dict[str, str]) -> str:
     ).stdout.strip()
 
 
-def test_calibrate_killed(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_killed_calibrate_leaves_a_readable_profile(tmp_path: Path, capsys: pytest.CaptureFixture):
     """The old calibration stays readable when the command is killed, also at the moment at which it stores the new one."""
-    chosen, environment = random.Random(9), {"XDG_CACHE_HOME": str(tmp_path)}
-    path = Path(run_program(ESTIMATE, environment))
+    rng, environment = random.Random(9), {"XDG_CACHE_HOME": str(tmp_path)}
+    path = Path(run_program(STORE_ESTIMATE_SCRIPT, environment))
     before = path.read_bytes()
-    old = run_program(READ, environment)
-    moments_s = [chosen.uniform(1.0, 60.0) for _ in range(KILLS // 2)]
+    old_profile = run_program(READ_PROFILE_SCRIPT, environment)
+    moments_s = [rng.uniform(1.0, 60.0) for _ in range(KILL_COUNT // 2)]
     for moment_s in [*moments_s, None]:
-        with command(["calibrate"], environment) as process:
-            until = time.monotonic() + (600.0 if moment_s is None else moment_s)
-            while time.monotonic() < until and process.poll() is None:
+        with skugga_process(["calibrate"], environment) as process:
+            deadline = time.monotonic() + (600.0 if moment_s is None else moment_s)
+            while time.monotonic() < deadline and process.poll() is None:
                 if moment_s is not None:
                     time.sleep(0.05)
                 elif len(os.listdir(path.parent)) > 1:  # the file is being written beside the old one
                     break
             was_running = process.poll() is None
             process.kill()
-        assert not settle(lambda: processes_of(tmp_path)), "processes outlived the command"
+        assert not remaining_after_wait(lambda: processes_of(tmp_path)), "processes outlived the command"
         assert was_running, "the command ended before it was killed"
         assert path.read_bytes() == before or moment_s is None
-        assert run_program(READ, environment), "the calibration cannot be read"
+        assert run_program(READ_PROFILE_SCRIPT, environment), "the calibration cannot be read"
     unchanged = path.read_bytes() == before
-    assert not unchanged or run_program(READ, environment) == old
+    assert not unchanged or run_program(READ_PROFILE_SCRIPT, environment) == old_profile
     status, output = run_command(["calibrate"], environment)
     assert status == 0, output
-    left = [name for name in os.listdir(path.parent) if name != path.name]
+    remaining = [name for name in os.listdir(path.parent) if name != path.name]
     with capsys.disabled():
         moments = ", ".join(f"{moment_s:.0f}" for moment_s in moments_s)
         print(f"\nskugga calibrate killed after {moments} s and at its write, which left the {'old' if unchanged else 'new'} file")
-    assert path.read_bytes() != before and run_program(READ, environment) != old
-    assert len(left) <= 1, "more temporary files are left behind than that of the kill at the write"
+    assert path.read_bytes() != before and run_program(READ_PROFILE_SCRIPT, environment) != old_profile
+    assert len(remaining) <= 1, "more temporary files are left behind than that of the kill at the write"
 
 
-def test_compile_killed(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_killed_compile_is_completed_by_the_next_run(tmp_path: Path, capsys: pytest.CaptureFixture):
     """Loops are compiled by the next run when the command or one of its processes is killed at random moments."""
-    chosen, counts = random.Random(2), []
+    rng, counts = random.Random(2), []
     loops = tmp_path / "loops"
     environment = {"NUMBA_CACHE_DIR": str(loops)}
-    for number in range(KILLS):
-        with command(["compile"], environment) as process:
-            stored_count = len(list(loops.glob("*.loop"))) + chosen.randrange(1, 20)
+    for number in range(KILL_COUNT):
+        with skugga_process(["compile"], environment) as process:
+            stored_count = len(list(loops.glob("*.loop"))) + rng.randrange(1, 20)
             while process.poll() is None and len(list(loops.glob("*.loop"))) < stored_count:
                 time.sleep(0.05)
-            time.sleep(chosen.uniform(0.0, 1.0))
-            others = [pid for pid in processes_of(loops) if pid != process.pid]
-            if number % 2 == 0 and kill_one(others, chosen):  # the command ends by itself, with or without success
+            time.sleep(rng.uniform(0.0, 1.0))
+            other_pids = [pid for pid in processes_of(loops) if pid != process.pid]
+            if number % 2 == 0 and kill_random(other_pids, rng):  # the command ends by itself, with or without success
                 output, _ = process.communicate(timeout=300)
                 assert process.returncode in (0, 1) and "Traceback" not in output, output
             process.kill()
-        assert not settle(lambda: processes_of(loops)), "processes outlived the command"
+        assert not remaining_after_wait(lambda: processes_of(loops)), "processes outlived the command"
         counts.append(len(list(loops.glob("*.loop"))))
         if number % 2 == 0:
             shutil.rmtree(loops)
-    began = time.monotonic()
+    start_s = time.monotonic()
     status, output = run_command(["compile"], environment)
-    seconds = time.monotonic() - began
+    seconds = time.monotonic() - start_s
     assert status == 0, output
     assert min(counts) < len(list(loops.glob("*.loop"))), "the command had always ended before"
     status, second_output = run_command(["compile"], environment)
@@ -744,6 +762,6 @@ def test_compile_killed(tmp_path: Path, capsys: pytest.CaptureFixture):
     assert run_command(seed_arguments(level, archive), environment)[0] == 0
     assert run_command(seed_arguments(level, other))[0] == 0
     with capsys.disabled():
-        print(f"\nskugga compile killed {KILLS} times: {counts} loops stored after each; the last run took {seconds:.0f} s")
+        print(f"\nskugga compile killed {KILL_COUNT} times: {counts} loops stored after each; the last run took {seconds:.0f} s")
         print(f"{output.strip()}; {len(partial_files)} partial files are left")
     assert archive.read_bytes() == other.read_bytes()

@@ -17,7 +17,7 @@ from tests.soak.service import service
 
 pytestmark = pytest.mark.soak
 
-TILES = 115
+TILES_PER_CLIENT = 115
 """Tiles of a client's maps: 5 x 5 at one zoom, then 10 x 9 at the next."""
 
 CONCURRENCY = 8
@@ -34,7 +34,7 @@ def map_paths(client: int) -> list[str]:
         left, top = (CORNER[0] << zoom - ZOOM) - columns // 2, (CORNER[1] << zoom - ZOOM) - rows // 2
         tiles = itertools.product(range(left, left + columns), range(top, top + rows))
         paths += [f"/levels/hills/tiles/WebMercatorQuad/{zoom}/{x}/{y}.png?{sun}" for x, y in tiles]
-    assert len(paths) == TILES
+    assert len(paths) == TILES_PER_CLIENT
     return paths
 
 
@@ -56,7 +56,7 @@ async def send_all(port: int, address: str, paths: list[str], concurrency: int, 
     """Send requests for ``paths`` from one address, some at a time. None is sent twice: map clients do not retry."""
     remaining = iter(paths)
 
-    async def send() -> None:
+    async def send_remaining() -> None:
         connection = Connection(port, address)
         try:
             for path in remaining:
@@ -66,7 +66,7 @@ async def send_all(port: int, address: str, paths: list[str], concurrency: int, 
         finally:
             connection.close()
 
-    await asyncio.gather(*(send() for _ in range(concurrency)))
+    await asyncio.gather(*(send_remaining() for _ in range(concurrency)))
 
 
 @pytest.mark.parametrize(("clients", "has_greedy"), [(1, False), (8, False), (7, True)])
@@ -87,12 +87,12 @@ def test_no_tile_of_a_map_is_refused(clients: int, has_greedy: bool, tmp_path: P
     with capsys.disabled():
         print()
         for n, answers in enumerate(maps):
-            print(answers.line(f"map client {n}") + f", longest {max(answers.seconds):.1f} s")
+            print(answers.summary(f"map client {n}") + f", longest {max(answers.seconds):.1f} s")
         if has_greedy:
-            print(greedy.line("greedy client"))
-    assert [answers.count(200) for answers in maps] == [TILES] * clients
+            print(greedy.summary("greedy client"))
+    assert [answers.count(200) for answers in maps] == [TILES_PER_CLIENT] * clients
     half_s = [answers.ms(0.5) / 1000 for answers in maps]
-    assert max(half_s) < 2.0 * min(half_s) + 0.5, "equal shares"
+    assert max(half_s) < 2.0 * min(half_s) + 0.5, "the median times of all clients are similar, so they got equal shares"
     if has_greedy:
         assert greedy.count(503) > 0 and set(greedy.statuses) <= {200, 503, 504}
         assert greedy.retry_after_count >= greedy.count(503)

@@ -45,7 +45,9 @@ def serve(
     for option in (option for source in archives for option in source.options):
         raise InputError(f"--{option}", Problem(f"does not apply to {levels[0].path}, an archive of tiles"), "Leave it out")
     for named in (source for source in archives if source.name is not None):
-        raise InputError("LEVEL", f"{named.name}={named.path}", "NAME= before a level only; an archive has the name of its file")
+        raise InputError(
+            "LEVEL", f"{named.name}={named.path}", "NAME=FILE for levels only; an archive is served under the name of its file"
+        )
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
     rendered_levels = [source for source in levels if source not in archives]

@@ -180,9 +180,8 @@ async def horizon_of_point(
     formats_of_suffix = [horizon_format for horizon_format in HORIZON_FORMATS.values() if horizon_format.suffix == suffix]
     chosen_format = next((horizon_format for horizon_format in formats_of_suffix if format in (None, horizon_format.name)), None)
     if chosen_format is None:
-        raise InputError(
-            "format", format, f"of .{suffix} files: {', '.join(horizon_format.name for horizon_format in formats_of_suffix)}"
-        )
+        names = ", ".join(horizon_format.name for horizon_format in formats_of_suffix)
+        raise InputError("format", format, f"{names} for .{suffix} files")
     return await _run_point_query(request, service, level, point, time, "horizon", chosen_format.name, chosen_format.media_type)
 
 

@@ -96,7 +96,7 @@ class ServedArchives:
         for path in paths:
             name = printable(path.stem)
             if name in self._named:
-                raise InputError("LEVEL", Problem(f"'{path}' and another file are both an archive '{name}'"), "Rename one of them")
+                raise InputError("LEVEL", Problem(f"'{path}' and another archive are both named '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
             self._named[name] = FileCheck(name, archive, partial(self._check_file, name), ttl_s, max_wait_s, "archive")
 

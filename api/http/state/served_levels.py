@@ -220,7 +220,7 @@ class ServedLevels:
         for source in map(LevelSource.of, sources):
             check = self._make_check(source, [file.parent for file in _named_files(source)])
             if check.name in self._checks:
-                fault = Problem(f"'{source.path}' and another file are both a level '{check.name}'")
+                fault = Problem(f"'{source.path}' and another level are both named '{check.name}'")
                 raise InputError("LEVEL", fault, "Rename one of them, or give NAME=FILE")
             self._checks[check.name] = check
         self._source_checks = dict(self._checks)
@@ -250,7 +250,9 @@ class ServedLevels:
                 checks[name] = check
             self._checks = checks  # replaced as a whole: other threads may iterate over the old one
         new, removed = ([name for name in names if name not in other] for names, other in ((checks, before), (before, checks)))
-        log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(removed) or "none")
+        log.info(
+            "folder of levels %s: added: %s; removed: %s", self._folder, ", ".join(new) or "none", ", ".join(removed) or "none"
+        )
 
     def reload_folder(self) -> None:
         """Run ``read_folder``, and log its error instead of raising it: a running service keeps its levels."""
@@ -372,7 +374,7 @@ def _level_files(folder: Path, reserved_names: Collection[str]) -> dict[str, Pat
     for path in files:
         name = printable(path.stem)
         if name in paths or name in reserved_names:
-            raise InputError("SKUGGA_LEVELS", Problem(f"'{path}' and another file are both a level '{name}'"), "Rename one of them")
+            raise InputError("SKUGGA_LEVELS", Problem(f"'{path}' and another level are both named '{name}'"), "Rename one of them")
         paths[name] = path
     return paths
 

@@ -78,5 +78,6 @@ def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:
         raise InputError(
             "size",
             f"{size[0]}x{size[1]}",
-            f"pixels at most {MAX_PIXEL_ASPECT:g} times as long as wide: {pixel_width:.3g} by {pixel_height:.3g}",
+            f"a size whose pixels are at most {MAX_PIXEL_ASPECT:g} times as long as wide; these cover {pixel_width:.3g} by "
+            f"{pixel_height:.3g} units of the CRS",
         )

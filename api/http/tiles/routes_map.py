@@ -72,7 +72,9 @@ def _query_on_earth(
     bounds_crs = level.map_crs if crs is None else crs_of_code(code)
     bounds = bounds_in(level, bounds_crs) if bbox is None else parse_bounds(bbox)
     if bbox is not None and crs is None and _may_be_degrees(bounds) and not _overlap(bounds, bounds_in(level, bounds_crs)):
-        raise InputError("bbox", Problem(f"'{bbox}' is off the level, whose maps are in {code}"), "For degrees add crs=OGC:CRS84")
+        raise InputError(
+            "bbox", Problem(f"'{bbox}' lies outside of the level, whose maps are in {code}"), "For degrees add crs=OGC:CRS84"
+        )
     west, south, east, north = bounds
     size = map_size(sides.get("width"), sides.get("height"), (east - west) / (north - south))
     return MapQuery(bounds, code, size, product_request, format)

@@ -34,7 +34,7 @@ Text = Annotated[str, Field(max_length=MAX_TEXT_CHARACTERS)]
 
 _FROM_FIELD = Field(
     default=None, examples=["2024-10-21T08:00:00-04:00"],
-    description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
+    description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a time on the level's clock, as 0s: "
     "animated objects move, and the sun is fixed. Default: the path's.",
 )  # fmt: skip
 _FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
@@ -47,7 +47,7 @@ class _AnimationFields(_FromModel):
     )
     step: Text | None = Field(
         default=None, examples=["10m"],
-        description="Time between frames: a number and s, m, h or d. Default for readings of the clock: 1 / `fps` seconds.",
+        description="Time between frames: a number and s, m, h or d. Default for times on the clock: 1 / `fps` seconds.",
     )  # fmt: skip
     view: str | None = Field(
         default=None, max_length=100, examples=["ridge"], description="A view of the level; default: `map`, else its first one."
@@ -103,7 +103,7 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
         raise InputError("format", Problem("this service has no encoder of mp4"), "Use webp")
     if body.path is not None:
         if body.view is not None:
-            raise InputError.conflict("view", "path", "Use one of them; a path is a view of its own")
+            raise InputError.conflict("view", "path", "Use one of them; a path sets the camera")
         _check_positions(body.path)
     span = film_span(getattr(body, "from"), body.to, body.step, body.fps, body.path, body.seconds, settings.max_animation_frames)
     view = PATH_VIEW_NAME if body.path is not None else level.view_named(body.view)

@@ -24,16 +24,19 @@ from skugga.selector.film_request import FilmSpan
 from skugga.terrain.errors import BusyError, InputError, RenderError
 from tests.api.workers.test_pool import TIMEOUT_S, wait_until
 
-FRAMES = 4
+FRAME_COUNT = 4
+"""Frames of a film by default."""
 
 
-def order(number: int = 0, frames: int = FRAMES) -> FilmOrder:
+def film_order(number: int = 0, frames: int = FRAME_COUNT) -> FilmOrder:
+    """Return the order of a film. Orders with different numbers are different films."""
     level = LevelKey(path=Path("level.yaml"), version="1")
     return FilmOrder(level=level, level_name="level", span=FilmSpan(frames, 60.0 + number))
 
 
-def request(animations: Animations, asked: FilmOrder) -> Animation:
-    return animations.request(asked, frame_s=2.0)
+def request_animation(animations: Animations, order: FilmOrder) -> Animation:
+    """Request a film whose frames are expected to take 2 s each."""
+    return animations.request(order, frame_s=2.0)
 
 
 class FakeBackend:
@@ -106,16 +109,16 @@ def film_content(animation: Animation) -> bytes:
 
 def test_animation_goes_from_accepted_to_successful():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request(animations, order())
+        animation = request_animation(animations, film_order())
         assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
         backend.release(2)
         await wait_until(lambda: animation.frames_done == 2)
         assert (animation.status, animation.film) == ("running", None)
-        backend.release(FRAMES - 2)
+        backend.release(FRAME_COUNT - 2)
         await wait_until(lambda: animation.ended)
-        assert (animation.status, animation.frames_done) == ("successful", FRAMES)
+        assert (animation.status, animation.frames_done) == ("successful", FRAME_COUNT)
         assert film_content(animation) == b"0,1,2,3,"
-        assert animation.film_bytes == animations.cached_bytes == 8
+        assert animation.film_bytes == animations.cached_bytes == len(b"0,1,2,3,")
         assert animation.created <= animation.started <= animation.finished  # type: ignore[operator]
         assert backend.closed == 1
 
@@ -127,16 +130,16 @@ def test_at_most_one_frame_is_drawn_ahead():
         release_event = threading.Event()
         original_encode = backend.encode
 
-        def slow(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+        def encode_on_release(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
             original_encode(path, (frame for frame in frames if release_event.wait()), order)
 
-        animations._encode = slow
-        animation = request(animations, order(frames=10))
+        animations._encode = encode_on_release
+        animation = request_animation(animations, film_order(frames=10))
         backend.release(10)
         await wait_until(lambda: animation.frames_done == 2)
         for _ in range(20):
             await asyncio.sleep(0)
-        assert animation.frames_done == 2, "the one that is encoded, and the next"
+        assert animation.frames_done == 2, "one frame is being encoded, and one is drawn ahead"
         release_event.set()
         await wait_until(lambda: animation.status == "successful")
 
@@ -145,27 +148,27 @@ def test_at_most_one_frame_is_drawn_ahead():
 
 def test_equal_requests_share_an_animation_while_it_exists():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first = request(animations, order())
-        assert request(animations, order()) is first and request(animations, order(1)) is not first
-        backend.release(FRAMES)
+        first = request_animation(animations, film_order())
+        assert request_animation(animations, film_order()) is first and request_animation(animations, film_order(1)) is not first
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: first.ended)
-        assert request(animations, order()) is first
+        assert request_animation(animations, film_order()) is first
         animations.dismiss(first, "enough")
-        assert request(animations, order()) is not first
+        assert request_animation(animations, film_order()) is not first
 
     run_with_animations(scenario)
 
 
 def test_animations_are_drawn_in_order_of_arrival():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second, third = (request(animations, order(number)) for number in range(3))
-        for done in range(1, 3 * FRAMES + 1):
+        first, second, third = (request_animation(animations, film_order(number)) for number in range(3))
+        for done in range(1, 3 * FRAME_COUNT + 1):
             backend.release(1)
             await wait_until(lambda done=done: sum(animation.frames_done for animation in (first, second, third)) == done)
-            if done == FRAMES - 1:
+            if done == FRAME_COUNT - 1:
                 assert [animation.status for animation in (first, second, third)] == ["running", "accepted", "accepted"]
-            if done > FRAMES:
-                assert first.frames_done == FRAMES
+            if done > FRAME_COUNT:
+                assert first.frames_done == FRAME_COUNT
         await wait_until(lambda: third.ended)
 
     run_with_animations(scenario)
@@ -173,10 +176,11 @@ def test_animations_are_drawn_in_order_of_arrival():
 
 def test_seconds_left_include_earlier_animations():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request(animations, order(0)), request(animations, order(1, frames=2))
+        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1, frames=2))
+        # A frame takes 2 s. The first animation has 4 frames, and the second has 2 and waits for the first.
         assert animations.seconds_left(first) == 8.0
         assert animations.seconds_left(second) == 12.0
-        backend.release(FRAMES)
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: first.ended)
         assert animations.seconds_left(first) == 0.0
 
@@ -185,30 +189,30 @@ def test_seconds_left_include_earlier_animations():
 
 def test_full_queue_rejects_animations_with_retry_after():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request(animations, order(0)), request(animations, order(1))
+        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
         with pytest.raises(RetryLaterError) as error_info:
-            request(animations, order(2))
-        assert error_info.value.retry_after_s == 8, "as long as the first one takes"
-        assert request(animations, order(1)) is second, "what is there already takes no place"
+            request_animation(animations, film_order(2))
+        assert error_info.value.retry_after_s == 8, "the first animation takes 8 s: 4 frames of 2 s"
+        assert request_animation(animations, film_order(1)) is second, "a request for a waiting animation takes no slot"
         animations.dismiss(first, "enough")
-        assert request(animations, order(2)).status == "accepted"
+        assert request_animation(animations, film_order(2)).status == "accepted"
 
     run_with_animations(scenario, animations_waiting=1)
 
 
 def test_dismissed_animation_stops_and_frees_its_slot():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request(animations, order(0)), request(animations, order(1))
+        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
         backend.release(1)
         await wait_until(lambda: first.frames_done == 1 and backend.drawing == 1)
         animations.dismiss(first, "enough")
         assert (first.status, first.message) == ("dismissed", "enough")
         await wait_until(lambda: second.status == "running")
-        backend.release(FRAMES)
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: second.ended)
         assert film_content(second) == b"0,1,2,3,"
         assert first.frames_done == 1
-        assert animations.get(first.id).status == "dismissed", "its state is still told"
+        assert animations.get(first.id).status == "dismissed", "clients can still read the state"
         animations.dismiss(first, "again")
         assert first.message == "enough"
         assert animations.ended == {"successful": 1, "failed": 0, "dismissed": 1}
@@ -218,8 +222,8 @@ def test_dismissed_animation_stops_and_frees_its_slot():
 
 def test_dismissed_film_stays_readable_by_open_readers():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request(animations, order())
-        backend.release(FRAMES)
+        animation = request_animation(animations, film_order())
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: animation.ended)
         assert animation.film is not None
         film = animation.film
@@ -231,14 +235,16 @@ def test_dismissed_film_stays_readable_by_open_readers():
         for _ in range(2):
             reader.close()
         assert film.is_file_closed and reader.chunk() == b""
-        assert animations.ended["successful"] == 1 and animations.ended["dismissed"] == 0, "it had ended before"
+        assert animations.ended["successful"] == 1 and animations.ended["dismissed"] == 0, (
+            "an animation that had ended stays counted as successful"
+        )
 
     run_with_animations(scenario)
 
 
 def test_unpolled_animation_is_abandoned():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request(animations, order())
+        animation = request_animation(animations, film_order())
         await wait_until(lambda: animation.ended)
         assert animation.status == "dismissed"
         assert animation.message is not None and "SKUGGA_ANIMATION_ABANDONED_S" in animation.message
@@ -251,12 +257,12 @@ def test_polled_animation_is_kept():
     """Each poll restarts the timer that abandons the animation."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request(animations, order())
-        for question in (lambda: animations.get(animation.id), lambda: request(animations, order())):
-            before = animation.timer
-            assert question() is animation
-            assert before is not None and before.cancelled() and animation.timer is not before
-        backend.release(FRAMES)
+        animation = request_animation(animations, film_order())
+        for poll in (lambda: animations.get(animation.id), lambda: request_animation(animations, film_order())):
+            timer_before = animation.timer
+            assert poll() is animation
+            assert timer_before is not None and timer_before.cancelled() and animation.timer is not timer_before
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: animation.ended)
         assert animation.status == "successful"
 
@@ -265,13 +271,13 @@ def test_polled_animation_is_kept():
 
 def test_films_expire():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request(animations, order())
-        backend.release(FRAMES)
+        animation = request_animation(animations, film_order())
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: animation.ended)
         await wait_until(lambda: not animations.counts["successful"])
         with pytest.raises(NotServedError):
             animations.get(animation.id)
-        assert request(animations, order()) is not animation
+        assert request_animation(animations, film_order()) is not animation
 
     run_with_animations(scenario, animation_age_s=0.05)
 
@@ -280,13 +286,13 @@ def test_film_over_the_byte_limit_is_not_kept():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
-        def huge(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+        def encode_over_limit(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
             original_encode(path, frames, order)
             os.truncate(path, 2**20 + 1)
 
-        animations._encode = huge
-        animation = request(animations, order())
-        backend.release(FRAMES)
+        animations._encode = encode_over_limit
+        animation = request_animation(animations, film_order())
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: animation.ended)
         assert animation.status == "failed"
         assert "1048577 bytes" in str(animation.error) and "SKUGGA_ANIMATION_BYTES" in str(animation.error)
@@ -298,8 +304,8 @@ def test_oldest_films_are_evicted_above_the_count_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         film_jobs, films = [], []
         for number in range(3):
-            film_jobs.append(request(animations, order(number)))
-            backend.release(FRAMES)
+            film_jobs.append(request_animation(animations, film_order(number)))
+            backend.release(FRAME_COUNT)
             await wait_until(lambda: film_jobs[-1].ended)
             films.append(film_jobs[-1].film)
         assert [film.is_file_closed for film in films] == [True, False, False]
@@ -314,15 +320,15 @@ def test_oldest_films_are_evicted_above_the_byte_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
-        def large(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+        def encode_large_film(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
             original_encode(path, frames, order)
             os.truncate(path, 600_000)
 
-        animations._encode = large
+        animations._encode = encode_large_film
         films = []
         for number in range(2):
-            last = request(animations, order(number))
-            backend.release(FRAMES)
+            last = request_animation(animations, film_order(number))
+            backend.release(FRAME_COUNT)
             await wait_until(lambda last=last: last.ended)
             films.append(last.film)
         assert [film.is_file_closed for film in films] == [True, False]
@@ -332,7 +338,7 @@ def test_oldest_films_are_evicted_above_the_byte_limit():
 
 
 @pytest.mark.parametrize(
-    ("raised", "told"),
+    ("error", "expected_error"),
     [
         (InputError("path, frame 2", "x", "a camera above the ground"), InputError),
         (RenderError("it went wrong"), RenderError),
@@ -340,22 +346,22 @@ def test_oldest_films_are_evicted_above_the_byte_limit():
         (ZeroDivisionError("a bug"), RenderError),
     ],
 )
-@pytest.mark.parametrize("where", ["drawing", "encoding"])
-def test_failed_animation_has_a_reason_and_the_next_is_drawn(raised: Exception, told: type, where: str):
+@pytest.mark.parametrize("failing_stage", ["drawing", "encoding"])
+def test_failed_animation_has_a_reason_and_the_next_is_drawn(error: Exception, expected_error: type, failing_stage: str):
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        if where == "drawing":
-            backend.frame_errors[1] = raised
+        if failing_stage == "drawing":
+            backend.frame_errors[1] = error
         else:
-            backend.encoder_error = raised
-        first, second = request(animations, order(0)), request(animations, order(1))
+            backend.encoder_error = error
+        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
         backend.release(2)
         await wait_until(lambda: first.ended)
-        assert (first.status, type(first.error), first.film) == ("failed", told, None)
+        assert (first.status, type(first.error), first.film) == ("failed", expected_error, None)
         backend.frame_errors, backend.encoder_error = {}, None
-        backend.release(FRAMES)
+        backend.release(FRAME_COUNT)
         await wait_until(lambda: second.ended)
         assert second.status == "successful"
-        assert request(animations, order(0)) is not first, "it is tried again"
+        assert request_animation(animations, film_order(0)) is not first, "a new request draws a failed film again"
 
     run_with_animations(scenario)
 
@@ -363,7 +369,7 @@ def test_failed_animation_has_a_reason_and_the_next_is_drawn(raised: Exception, 
 def test_failed_encoder_leaves_no_task_running():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         animations._encode = lambda path, frames, order: path.touch()
-        animation = request(animations, order())
+        animation = request_animation(animations, film_order())
         await wait_until(lambda: animation.ended)
         assert backend.drawing == 0
 
@@ -374,20 +380,20 @@ def test_shutdown_ends_all_animations():
     """One animation is being encoded, and one waits in the queue."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request(animations, order(0)), request(animations, order(1))
+        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
         backend.release(1)
         await asyncio.to_thread(backend.encoding.wait, TIMEOUT_S)
         await animations.close()
         assert (first.status, second.status) == ("dismissed", "dismissed")
         with pytest.raises(BusyError):
-            request(animations, order(2))
+            request_animation(animations, film_order(2))
 
     run_with_animations(scenario)
 
 
 def test_animation_ids_are_long_and_unique():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        names = {request(animations, order(number)).id for number in range(4)}
+        names = {request_animation(animations, film_order(number)).id for number in range(4)}
         assert len(names) == 4 and all(len(name) == 32 for name in names)
         with pytest.raises(NotServedError):
             animations.get("0" * 32)
@@ -408,8 +414,8 @@ class FlakyPool:
         return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), FilmPlanState(None))
 
 
-@pytest.mark.parametrize(("failures", "drawn"), [(0, FRAMES), (FRAME_TRIES - 1, FRAMES), (FRAME_TRIES, 0)])
-def test_frame_is_retried_until_a_process_starts(monkeypatch, failures, drawn):
+@pytest.mark.parametrize(("failed_starts", "drawn_frames"), [(0, FRAME_COUNT), (FRAME_TRIES - 1, FRAME_COUNT), (FRAME_TRIES, 0)])
+def test_frame_is_retried_until_a_process_starts(monkeypatch, failed_starts, drawn_frames):
     """The frame is retried a few times, with pauses. Then the animation fails."""
     pauses = []
 
@@ -417,17 +423,17 @@ def test_frame_is_retried_until_a_process_starts(monkeypatch, failures, drawn):
         pauses.append(seconds)
 
     async def level_now(name: str) -> LevelKey:
-        return order().level
+        return film_order().level
 
-    async def frames_of(pool: FlakyPool) -> list[int]:
-        return [int(frame[0, 0, 0]) async for frame in frame_renderer(pool, level_now)(order())]  # type: ignore[arg-type]
+    async def frame_numbers(pool: FlakyPool) -> list[int]:
+        return [int(frame[0, 0, 0]) async for frame in frame_renderer(pool, level_now)(film_order())]  # type: ignore[arg-type]
 
     monkeypatch.setattr("skugga.api.animations.drawing.asyncio.sleep", pause)
-    pool = FlakyPool(failures)
-    if drawn:
-        assert asyncio.run(frames_of(pool)) == list(range(FRAMES))
-        assert pool.jobs == [0] * failures + list(range(FRAMES))
+    pool = FlakyPool(failed_starts)
+    if drawn_frames:
+        assert asyncio.run(frame_numbers(pool)) == list(range(FRAME_COUNT))
+        assert pool.jobs == [0] * failed_starts + list(range(FRAME_COUNT))
     else:
         with pytest.raises(WorkerStartError):
-            asyncio.run(frames_of(pool))
-    assert pauses == [error_report_of(WorkerStartError("")).retry_after_s] * min(failures, FRAME_TRIES - 1)
+            asyncio.run(frame_numbers(pool))
+    assert pauses == [error_report_of(WorkerStartError("")).retry_after_s] * min(failed_starts, FRAME_TRIES - 1)

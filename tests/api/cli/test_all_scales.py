@@ -42,7 +42,7 @@ def saved_probe_files() -> list[Path]:
 def test_a_service_plans_by_the_saved_probes(probe_rows: list[dict], hills_level: Path):
     served_level = ServedLevels([hills_level]).cached_levels()[0]
     (path,) = saved_probe_files()
-    assert path.stem == served_level.version, "the command and the service know the level by the same version"
+    assert path.stem == served_level.version, "the command and the service compute the same version of the level"
     probes = load_probes(path)
     assert [2.0**entry.scale for entry in probes.classes] == [row["pixel_m"] for row in probe_rows]
 
@@ -60,13 +60,13 @@ def test_a_service_plans_by_the_saved_probes(probe_rows: list[dict], hills_level
 
         assert reasons({})["sun: probe"].startswith("maps like this one were probed: ")
         assert "sun: probe" in reasons({"max_error": 0.01})
-        assert "sun: probe" not in reasons({"map_size": 512}), "other settings than those that were drawn"
+        assert "sun: probe" not in reasons({"map_size": 512}), "the probe did not draw with this map size"
         assert "sun: probe" not in reasons({}, unprobed_measurements)
         assert unprobed_class(scene, view, {}, served_level.key, measurements) is None
         missing_class = unprobed_class(scene, view, {}, served_level.key, unprobed_measurements)
         assert missing_class == map_class(row["pixel_m"], scene.sun.altitude_deg)
         assert unprobed_class(scene, view, {}, served_level.key, PlanMeasurements()) is None, (
-            "nothing is predicted, so nothing is corrected"
+            "without a device profile there are no predictions that a probe could correct"
         )
     assert missing_class is not None
     higher = scene.with_sun(SunSpec(azimuth=180.0, altitude=MapClass(0, missing_class.sun + 2).sun_altitude_deg))
@@ -103,19 +103,19 @@ def test_a_probe_of_a_slow_choice_changes_the_plan(probe_rows: list[dict], hills
     view = map_block(scene, probe_rows[0]["pixel_m"])
     probes = load_probes(saved_probe_files()[0])
     first = probes.classes[0]
-    (name,) = {observation.choice for observation in first.seen["sun"][:1]}
+    (choice_name,) = {observation.choice for observation in first.seen["sun"][:1]}
     slow_observations = tuple(
-        observation.model_copy(update={"ms": 1e5}) if observation.choice == name else observation
+        observation.model_copy(update={"ms": 1e5}) if observation.choice == choice_name else observation
         for observation in first.seen["sun"]
     )
     slower_probes = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow_observations}}),)))
 
-    def verdict(plan_basis: PlanMeasurements) -> str:
+    def probe_outcome(plan_basis: PlanMeasurements) -> str:
         plan = select_view_plan(scene, view, "map", {}, served_level.key, plan_basis)
         return next(observation.reason for observation in plan.reasons if observation.name == "sun: probe").rsplit("; ", 1)[1]
 
-    assert verdict(_measurements(profile, served_level.version, probes)) == f"the choice remains {name}"
-    assert verdict(_measurements(profile, served_level.version, slower_probes)).endswith(f" instead of {name}")
+    assert probe_outcome(_measurements(profile, served_level.version, probes)) == f"the choice remains {choice_name}"
+    assert probe_outcome(_measurements(profile, served_level.version, slower_probes)).endswith(f" instead of {choice_name}")
 
 
 def _measurements(profile: DeviceProfile, version: str, probes) -> PlanMeasurements:
@@ -123,13 +123,13 @@ def _measurements(profile: DeviceProfile, version: str, probes) -> PlanMeasureme
 
 
 @pytest.mark.parametrize(
-    ("options", "named"),
+    ("options", "wrong_option"),
     [
         (["--view", "main"], "--view"), (["--policy", "predict"], "--policy"), (["--map-size", "512"], "--map-size"),
         (["--altitude", "-5", "--azimuth", "180"], "altitude"), (["--all-views"], "--all-views"),
         (["--budget", "soon"], "--budget"),
     ],
 )  # fmt: skip
-def test_conflicting_options_are_refused(gl, run, hills_level: Path, options: list[str], named: str):
+def test_conflicting_options_are_refused(gl, run, hills_level: Path, options: list[str], wrong_option: str):
     status, out, err = run("select", str(hills_level), "--all-scales", *options)
-    assert status != 0 and out == "" and err.startswith(f"skugga: {named}: ") and len(err.strip().splitlines()) == 1
+    assert status != 0 and out == "" and err.startswith(f"skugga: {wrong_option}: ") and len(err.strip().splitlines()) == 1

@@ -14,19 +14,23 @@ from skugga.terrain.compiling.loop_cache import loop_store
 from skugga.terrain.errors import RenderError
 
 
-@pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])
-def test_compile_reports_the_number_of_missing_loops(monkeypatch: pytest.MonkeyPatch, missing: int, said: str) -> None:
+@pytest.mark.parametrize(
+    ("missing_loops", "expected_start"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")]
+)
+def test_compile_reports_the_number_of_missing_loops(
+    monkeypatch: pytest.MonkeyPatch, missing_loops: int, expected_start: str
+) -> None:
     compiled_products = []
 
     def compile_ahead(products, processes, progress) -> None:
         compiled_products.append(tuple(products))
-        for done in range(missing + 1 if missing else 0):
-            progress("compiling loops for points", done, missing)
+        for done in range(missing_loops + 1 if missing_loops else 0):
+            progress("compiling loops for points", done, missing_loops)
 
     monkeypatch.setattr(compiling, "compile_ahead", compile_ahead)
     monkeypatch.setattr(farm, "missing_tasks", lambda products: [])
     sentence = compile_everything()
-    assert sentence.startswith(said) and str(loop_store().folder) in sentence
+    assert sentence.startswith(expected_start) and str(loop_store().folder) in sentence
     assert compiled_products == [PRODUCTS]
 
 

@@ -46,7 +46,9 @@ def test_levels_in_a_folder_are_completed(tmp_path, monkeypatch):
     for folder in ("data", str(tmp_path / "data"), "~/data"):
         assert complete_level(f"{folder}/") == [f"{folder}/deep/", f"{folder}/dem.vrt"]
         assert complete_level(f"{folder}/dem") == [f"{folder}/dem.vrt"]
-    assert complete_level("da") == complete_level("data/de/") == [], "folders alone: the shell's own completion goes into them"
+    assert complete_level("da") == complete_level("data/de/") == [], (
+        "names of folders without a slash are left to the shell's own completion"
+    )
 
 
 @pytest.fixture
@@ -135,4 +137,4 @@ def test_help_shows_the_full_help_of_each_command(run):
     assert (status, err) == (0, "") and "Usage: skugga [OPTIONS] COMMAND [ARGS]..." in help_text
     for name, (_, summary) in COMMANDS.items():
         assert f"{name} {summary}" in help_text
-    assert run()[1] == out, "without arguments, too"
+    assert run()[1] == out, "skugga without arguments prints the same help"

@@ -148,7 +148,7 @@ def test_sun_and_camera_can_move_together(gl, run, folder):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected_text"),
     [
         ((*CLOCK_SPAN, "-o", "film.gif"), "output: 'film.gif' is not allowed. Allowed: a film such as day.webp"),
         ((*CLOCK_SPAN, "--lossless", "-o", "film.mp4"), "--lossless: film.mp4 is no .webp film. Use .webp"),
@@ -185,14 +185,14 @@ def test_sun_and_camera_can_move_together(gl, run, folder):
         (("--path", "camera.yaml", "--size", "9000x9", "-o", "film.webp"), "size: '9000x9'"),
     ],
 )  # fmt: skip
-def test_wrong_options_are_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
+def test_wrong_options_are_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, expected_text):
     monkeypatch.setattr("skugga.selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
     for name, eye in (("low.yaml", [0, 0, -13]), ("off.yaml", [900, 0, 5])):
         (folder / name).write_text(json.dumps({"keys": [CAMERA_KEYS[0] | {"eye": [0, 9, 5]}, CAMERA_KEYS[1] | {"eye": eye}]}))
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     status, out, err = run("render", "floor.yaml", *options)
-    assert status == (1 if "folder" in told else 2)
-    assert (out, err.count("\n")) == ("", 1) and told in err
+    assert status == (1 if "folder" in expected_text else 2)
+    assert (out, err.count("\n")) == ("", 1) and expected_text in err
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -231,24 +231,24 @@ def test_a_full_disk_is_reported_and_leaves_no_file(gl, run, folder, full_disk, 
 
 
 @pytest.mark.parametrize(
-    ("number", "output"),
+    ("signal_number", "output"),
     [(signal.SIGINT, "film.webp"), (signal.SIGTERM, "film.mp4"), (signal.SIGINT, "frames/%d.png")],
 )
-def test_an_interrupted_film_leaves_no_file(folder, number, output):
+def test_an_interrupted_film_leaves_no_file(folder, signal_number, output):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "300s", "-o", output],
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # a background process may inherit an ignored signal
+        preexec_fn=lambda: signal.signal(signal_number, signal.SIG_DFL),  # a background process may inherit an ignored signal
     )
     before = sorted(os.listdir(folder))
     assert process.stderr is not None
     for _ in range(3):  # wait for some frames
         assert process.stderr.readline().startswith("[")
-    process.send_signal(number)
+    process.send_signal(signal_number)
     process.communicate(timeout=120)
-    assert process.returncode not in (0, -number)
+    assert process.returncode not in (0, -signal_number)
     assert sorted(os.listdir(folder)) == before
 
 

@@ -53,16 +53,16 @@ def test_every_commented_out_part_is_valid(run, folder):
     write_hills(folder)
     assert run("init", "dem.tif")[0] == 0
     lines = (folder / "dem.yaml").read_text(encoding="utf-8").splitlines()
-    parts, part = [], []
+    blocks, block = [], []
     for number, line in enumerate([*lines, ""]):
         if COMMENTED_OUT.match(line):
-            part.append(number)
-        elif part:
-            parts.append(part)
-            part = []
-    assert len(parts) == 11
-    for chosen in (*parts, [number for part in parts for number in part]):
-        text = "\n".join(COMMENTED_OUT.sub("", line) if number in chosen else line for number, line in enumerate(lines))
+            block.append(number)
+        elif block:
+            blocks.append(block)
+            block = []
+    assert len(blocks) == 11
+    for uncommented in (*blocks, [number for block in blocks for number in block]):
+        text = "\n".join(COMMENTED_OUT.sub("", line) if number in uncommented else line for number, line in enumerate(lines))
         (folder / "more.yaml").write_text(text, encoding="utf-8")
         load_level(folder / "more.yaml")
     level = load_level(folder / "more.yaml").level
@@ -101,7 +101,7 @@ def test_an_existing_file_is_kept_without_force(run, folder):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "words"),
+    ("arguments", "expected_status", "expected_texts"),
     [
         (("jacksboro",), 2, ("LEVEL", "jacksboro.yaml", "already")),
         (("nowhere.tif",), 2, ("nowhere.tif",)),
@@ -109,10 +109,10 @@ def test_an_existing_file_is_kept_without_force(run, folder):
         (("dem.tif", "-o", "nowhere/level.yaml"), 1, ("nowhere/level.yaml",)),
     ],
 )
-def test_wrong_input_of_init_is_one_line(run, folder, arguments, status, words):
+def test_wrong_input_of_init_is_one_line(run, folder, arguments, expected_status, expected_texts):
     write_hills(folder)
-    exit_status, out, err = run("init", *arguments)
-    assert (exit_status, out) == (status, "") and err.count("\n") == 1
-    for word in words:
-        assert word in err
+    status, out, err = run("init", *arguments)
+    assert (status, out) == (expected_status, "") and err.count("\n") == 1
+    for text in expected_texts:
+        assert text in err
     assert [path.name for path in folder.iterdir()] == ["dem.tif"]

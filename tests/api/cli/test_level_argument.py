@@ -195,7 +195,7 @@ def test_validate_reports_the_unit_and_direction_of_heights(run, site):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected_texts"),
     [
         (("validate", "level.yaml", "--positive", "down"), ("positive", "level.yaml", "terrain: {positive: down}")),
         (("validate", "dem.tif", "--positive", "below"), ("--positive", "below", "up (heights) or down (depths)")),
@@ -211,12 +211,12 @@ def test_validate_reports_the_unit_and_direction_of_heights(run, site):
         (("serve", "dem.tif", "canopy.tif", "--canopy", "canopy.tif"), ("--canopy", "exactly one LEVEL")),
     ],
 )
-def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):
+def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, expected_texts):
     monkeypatch.chdir(site)
     status, out, err = run(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1
-    for word in words:
-        assert word in err
+    for text in expected_texts:
+        assert text in err
 
 
 def test_a_level_file_refuses_raster_options(site):
@@ -229,11 +229,13 @@ def serve_calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list
     """Return a list that collects the folder and level names of each call of the server."""
     calls: list[tuple[Path | None, list[str]]] = []
 
-    def note(settings: Settings, levels: list[LevelSource], archives: list[Path], spawned_worker: SpawnedWorker | None) -> None:
+    def record_call(
+        settings: Settings, levels: list[LevelSource], archives: list[Path], spawned_worker: SpawnedWorker | None
+    ) -> None:
         assert not archives
         calls.append((settings.levels, [level.path.stem for level in levels]))
 
-    monkeypatch.setattr(server, "serve", note)
+    monkeypatch.setattr(server, "serve", record_call)
     monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     return calls
 

@@ -96,7 +96,7 @@ def test_each_option_changes_the_picture(gl, run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected_texts"),
     [
         (("render", "nowhere", "-o", "x.png"), ("nowhere", "jacksboro")),
         (("render", "jacksboro", "-o", "x.gif"), ("--output", "x.gif", ".png")),
@@ -130,13 +130,13 @@ def test_each_option_changes_the_picture(gl, run, tmp_path):
         (("frobnicate",), ("frobnicate",)),
     ],
 )
-def test_wrong_input_is_one_line_and_status_2(run, arguments, words, tmp_path, monkeypatch):
+def test_wrong_input_is_one_line_and_status_2(run, arguments, expected_texts, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, out, err = run(*arguments)
     assert status == 2, err
     assert out == "" and err.count("\n") == 1 and "Traceback" not in err
-    for word in words:
-        assert word in err, err
+    for text in expected_texts:
+        assert text in err, err
     assert not list(tmp_path.iterdir())
 
 
@@ -177,24 +177,22 @@ def test_an_unwritable_output_is_status_1(run, tmp_path):
 
 
 def test_an_unexpected_error_is_one_line(run, tmp_path, monkeypatch):
-    def broken(*_: object) -> None:
+    def fail_unexpectedly(*_: object) -> None:
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr("skugga.api.cli.snapshot.compute", broken)
+    monkeypatch.setattr("skugga.api.cli.snapshot.compute", fail_unexpectedly)
     status, _, err = run("render", "jacksboro", *SMALL_MAP_OPTIONS, "-o", str(tmp_path / "x.png"))
     assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
 
-@pytest.mark.parametrize(
-    ("ended_by", "expected"), [(SystemExit(143), (143, "")), (KeyboardInterrupt(), (1, "skugga: interrupted\n"))]
-)
-def test_a_signal_in_a_compiled_loop_ends_the_command_cleanly(run, tmp_path, monkeypatch, ended_by, expected):
+@pytest.mark.parametrize(("cause", "expected"), [(SystemExit(143), (143, "")), (KeyboardInterrupt(), (1, "skugga: interrupted\n"))])
+def test_a_signal_in_a_compiled_loop_ends_the_command_cleanly(run, tmp_path, monkeypatch, cause, expected):
     """Numba's dispatchers return with the signal's exception set. Python reports this as a ``SystemError``."""
 
-    def interrupted(*_: object) -> None:
-        raise SystemError("returned a result with an exception set") from ended_by
+    def fail_on_signal(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from cause
 
-    monkeypatch.setattr("skugga.api.cli.snapshot.compute", interrupted)
+    monkeypatch.setattr("skugga.api.cli.snapshot.compute", fail_on_signal)
     status, _, err = run(
         "render", "jacksboro", *SMALL_MAP_OPTIONS, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png")
     )
@@ -229,11 +227,11 @@ def test_validate_checks_each_view_that_the_level_lists(gl, run, tmp_path):
         "version": 1, "terrain": {"flat": {"size": [90, 90], "cells": [9, 9]}}, "meshes": [{"generate": "tetrahedra"}],
         "shadows": {"algorithm": "perspective_shadow_map"},
     }  # fmt: skip
-    for views, right in (({"eye": eye}, True), ({"eye": eye, "plan": {"kind": "map"}}, False), ({}, False)):
+    for views, is_valid in (({"eye": eye}, True), ({"eye": eye, "plan": {"kind": "map"}}, False), ({}, False)):
         level.write_text(json.dumps({**keys, "views": views}), encoding="utf-8")
         status, _, err = run("validate", str(level))
-        assert (status == 0) is right, err
-        assert right or (err.count("\n") == 1 and f"in view {'plan' if views else 'map'}" in err and "no perspective" in err)
+        assert (status == 0) is is_valid, err
+        assert is_valid or (err.count("\n") == 1 and f"in view {'plan' if views else 'map'}" in err and "no perspective" in err)
 
 
 def test_doctor_finds_that_this_machine_can_draw(gl, run):

@@ -26,7 +26,7 @@ def raster(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def terminal(monkeypatch) -> None:
+def stderr_is_terminal(monkeypatch) -> None:
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
 
 
@@ -77,17 +77,17 @@ def test_each_of_many_rasters_has_its_own_time(run, raster, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("quantity", "unit", "words"),
+    ("quantity", "unit", "expected_text"),
     [("hours", "h", "direct sun"), ("first", "min", "midnight"), ("longest", "h", "longest"), ("days", "d", "days")],
 )
-def test_a_raster_of_hours_has_dates_clock_and_unit(run, raster, tmp_path, quantity, unit, words):
+def test_a_raster_of_hours_has_dates_clock_and_unit(run, raster, tmp_path, quantity, unit, expected_text):
     out = tmp_path / "hours.tif"
     day = ("--date", "2024-12-20", "--to", "2024-12-22", "--window", "08:00-16:00", "--clock", "+01:00", "--step", "60m")
     assert run("sunhours", str(raster), *day, "--quantity", quantity, "-o", str(out)) == (0, "", "")
     with rasterio.open(out) as dataset:
         tags, (description,) = dataset.tags(), dataset.descriptions
         assert dataset.units == (unit,)
-    assert words in description
+    assert expected_text in description
     expected_tags = {
         "QUANTITY": quantity, "DATE": "2024-12-20", "DATE_TO": "2024-12-22", "DATES": "3", "WINDOW": "08:00-16:00",
         "CLOCK": "+01:00", "STEP_MIN": "60", "LEAST_ALTITUDE_DEG": "0", "HEIGHT_M": "0",
@@ -111,7 +111,7 @@ def test_the_default_light_is_reported_without_a_terminal(run, raster, tmp_path)
     assert run("shade", str(level), "-o", str(tmp_path / "mask.tif")) == (0, "", "")
 
 
-def test_a_terminal_shows_what_was_written(run, raster, tmp_path, terminal):
+def test_a_terminal_shows_what_was_written(run, raster, tmp_path, stderr_is_terminal):
     out = tmp_path / "mask.tif"
     status, _, err = run("shade", str(raster), *SUN, "-o", str(out))
     assert status == 0 and err.count("\n") == 1
@@ -133,8 +133,8 @@ def test_names_of_levels_are_never_truncated(run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     status, out, _ = run("levels")
     assert status == 0
-    first = {line.split()[0] for line in out.splitlines() if line.split()}
-    assert {path.stem for path in bundled_levels()} <= first
+    first_words = {line.split()[0] for line in out.splitlines() if line.split()}
+    assert {path.stem for path in bundled_levels()} <= first_words
     assert "…" not in out
 
 

@@ -119,11 +119,11 @@ def test_a_full_disk_is_reported_and_keeps_the_old_file(run, folder, full_disk, 
     assert (folder / output).read_bytes() == b"old" and not list(folder.glob(".*"))
 
 
-@pytest.mark.parametrize("limit", [0, 700, 8000])
-def test_a_raster_on_a_full_disk_is_an_error(run, folder, full_disk, limit):
+@pytest.mark.parametrize("free_bytes", [0, 700, 8000])
+def test_a_raster_on_a_full_disk_is_an_error(run, folder, full_disk, free_bytes):
     arguments = ("shade", "dem.tif", "--layer", "cosi", "--azimuth", "225", "--altitude", "30", "-o")
     assert run(*arguments, "first.tif")[0] == 0  # compiles and caches the loops before the disk is full
-    with full_disk(limit):
+    with full_disk(free_bytes):
         status, _, err = run(*arguments, "cosi.tif")
     assert status == 1 and err.count("\n") == 1 and "cosi.tif" in err
     assert not (folder / "cosi.tif").exists() and not list(folder.glob(".*"))
@@ -141,19 +141,19 @@ def test_contours_on_a_full_disk_keep_the_old_file(run, folder, full_disk):
         assert np.isfinite(dataset.read(1)).any()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_an_interrupted_run_leaves_no_partial_file(folder, number):
+@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
+def test_an_interrupted_run_leaves_no_partial_file(folder, signal_number):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")
     process = subprocess.Popen(
         [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times],
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # a background process may inherit an ignored signal
+        preexec_fn=lambda: signal.signal(signal_number, signal.SIG_DFL),  # a background process may inherit an ignored signal
     )
-    until = time.monotonic() + 120
-    while not list(folder.glob(".m_*")) and process.poll() is None and time.monotonic() < until:
+    deadline = time.monotonic() + 120
+    while not list(folder.glob(".m_*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(number)
+    process.send_signal(signal_number)
     process.communicate(timeout=120)
-    assert process.returncode not in (0, -number)
+    assert process.returncode not in (0, -signal_number)
     assert not list(folder.glob(".m_*")) and not list(folder.glob("m_*"))

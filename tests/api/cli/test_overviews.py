@@ -59,10 +59,10 @@ def mosaic_of(path: Path) -> Path:
     return path.with_name("mosaic.vrt")
 
 
-@pytest.mark.parametrize("kind", ["tif", "vrt"])
-def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, kind):
+@pytest.mark.parametrize("suffix", ["tif", "vrt"])
+def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, suffix):
     path = raster_of(tmp_path, relief())
-    path = mosaic_of(path) if kind == "vrt" else path
+    path = mosaic_of(path) if suffix == "vrt" else path
     before = path.read_bytes()
     with pytest.raises(SourceError) as error_info:
         Elevation(str(path))
@@ -79,7 +79,11 @@ def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, kind):
     error = np.abs(elevation.overview.heights_m - means)
     # GDAL maps an overview's 41 columns to 1300 cells, not to 41 x 32: cells are shifted by a fraction of one.
     assert error.max() < 0.2 * np.abs(np.diff(means)).max() and error[:8, :8].max() < 2.0
-    assert run("overviews", str(path)) == (0, f"{path.name} has overviews of 2, 4, 8, 16, 32 cells, and needs no others\n", "")
+    assert run("overviews", str(path)) == (
+        0,
+        f"{path.name} has overviews with the factors 2, 4, 8, 16, 32, and needs no others\n",
+        "",
+    )
 
 
 def test_the_last_row_of_an_odd_number_is_a_mean_of_one_row(run, tmp_path):
@@ -94,12 +98,12 @@ def test_the_last_row_of_an_odd_number_is_a_mean_of_one_row(run, tmp_path):
     np.testing.assert_array_equal(coarse_heights[0], np.rint((first[:, ::2] + first[:, 1::2]).sum(0) / 4))
 
 
-@pytest.mark.parametrize("marked", [True, False])
+@pytest.mark.parametrize("declares_nodata", [True, False])
 @pytest.mark.parametrize("dtype", [np.int16, np.float32])
-def test_nodata_is_left_out_of_means(run, tmp_path, marked, dtype):
+def test_nodata_is_left_out_of_means(run, tmp_path, declares_nodata, dtype):
     heights = relief(dtype)
     heights[100:301, 200:401] = SENTINEL
-    path = raster_of(tmp_path, heights, nodata=SENTINEL if marked else None)
+    path = raster_of(tmp_path, heights, nodata=SENTINEL if declares_nodata else None)
     assert run("overviews", str(path))[0] == 0
     for level in range(5):
         with rasterio.open(path, OVERVIEW_LEVEL=level) as dataset:
@@ -168,17 +172,17 @@ def test_unsuitable_rasters_are_refused_with_a_remedy(run, tmp_path):
 
 def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, monkeypatch):
     path = raster_of(tmp_path, relief())
-    half = raster_of(tmp_path_factory.mktemp("half"), relief()[::2, ::2])
-    shutil.copy(half, f"{path}.ovr")
+    half_size_raster = raster_of(tmp_path_factory.mktemp("half"), relief()[::2, ::2])
+    shutil.copy(half_size_raster, f"{path}.ovr")
     with rasterio.open(path) as dataset:
         assert dataset.overviews(1) == [2]
     old_overview = Path(f"{path}.ovr").read_bytes()
 
-    def fails(*_):
+    def fail_on_full_disk(*_):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(module, "_build_coarser", fails)
+        patched.setattr(module, "_build_coarser", fail_on_full_disk)
         status, _, err = run("overviews", str(path))
     assert status == 1 and "No space left" in err
     assert Path(f"{path}.ovr").read_bytes() == old_overview and len(list(tmp_path.iterdir())) == 2

@@ -28,8 +28,8 @@ def valley(tmp_path):
 def test_the_table_reports_ground_sun_and_day(run, valley):
     status, out, err = run("point", valley, "--at", LON_LAT, "--time", TIME, "--height", "1.6")
     assert (status, err) == (0, "")
-    for words in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
-        assert words in out, out
+    for text in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
+        assert text in out, out
 
 
 def test_json_reports_the_day_and_the_year(run, valley):
@@ -135,7 +135,7 @@ def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("name", "text", "expected_text"),
     [
         (
             "p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n",
@@ -154,14 +154,14 @@ def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, said):
+def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, expected_text):
     (tmp_path / name).write_text(text, encoding="utf-8")
     status, _, error = run("point", valley, "--points", str(tmp_path / name))
-    assert status == 2 and said in error and len(error.strip().splitlines()) == 1, error
+    assert status == 2 and expected_text in error and len(error.strip().splitlines()) == 1, error
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected_text"),
     [
         (["--at", "0,0"], "point: '0,0' is not allowed. Allowed: a place on the level's data: longitudes 14.9"),
         (["--at", "here"], "--at: 'here' is not allowed"),
@@ -184,9 +184,9 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, sa
         (["--points", "nowhere.csv"], "nowhere.csv"),
     ],
 )
-def test_wrong_options_are_one_line(run, valley, arguments, words):
+def test_wrong_options_are_one_line(run, valley, arguments, expected_text):
     status, out, err = run("point", valley, *arguments)
-    assert status == 2 and out == "" and err.count("\n") == 1 and words in err
+    assert status == 2 and out == "" and err.count("\n") == 1 and expected_text in err
 
 
 def test_a_flat_world_has_a_horizon_and_no_day(run, tmp_path):

@@ -21,11 +21,11 @@ def raster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
     status, out, _ = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--dry-run", "--json")
-    outlook = json.loads(out)
-    assert status == 0 and outlook["total"]["tasks"] >= 2 and {row["why"] for row in outlook["rows"]} == {"not drawn yet"}
+    dry_run = json.loads(out)
+    assert status == 0 and dry_run["total"]["tasks"] >= 2 and {row["why"] for row in dry_run["rows"]} == {"not drawn yet"}
     status, out, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--workers", "1")
     lines = [line for line in err.splitlines() if line.startswith("[")]
-    assert (status, out) == (0, "Wrote a.pmtiles.\n") and len(lines) == outlook["total"]["tasks"]
+    assert (status, out) == (0, "Wrote a.pmtiles.\n") and len(lines) == dry_run["total"]["tasks"]
     assert all(" s, " in line and "worker's peak" in line for line in lines)
     check_archive(tmp_path / "a.pmtiles")
     log = [json.loads(line) for line in (tmp_path / "a.pmtiles.seed" / "log.jsonl").read_text(encoding="utf-8").splitlines()]
@@ -38,7 +38,7 @@ def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "expected_texts"),
     [
         (("-o", "nowhere/a.pmtiles"), ("nowhere", "folder not found")),
         (("-o", "dem.tif"), ("--output", "dem.tif", ".pmtiles")),
@@ -58,13 +58,13 @@ def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
         (("-o", "dem.tif/a.pmtiles"), ("dem.tif",)),
     ],
 )  # fmt: skip
-def test_wrong_input_is_one_line(run, raster, tmp_path, options, words):
+def test_wrong_input_is_one_line(run, raster, tmp_path, options, expected_texts):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("kept", encoding="utf-8")
     status, out, err = run("seed", "dem.tif", *options)
     assert status in (1, 2) and out == "" and err.count("\n") == 1, err
-    for word in words:
-        assert word in err
+    for text in expected_texts:
+        assert text in err
     assert not list(tmp_path.glob("a.pmtiles")) and (tmp_path / "full" / "mine.txt").read_text(encoding="utf-8") == "kept"
 
 
@@ -91,14 +91,16 @@ def test_a_full_disk_is_reported_and_keeps_the_archive(run, raster, tmp_path, mo
     before = (tmp_path / "a.pmtiles").read_bytes()
     write_ground(raster, rough_ground(120, seed=9))
 
-    def full(*_: object) -> None:
+    def fail_on_full_disk(*_: object) -> None:
         raise OSError(28, "No space left on device", str(tmp_path / "a.pmtiles"))
 
-    monkeypatch.setattr("skugga.api.seed.publishing.write_archive", full)
+    monkeypatch.setattr("skugga.api.seed.publishing.write_archive", fail_on_full_disk)
     status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles", "--workers", "1")
     assert status == 1 and "a.pmtiles: No space left on device" in err
     assert (tmp_path / "a.pmtiles").read_bytes() == before
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
     status, _, err = run("seed", "dem.tif", *QUICK_OPTIONS, "-o", "a.pmtiles")
-    assert (status, err) == (0, "") and (tmp_path / "a.pmtiles").read_bytes() != before, "no task is drawn again"
+    assert (status, err) == (0, "") and (tmp_path / "a.pmtiles").read_bytes() != before, (
+        "the archive is published from the stored tiles"
+    )

@@ -68,7 +68,7 @@ def test_each_bundled_level_has_a_plan_as_text(gl, run, path):
     assert all(len(line) <= 100 for line in out.splitlines())
     body = " ".join(out.split())
     assert f"View {name}, " in body and "Effects left out" in body and "Rejected algorithms" in body
-    assert "_" not in re.sub(r"\S+/\S+", "", body), "names are read aloud"
+    assert "_" not in re.sub(r"\S+/\S+", "", body), "names are written as words"
     paragraphs = [part for part in out.split("\n\n") if part]
     assert all(part.rstrip().endswith(".") for part in paragraphs)
 
@@ -96,7 +96,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected_texts"),
     [
         (("--policy", "guess"), ("--policy", "guess", "rules, predict, probe, measure")),
         (("--policy", "rules", "--budget", "3s"), ("--budget", "cannot be combined with --policy rules")),
@@ -116,12 +116,12 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
         (("--descriptor", "no/such/folder.json"), ("no/such/folder.json",)),
     ],
 )
-def test_wrong_input_is_one_line(run, level, arguments, words):
+def test_wrong_input_is_one_line(run, level, arguments, expected_texts):
     before = level.read_bytes()
     status, out, err = run("select", str(level), "--policy", "rules", *arguments)
     assert status in (1, 2) and out == "" and err.count("\n") == 1 and "Traceback" not in err
-    for word in words:
-        assert word in err, err
+    for text in expected_texts:
+        assert text in err, err
     assert level.read_bytes() == before
 
 

@@ -75,7 +75,7 @@ def test_one_pin_for_all_views_replaces_the_list_and_back(run, level):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected_texts"),
     [
         (("--view", "eye"), ("--view: cannot be combined with --all-views",)),
         (("--size", "9x9"), ("--size: cannot be combined with --all-views",)),
@@ -84,11 +84,11 @@ def test_one_pin_for_all_views_replaces_the_list_and_back(run, level):
         (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "no view", "cast shadow")),
     ],
 )
-def test_wrong_input_is_one_line(run, level, arguments, words):
+def test_wrong_input_is_one_line(run, level, arguments, expected_texts):
     status, out, err = run("select", str(level), *RULES_OPTIONS, *arguments)
     assert status in (1, 2) and out == "" and err.count("\n") == 1
-    for word in words:
-        assert word in err
+    for text in expected_texts:
+        assert text in err
     assert level.read_text() == LEVEL
 
 

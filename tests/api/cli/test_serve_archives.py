@@ -42,18 +42,18 @@ CORRUPTIONS: dict[str, tuple[Callable[[bytes], bytes], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", CORRUPTIONS)
-def test_a_wrong_archive_is_one_line_and_status_2(run, tmp_path: Path, kind: str, monkeypatch):
-    make, words = CORRUPTIONS[kind]
+@pytest.mark.parametrize("corruption", CORRUPTIONS)
+def test_a_wrong_archive_is_one_line_and_status_2(run, tmp_path: Path, corruption: str, monkeypatch):
+    corrupt, expected_text = CORRUPTIONS[corruption]
     monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG, (2, 1, 1): PNG})
-    path.write_bytes(make(path.read_bytes()))
+    path.write_bytes(corrupt(path.read_bytes()))
     status, out, err = run("serve", str(path))
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert str(path) in err and words in err and "a whole PMTiles archive" in err
+    assert str(path) in err and expected_text in err and "a whole PMTiles archive" in err
     level = write_level(tmp_path, "hills", archive="a.pmtiles")
     status, out, err = run("serve", str(level))
-    assert (status, out, err.count("\n")) == (2, "", 1) and str(path) in err and words in err
+    assert (status, out, err.count("\n")) == (2, "", 1) and str(path) in err and expected_text in err
 
 
 def test_raster_options_are_refused_for_archives(run, tmp_path: Path, monkeypatch):

@@ -44,7 +44,7 @@ def test_several_times_write_one_file_each(run, raster, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "expected_texts"),
     [
         (("-o", "m.png"), ("--output", "m.png", ".tif")),
         (("-o", "m.tif", "--layer", "depth"), ("--layer", "depth", "mask", "cosi")),
@@ -56,12 +56,12 @@ def test_several_times_write_one_file_each(run, raster, tmp_path):
         (("-o", "m.tif", "--bounds", "0,0,9,9"), ("bounds", "UTM zone 33N")),
     ],
 )  # fmt: skip
-def test_wrong_input_of_shade_is_one_line(run, raster, tmp_path, monkeypatch, options, words):
+def test_wrong_input_of_shade_is_one_line(run, raster, tmp_path, monkeypatch, options, expected_texts):
     monkeypatch.chdir(tmp_path)
     status, out, err = run("shade", "dem.tif", *options)
     assert status in (1, 2) and out == "" and err.count("\n") == 1
-    for word in words:
-        assert word in err
+    for text in expected_texts:
+        assert text in err
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
 
 
@@ -70,7 +70,7 @@ COMMANDS = ("shade", "--azimuth", "200", "--altitude", "30"), ("sunhours", "--da
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 @pytest.mark.parametrize(
-    ("crs", "corner", "cell", "meets"),
+    ("crs", "corner", "cell", "overlap"),
     [
         ("EPSG:32633", (500e3, 5200e3), 30.0, "within"),
         ("EPSG:32633", (500e3 - 20.0, 5200e3 + 20.0), 30.0, "within"),  # less than a cell
@@ -82,22 +82,22 @@ COMMANDS = ("shade", "--azimuth", "200", "--altitude", "30"), ("sunhours", "--da
         ("EPSG:4326", (-15.0, 46.952), 3e-4, "not"),
     ],
 )
-def test_like_reports_an_extent_outside_the_level(run, raster, tmp_path, command, crs, corner, cell, meets):
-    """The raster of ``--like_raster`` has 60 x 60 cells; the level has 90 x 120."""
+def test_like_reports_an_extent_outside_the_level(run, raster, tmp_path, command, crs, corner, cell, overlap):
+    """The raster of ``--like`` has 60 x 60 cells; the level has 90 x 120."""
     like_raster, output = (
         write_geotiff(tmp_path / "like.tif", np.zeros((60, 60), np.uint8), crs, *corner, cell),
         tmp_path / "out.tif",
     )
     status, _, err = run(command[0], str(raster), *command[1:], "--like", str(like_raster), "-o", str(output))
-    assert output.exists() == (meets != "not")
-    if meets == "within":
+    assert output.exists() == (overlap != "not")
+    if overlap == "within":
         assert (status, err) == (0, "")
         return
     west, north = corner
     extents = f"{west:.9g},{north - 60 * cell:.9g},{west + 60 * cell:.9g},{north:.9g}", ("500000,5197300,503600,5200000")
     assert err.count("\n") == 1 and extents[0] in err and (extents[1] in err or crs == "EPSG:4326")
-    assert (status, "skugga: warning: " in err) == ((2, False) if meets == "not" else (0, True))
-    if meets == "in part":
+    assert (status, "skugga: warning: " in err) == ((2, False) if overlap == "not" else (0, True))
+    if overlap == "in part":
         with rasterio.open(output) as dataset:
             assert 0.0 < dataset.dataset_mask().astype(bool).mean() < 1.0
 
@@ -111,13 +111,13 @@ def test_from_to_and_step_give_times():
 
 
 @pytest.mark.parametrize(
-    "given",
+    "arguments",
     [
         (None, None, "2024-03-21T08:00Z", None, None), (None, None, "2024-03-21T08:00Z", "2024-03-21T09:00Z", "0m"),
         (None, None, "2024-03-21T09:00Z", "2024-03-21T08:00Z", "15m"), (None, "2024-03-21T09:00Z", "2024-03-21T08:00Z", None, None),
         (None, None, "2024-03-21T08:00Z", "2034-03-21T09:00Z", "1s"), (None, None, "2024-03-21T08:00Z", "2024-03-21T09:00Z", "15x"),
     ],
 )  # fmt: skip
-def test_invalid_times_are_refused(given):
+def test_invalid_times_are_refused(arguments):
     with pytest.raises(InputError):
-        suns_from_options(*given)
+        suns_from_options(*arguments)

@@ -69,16 +69,16 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("format", "layer", "mode", "kind"),
+    ("format", "layer", "mode", "image_format"),
     [
         ("png", "color", "RGBA", "PNG"), ("png", "shadow", "RGBA", "PNG"), ("png", "mask", "L", "PNG"),
         ("webp", "color", "RGB", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_formats_and_layers_have_their_image_modes(yard_client: Client, format: str, layer: str, mode: str, kind: str):
+def test_formats_and_layers_have_their_image_modes(yard_client: Client, format: str, layer: str, mode: str, image_format: str):
     answer = yard_client.get(f"{YARD}.{format}", params={"view": "across", "layer": layer})
     image = Image.open(io.BytesIO(answer.content))
-    assert (image.size, image.mode, image.format) == ((WIDTH, HEIGHT), mode, kind)
+    assert (image.size, image.mode, image.format) == ((WIDTH, HEIGHT), mode, image_format)
     assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
 
 
@@ -89,16 +89,16 @@ def test_a_snapshot_equals_one_drawn_in_this_process(yard_client: Client, yard_l
     overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
     sun = SunSpec(azimuth=200, altitude=30)
 
-    def here(layer: str, light: str | None = None) -> np.ndarray:
+    def draw_in_process(layer: str, light: str | None = None) -> np.ndarray:
         request = ProductRequest(product=layer, sun=sun)
         return snapshot(yard_level, view, request, overrides, size, seconds=1.5, light=light).computed.array
 
     parameters |= {} if size is None else {"size": "64x48"}
     for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
         answer = yard_client.get(f"{YARD}.{format}", params={**parameters, "layer": layer})
-        assert answer.content == encode_picture(here(layer), format), (layer, format)
+        assert answer.content == encode_picture(draw_in_process(layer), format), (layer, format)
     lamp = yard_client.get(f"{YARD}.png", params={**parameters, "layer": "mask", "light": "lamp"})
-    assert lamp.content == encode_picture(here("mask", "lamp"), "png")
+    assert lamp.content == encode_picture(draw_in_process("mask", "lamp"), "png")
 
 
 def test_the_sky_is_opaque_and_has_no_shadow(yard_client: Client):
@@ -169,8 +169,8 @@ def test_headers_report_timings_algorithm_and_caching(yard_client: Client):
     assert len(timings) == len(plan["passes"]) + 3
     assert (timings[0], timings[-4:]) == ("geometry", ["haze", "encode", "snapshot", "total"])
     assert "lamp-meshes" in answer.headers["server-timing"]
-    words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
-    assert set(words) == {"used", "needed", "clipped"}
+    reach_fields = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
+    assert set(reach_fields) == {"used", "needed", "clipped"}
     assert "meshes=shadow_volume" in answer.headers["x-skugga-algorithm"]
     assert answer.headers["cache-control"].startswith("public, max-age=3600,")
     fixed_sun_response = yard_client.get(f"{YARD}.png", params={"view": "across", "azimuth": 100, "altitude": 40})
@@ -247,7 +247,7 @@ def test_equal_snapshots_at_once_are_one_render(yard_client: Client):
 
 
 @pytest.mark.parametrize(
-    ("query", "parameter", "said"),
+    ("query", "parameter", "expected_text"),
     [
         ("png?view=ridge", "view", "map, across, low"),
         ("png?size=0x10", "size", "WIDTHxHEIGHT"),
@@ -279,9 +279,9 @@ def test_equal_snapshots_at_once_are_one_render(yard_client: Client):
         ("png?algorithm=moon%3Dshadow_map", "algorithm", "lamp"),
     ],
 )
-def test_wrong_parameters_are_422(yard_client: Client, query: str, parameter: str, said: str):
+def test_wrong_parameters_are_422(yard_client: Client, query: str, parameter: str, expected_text: str):
     problem = check_problem(yard_client.get(f"{YARD}.{query}"), 422, "invalid_parameter", parameter)
-    assert parameter in problem["detail"] and said in problem["detail"]
+    assert parameter in problem["detail"] and expected_text in problem["detail"]
 
 
 def test_an_unknown_level_is_404(yard_client: Client):

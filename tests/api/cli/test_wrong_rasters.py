@@ -22,7 +22,7 @@ COMMANDS = {
     "serve": (),
 }
 
-MESSAGES = {
+MESSAGE_PARTS_BY_RASTER = {
     "no_crs.tif": ("no coordinate reference system", "a raster with a CRS", "gdal_edit.py -a_srs"),
     "metres.tif": ("x from 500000 to 500600", "WGS 84", "degrees"),
     "degrees.tif": ("x from 12.5 to", "UTM zone 33N", "look like degrees"),
@@ -60,7 +60,7 @@ def unusable_rasters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_unusable_raster_is_one_line(run, unusable_rasters, command):
     before = sorted(unusable_rasters.iterdir())
-    for name, words in MESSAGES.items():
+    for name, words in MESSAGE_PARTS_BY_RASTER.items():
         status, out, err = run(command, name, *COMMANDS[command])
         assert (status, out) == (2, "") and err.startswith("skugga: ") and err.count("\n") == 1, (name, err)
         for word in words:

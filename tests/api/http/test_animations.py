@@ -66,11 +66,13 @@ def pictures_of(film: bytes) -> list[np.ndarray]:
 class GatedService:
     """A service whose one render worker blocks before each frame until the test opens the gate."""
 
-    def __init__(self, make: Callable[..., Client], *orders: tuple[int, str], **settings: Any) -> None:
+    def __init__(self, serve_with: Callable[..., Client], *commands: tuple[int, str], **settings: Any) -> None:
         spawn = get_context("spawn")
         self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
-        target = functools.partial(fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, orders=orders)
-        self.client = make(target, **settings)
+        target = functools.partial(
+            fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, commands=commands
+        )
+        self.client = serve_with(target, **settings)
 
     def job_started(self) -> None:
         assert self._job_started.acquire(timeout=TIMEOUT_S)
@@ -86,7 +88,7 @@ def gated_service(serve_with) -> Callable[..., GatedService]:
 
 
 @pytest.fixture
-def filming(serve_with) -> Client:
+def filming_client(serve_with) -> Client:
     """Return a service whose render worker draws frames without delay."""
     return serve_with(fake_workers.filming)
 
@@ -99,7 +101,7 @@ def test_animation_runs_from_request_to_result(gated_service):
     address, job = answer.headers["location"], answer.json()
     assert address == f"{str(client.base_url).rstrip('/')}/animations/{job['jobID']}"
     assert (job["status"], job["progress"], job["frames"], job["frames_done"]) == ("accepted", 0, 3, 0)
-    assert job["seconds_left"] == 4.5, "what the plan expects of its frames"
+    assert job["seconds_left"] == 4.5, "3 frames, each expected to take 1.5 s"
     assert 1 <= int(answer.headers["retry-after"]) <= 5
     service.job_started()
     refusal = client.get(f"{address}/result")
@@ -124,15 +126,15 @@ def test_animation_runs_from_request_to_result(gated_service):
     assert "retry-after" not in client.get(address).headers
 
 
-def test_result_supports_etags_and_byte_ranges(filming: Client):
-    state = wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY))
+def test_result_supports_etags_and_byte_ranges(filming_client: Client):
+    state = wait_for_end(filming_client, filming_client.post(ADDRESS, json=REQUEST_BODY))
     address = f"/animations/{state['jobID']}/result"
-    full_response = filming.get(address)
+    full_response = filming_client.get(address)
     tag, size = full_response.headers["etag"], len(full_response.content)
     assert (
         full_response.headers["cache-control"].startswith("private, max-age=") and full_response.headers["accept-ranges"] == "bytes"
     )
-    unchanged = filming.get(address, headers={"If-None-Match": tag})
+    unchanged = filming_client.get(address, headers={"If-None-Match": tag})
     assert (unchanged.status_code, unchanged.content, unchanged.headers["etag"]) == (304, b"", tag)
     for range_header, first, end in (
         ("bytes=0-3", 0, 4),
@@ -140,21 +142,21 @@ def test_result_supports_etags_and_byte_ranges(filming: Client):
         ("bytes=-5", size - 5, size),
         (f"bytes=4-{size}", 4, size),
     ):
-        part = filming.get(address, headers={"Range": range_header})
+        part = filming_client.get(address, headers={"Range": range_header})
         assert part.status_code == 206 and part.content == full_response.content[first:end], range_header
         assert part.headers["content-range"] == f"bytes {first}-{end - 1}/{size}"
         assert int(part.headers["content-length"]) == end - first
     for ignored_range in ("bytes=5-2", f"bytes={size}-", "bytes=0-1,3-4", "lines=1-2", "bytes=-", "bytes=-0"):
-        assert filming.get(address, headers={"Range": ignored_range}).content == full_response.content, ignored_range
-    old = filming.get(address, headers={"Range": "bytes=0-3", "If-Range": '"another"'})
+        assert filming_client.get(address, headers={"Range": ignored_range}).content == full_response.content, ignored_range
+    old = filming_client.get(address, headers={"Range": "bytes=0-3", "If-Range": '"another"'})
     assert (old.status_code, old.content) == (200, full_response.content)
-    head = filming.head(address)
+    head = filming_client.head(address)
     assert (head.content, head.headers["content-length"]) == (b"", str(size))
 
 
 def test_byte_range_parses_single_ranges_only():
     assert byte_range("bytes=0-0", 10) == (0, 1)
-    assert byte_range("bytes=-20", 10) == (0, 10), "more than there is: all"
+    assert byte_range("bytes=-20", 10) == (0, 10), "a suffix longer than the file is the whole file"
     assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
 
 
@@ -193,12 +195,12 @@ def test_dismissed_animation_has_a_state_but_no_result(gated_service):
     check_problem(client.get(f"{new_response.headers['location']}/result"), 404, "not_found", "animation")
 
 
-def test_unknown_animation_or_level_is_404(filming: Client):
+def test_unknown_animation_or_level_is_404(filming_client: Client):
     for method, path in (("GET", ""), ("GET", "/result"), ("DELETE", "")):
-        check_problem(filming.request(method, f"/animations/{'0' * 32}{path}"), 404, "not_found", "animation")
-    check_problem(filming.post("/levels/nowhere/animations", json=REQUEST_BODY), 404, "not_found", "level")
-    assert filming.get(ADDRESS).headers["allow"] == "POST"
-    assert filming.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
+        check_problem(filming_client.request(method, f"/animations/{'0' * 32}{path}"), 404, "not_found", "animation")
+    check_problem(filming_client.post("/levels/nowhere/animations", json=REQUEST_BODY), 404, "not_found", "level")
+    assert filming_client.get(ADDRESS).headers["allow"] == "POST"
+    assert filming_client.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
 
 
 def test_retry_after_is_well_below_the_abandon_timeout(gated_service):
@@ -216,11 +218,11 @@ def test_animation_without_polls_is_dismissed(gated_service):
         client.get("/healthz")
     service.open()
     state = client.get(address).json()
-    assert state["status"] == "dismissed" and "No client asked for its state" in state["message"]
+    assert state["status"] == "dismissed" and "No client requested its state" in state["message"]
     assert state["frames_done"] == 0
     while client.service.pool.running:
         client.get("/healthz")
-    assert client.service.pool.queued == 0, "no other frame of it is drawn"
+    assert client.service.pool.queued == 0, "no further frame of the dismissed animation is drawn"
 
 
 def test_results_expire_after_their_maximum_age(serve_with):
@@ -240,7 +242,7 @@ def test_full_queue_is_503_with_retry_after(gated_service):
     refusal = client.post(ADDRESS, json=REQUEST_BODY | {"fps": 3})
     check_problem(refusal, 503, "busy", None)
     assert int(refusal.headers["retry-after"]) >= 1
-    assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": 2}).status_code == 202, "it has its place"
+    assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": 2}).status_code == 202, "this animation waits already"
 
 
 def test_tile_request_precedes_the_next_frame(gated_service):
@@ -259,7 +261,7 @@ def test_tile_request_precedes_the_next_frame(gated_service):
         while client.get(address).json()["frames_done"] < 1:  # the service counts a frame after its worker has begun the next job
             pass
         service.open()
-        assert tile.result().status_code == 200, "no frame was drawn before it"
+        assert tile.result().status_code == 200, "the tile is drawn before the next frame"
         assert client.get(address).json()["frames_done"] == 1
     service.open(2)
 
@@ -277,14 +279,14 @@ def test_frame_of_a_killed_worker_is_drawn_again(gated_service):
     state = wait_for_end(client, answer)
     assert state["status"] == "successful"
     film = client.get(f"/animations/{state['jobID']}/result").content
-    assert [int(picture[0, 0, 0]) for picture in pictures_of(film)] == [1, 2, 3], "each was planned once"
+    assert [int(picture[0, 0, 0]) for picture in pictures_of(film)] == [1, 2, 3], "each frame was planned once"
 
 
 @pytest.mark.parametrize(
-    ("order", "status", "code"), [("crash", 503, "worker_crash"), ("fail", 500, "render"), ("refuse", 422, "invalid_parameter")]
+    ("command", "status", "code"), [("crash", 503, "worker_crash"), ("fail", 500, "render"), ("refuse", 422, "invalid_parameter")]
 )
-def test_failed_animation_reports_its_problem(serve_with, order: str, status: int, code: str):
-    client = serve_with(functools.partial(fake_workers.filming, orders=((1, order),)))
+def test_failed_animation_reports_its_problem(serve_with, command: str, status: int, code: str):
+    client = serve_with(functools.partial(fake_workers.filming, commands=((1, command),)))
     answer = client.post(ADDRESS, json=REQUEST_BODY)
     state = wait_for_end(client, answer)
     assert state["status"] == "failed"
@@ -294,7 +296,9 @@ def test_failed_animation_reports_its_problem(serve_with, order: str, status: in
     result = client.get(f"/animations/{state['jobID']}/result")
     check_problem(result, status, code, "view" if status == 422 else None)
     assert ("retry-after" in result.headers) == (status == 503)
-    assert client.post(ADDRESS, json=REQUEST_BODY).headers["location"] != answer.headers["location"], "it is tried again"
+    assert client.post(ADDRESS, json=REQUEST_BODY).headers["location"] != answer.headers["location"], (
+        "a new request draws the film again"
+    )
 
 
 def test_frame_timeout_fails_the_animation(serve_with):
@@ -348,7 +352,7 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
 
 
 @pytest.mark.parametrize(
-    ("asked", "parameter", "said"),
+    ("body_changes", "parameter", "expected_text"),
     [
         ({"from": None}, "from", "from and to together"),
         ({"from": "yesterday"}, "from", "ISO 8601"),
@@ -389,31 +393,35 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
         ({"file": "dem.tif"}, "file", "from, to, step"),
     ],
 )
-def test_invalid_request_is_refused_before_drawing(filming: Client, asked: dict[str, Any], parameter: str, said: str):
-    answer = filming.post(ADDRESS, json={key: value for key, value in (REQUEST_BODY | asked).items() if value is not None})
-    problem = check_problem(answer, 422, "invalid_parameter", parameter)
-    assert said in problem["detail"]
-    assert not any(filming.service.animations.counts.values())
-
-
-def test_missing_or_broken_body_is_refused(filming: Client):
-    check_problem(
-        filming.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
+def test_invalid_request_is_refused_before_drawing(
+    filming_client: Client, body_changes: dict[str, Any], parameter: str, expected_text: str
+):
+    answer = filming_client.post(
+        ADDRESS, json={key: value for key, value in (REQUEST_BODY | body_changes).items() if value is not None}
     )
-    check_problem(filming.post(ADDRESS), 422, "invalid_parameter", "body")
-    check_problem(filming.post(f"{ADDRESS}?step=1h", json=REQUEST_BODY), 422, "invalid_parameter", "step")
+    problem = check_problem(answer, 422, "invalid_parameter", parameter)
+    assert expected_text in problem["detail"]
+    assert not any(filming_client.service.animations.counts.values())
 
 
-def test_mp4_without_an_encoder_is_refused(filming: Client, monkeypatch: pytest.MonkeyPatch):
+def test_missing_or_broken_body_is_refused(filming_client: Client):
+    check_problem(
+        filming_client.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
+    )
+    check_problem(filming_client.post(ADDRESS), 422, "invalid_parameter", "body")
+    check_problem(filming_client.post(f"{ADDRESS}?step=1h", json=REQUEST_BODY), 422, "invalid_parameter", "step")
+
+
+def test_mp4_without_an_encoder_is_refused(filming_client: Client, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("skugga.api.http.views.animation_request.find_spec", lambda name: None)
-    problem = check_problem(filming.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4"}), 422, "invalid_parameter", "format")
+    problem = check_problem(filming_client.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4"}), 422, "invalid_parameter", "format")
     assert "no encoder of mp4" in problem["detail"]
 
 
-def test_mp4_result_has_all_frames(filming: Client):
+def test_mp4_result_has_all_frames(filming_client: Client):
     av = pytest.importorskip("av")
-    state = wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4", "fps": 5}))
-    film = filming.get(f"/animations/{state['jobID']}/result")
+    state = wait_for_end(filming_client, filming_client.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4", "fps": 5}))
+    film = filming_client.get(f"/animations/{state['jobID']}/result")
     assert film.headers["content-type"] == "video/mp4"
     with av.open(io.BytesIO(film.content)) as container:
         assert sum(1 for _ in container.decode(video=0)) == 3
@@ -435,21 +443,21 @@ def test_api_token_protects_animations(serve_with):
     check_problem(client.delete(f"/animations/{state['jobID']}"), 401, "unauthorized", None)
 
 
-def test_cors_exposes_location_and_allows_delete(filming: Client):
+def test_cors_exposes_location_and_allows_delete(filming_client: Client):
     page = {"Origin": "https://map.example"}
-    answer = filming.post(ADDRESS, json=REQUEST_BODY, headers=page)
+    answer = filming_client.post(ADDRESS, json=REQUEST_BODY, headers=page)
     exposed_headers = answer.headers["access-control-expose-headers"]
     assert {"Location", "Retry-After", "Content-Range"} <= {header.strip() for header in exposed_headers.split(",")}
-    preflight = filming.options(answer.headers["location"], headers=page | {"Access-Control-Request-Method": "DELETE"})
+    preflight = filming_client.options(answer.headers["location"], headers=page | {"Access-Control-Request-Method": "DELETE"})
     assert preflight.status_code == 200 and "DELETE" in preflight.headers["access-control-allow-methods"]
 
 
-def test_metrics_count_animations(filming: Client):
-    wait_for_end(filming, filming.post(ADDRESS, json=REQUEST_BODY))
-    text = filming.get("/metrics").text
+def test_metrics_count_animations(filming_client: Client):
+    wait_for_end(filming_client, filming_client.post(ADDRESS, json=REQUEST_BODY))
+    text = filming_client.get("/metrics").text
     assert 'skugga_animations{status="successful"} 1.0' in text
     assert 'skugga_animations_ended_total{status="successful"} 1.0' in text
-    assert f'skugga_cache_bytes{{cache="films"}} {float(filming.service.animations.cached_bytes)}' in text
+    assert f'skugga_cache_bytes{{cache="films"}} {float(filming_client.service.animations.cached_bytes)}' in text
     assert 'route="/animations/{animation}"' in text
 
 
@@ -463,7 +471,7 @@ def viewed_service(folder: Path) -> Iterator[tuple[Client, Path]]:
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "body_changes",
     [
         {"view": "eye", "size": None, "style": "swiss", "algorithm": "shadow_map"},
         {"view": "map"},
@@ -473,11 +481,11 @@ def viewed_service(folder: Path) -> Iterator[tuple[Client, Path]]:
     ids=["view", "map", "path", "path under a sun that rests"],
 )  # fmt: skip
 def test_animation_equals_command_line_and_snapshots(
-    viewed_service, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    viewed_service, tmp_path: Path, body_changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
     """Their pixels are equal bit for bit if no encoding has losses."""
     client, level = viewed_service
-    body = {key: value for key, value in (REQUEST_BODY | asked | {"lossless": True}).items() if value is not None}
+    body = {key: value for key, value in (REQUEST_BODY | body_changes | {"lossless": True}).items() if value is not None}
     state = wait_for_end(client, client.post("/levels/viewed_film/animations", json=body))
     assert state["status"] == "successful", state["message"]
     pictures = pictures_of(client.get(f"/animations/{state['jobID']}/result").content)
@@ -537,7 +545,7 @@ def test_webp_is_lossy_as_of_the_command_line(viewed_service, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(
-    ("level", "asked", "status", "parameter", "said"),
+    ("level", "body_changes", "status", "parameter", "expected_text"),
     [
         (
             "viewed_film",
@@ -558,12 +566,12 @@ def test_webp_is_lossy_as_of_the_command_line(viewed_service, tmp_path: Path, mo
     ],
 )
 def test_scene_errors_are_reported_on_post(
-    viewed_service, level: str, asked: dict[str, Any], status: int, parameter: str, said: str
+    viewed_service, level: str, body_changes: dict[str, Any], status: int, parameter: str, expected_text: str
 ):
     client, _ = viewed_service
-    answer = client.post(f"/levels/{level}/animations", json=REQUEST_BODY | asked)
+    answer = client.post(f"/levels/{level}/animations", json=REQUEST_BODY | body_changes)
     assert answer.status_code == status, answer.text
     problem = answer.json()
     if parameter is not None:
         assert problem["parameter"] == parameter
-    assert said in problem["detail"]
+    assert expected_text in problem["detail"]

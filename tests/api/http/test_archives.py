@@ -170,32 +170,32 @@ def test_replaced_archive_is_reopened(serve, tmp_path: Path, capfd):
     address = f"{TILES}/{ZOOM}/{X}/{Y}.png"
     with serve({"archive": "a.pmtiles"}, tile_cache_bytes=2**20, level_check_s=0.05) as client:
 
-        def until(content: bytes) -> httpx.Response:
+        def wait_for_content(content: bytes) -> httpx.Response:
             for _ in range(200):
                 answer = client.get(address)
                 assert answer.status_code == 200
                 if answer.content == content:
                     return answer
-            raise AssertionError("the service has not gone over")
+            raise AssertionError("the service did not send the expected tile within 200 requests")
 
         version = client.service.levels.cached_levels()[0].version
         rendered_tile = client.get(address).content
         assert client.get(address).content == rendered_tile and client.service.tiles.hits > 0
         other = tmp_path / "other.pmtiles"
         replace_file(path, write_tiles(other, {(ZOOM, X, Y): tile_of(2)}).read_bytes())
-        second = until(tile_of(2))
+        second = wait_for_content(tile_of(2))
         replace_file(path, write_tiles(other, {(ZOOM, X, Y): tile_of(3)}).read_bytes())
-        third = until(tile_of(3))
+        third = wait_for_content(tile_of(3))
         assert second.headers["etag"] != third.headers["etag"]
         replace_file(path, b"PMTiles\x02")
-        until(rendered_tile)
+        wait_for_content(rendered_tile)
         replace_file(path, other.read_bytes())
-        assert until(tile_of(3)).headers["etag"] == third.headers["etag"]
+        assert wait_for_content(tile_of(3)).headers["etag"] == third.headers["etag"]
         path.unlink()
-        until(rendered_tile)
+        wait_for_content(rendered_tile)
         assert client.service.levels.cached_levels()[0].version == version
     log_text = capfd.readouterr().err
-    assert log_text.count("a.pmtiles: a PMTiles archive of version 2.") == 1, "told once"
+    assert log_text.count("a.pmtiles: a PMTiles archive of version 2.") == 1, "the error is logged once"
     assert log_text.count("a.pmtiles: No such file") == 1 and "Its tiles are rendered." in log_text and "was reopened" in log_text
 
 
@@ -328,7 +328,7 @@ def test_archive_replaced_or_broken_while_served_is_noticed(serve, tmp_path: Pat
 def test_archives_of_one_name_are_refused(tmp_path: Path):
     (tmp_path / "b").mkdir()
     paths = [write_tiles(folder / "a.pmtiles", {(2, 0, 0): PNG}) for folder in (tmp_path, tmp_path / "b")]
-    with pytest.raises(InputError, match="both an archive"):
+    with pytest.raises(InputError, match="another archive are both named"):
         create_app(Settings(), [], archives=paths)
 
 

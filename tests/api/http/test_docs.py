@@ -19,7 +19,7 @@ def test_docs_load_all_parts_from_the_service(serve_with):
     parts = LinkParser(page.text).urls
     assert {part.rpartition(".")[2] for part in parts} == {"css", "js", "json"}
     for part in parts:
-        assert not urlsplit(part).netloc, "it is relative"
+        assert not urlsplit(part).netloc, "the address is relative"
         answer = client.get(urljoin(str(page.url), part))
         assert answer.status_code == 200, part
         if part.endswith(".css"):

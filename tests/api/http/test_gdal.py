@@ -83,7 +83,7 @@ def picture(client: Client, address: str, **query: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 
 
-def wmts(client: Client, layer: str, query: str = "") -> str:
+def wmts_source(client: Client, layer: str, query: str = "") -> str:
     address = f"{client.base_url}/levels/timed/WMTSCapabilities.xml{query}"
     return f"WMTS:{address},layer=timed:{layer},tilematrixset={DEFAULT_MATRIX_SET}"
 
@@ -93,7 +93,7 @@ def test_wmts_driver_reads_served_tiles(client: Client, tmp_path, layer):
     """The data set has the level's extent and finest zoom; GDAL's pixels equal the served tile bit for bit."""
     zoom = client.get("/levels/timed").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]["maxzoom"]
     x, y = (index * 2 ** (zoom - ZOOM) for index in CORNER)
-    dataset = read_with_gdal(tmp_path, "WMTS", wmts(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
+    dataset = read_with_gdal(tmp_path, "WMTS", wmts_source(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
     assert dataset.crs == 3857 and dataset.cell == pytest.approx(MATRIX_SET.matrix(zoom).cellSize)
     west, south, east, north = dataset.bounds
     assert (east - west, north - south) == pytest.approx((12_000.0, 12_000.0), abs=2 * dataset.cell)
@@ -103,13 +103,13 @@ def test_wmts_driver_reads_served_tiles(client: Client, tmp_path, layer):
 def test_wmts_driver_reads_another_time(client: Client, tmp_path):
     """The driver reads a document's default time only, so the capabilities are requested with another default."""
     bounds = (BOUNDS.left, BOUNDS.bottom + 1000, BOUNDS.right - 4000, BOUNDS.top)
-    source = f"{wmts(client, 'mask', f'?time={TIME}')},zoom_level={ZOOM}"
+    source = f"{wmts_source(client, 'mask', f'?time={TIME}')},zoom_level={ZOOM}"
     dataset = read_with_gdal(tmp_path, "WMTS", source, bounds)
     rows, cols = dataset.pixels.shape[:2]
     expected = picture(client, f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png", layer="mask", time=TIME)[:rows, :cols]
     valid = expected[..., 0] != 128
     assert valid.sum() > 10_000 and np.array_equal(dataset.pixels[valid], expected[valid])
-    default_dataset = read_with_gdal(tmp_path, "WMTS", f"{wmts(client, 'mask')},zoom_level={ZOOM}", bounds)
+    default_dataset = read_with_gdal(tmp_path, "WMTS", f"{wmts_source(client, 'mask')},zoom_level={ZOOM}", bounds)
     assert (default_dataset.pixels[valid] != dataset.pixels[valid]).any()
 
 

@@ -62,7 +62,7 @@ def test_probes_replace_predictions(serve: Serve, caplog: pytest.LogCaptureFixtu
     assert (probed.status_code, probed.text, "max-age=3600," in probed.headers["cache-control"]) == (200, version, True)
     assert client.get(OTHER_TILE).text == version
     assert [path.stem for path in saved_probe_files()] == [level.version]
-    assert load_probes(saved_probe_files()[0]) == fake_probes.probe_two_scales(level, fake_workers.UNPROBED.sun, profile())
+    assert load_probes(saved_probe_files()[0]) == fake_probes.probe_two_scales(level, fake_workers.UNPROBED_CLASS.sun, profile())
     assert log_count(caplog, "were probed at 2 scales") == 1
 
 
@@ -79,7 +79,7 @@ def test_probes_saved_by_a_command_are_loaded(serve: Serve):
     before = client.get(TILE)
     assert waiting_probes(client) == 0 and before.headers["cache-control"].startswith("public, max-age=3600,")
     level = client.service.levels.cached_levels()[0].key
-    probes = MapProbes(classes=(ProbedClass(scale=4, sun=-1, seen={"sun": (fake_probes.seen(),)}),))
+    probes = MapProbes(classes=(ProbedClass(scale=4, sun=-1, seen={"sun": (fake_probes.observation(),)}),))
     save_probes(fake_workers.RENDERER, fake_workers.VERSION, level.version, probes)
     wait_until(lambda: client.get(TILE).text != before.text)
 
@@ -90,7 +90,7 @@ def test_failed_probe_keeps_predictions(serve: Serve, caplog: pytest.LogCaptureF
     wait_until(lambda: log_count(caplog, "could not be probed") == 1)
     assert log_count(caplog, "the raster is gone") == 1 and waiting_probes(client) == 0 and saved_probe_files() == []
     assert client.get(OTHER_TILE).text == predicted
-    assert log_count(caplog, "could not be probed") == 1, "it is not tried again"
+    assert log_count(caplog, "could not be probed") == 1, "a failed probe is not repeated"
 
 
 def test_unsaved_probes_last_until_shutdown(serve: Serve, caplog: pytest.LogCaptureFixture):

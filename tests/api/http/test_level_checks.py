@@ -44,9 +44,9 @@ def test_hanging_check_returns_the_old_level():
         gated_check = GatedCheck()
         level = check(gated_check)
         assert await asyncio.gather(*(level.current() for _ in range(50))) == ["old"] * 50
-        assert gated_check.started_count == 1, "all wait for one look"
+        assert gated_check.started_count == 1, "all requests wait for one check"
         assert level.fresh_value() == "old"
-        assert await asyncio.wait_for(level.current(), 0.1) == "old", "nobody waits any more"
+        assert await asyncio.wait_for(level.current(), 0.1) == "old", "later requests do not wait for the hanging check"
         gated_check.may_finish.set()
         while await level.current() == "old":
             await asyncio.sleep(0.01)
@@ -62,7 +62,7 @@ def test_check_in_time_is_awaited():
         assert level.fresh_value() is None
         assert await level.current() == level.fresh_value() == "new"
         await level.current()
-        assert gated_check.started_count == 1, "it is fresh"
+        assert gated_check.started_count == 1, "the first result is still fresh"
         level.expire()
         await level.current()
         assert gated_check.started_count == 2
@@ -93,7 +93,9 @@ def test_hanging_checks_are_bounded(monkeypatch: pytest.MonkeyPatch):
         level = check(gated_check, max_wait_s=0.01)
         for _ in range(20):
             assert await level.current() == "old"
-        assert gated_check.started_count == level_checks.MAX_ABANDONED_CHECKS + 1, "a thread each: not without end"
+        assert gated_check.started_count == level_checks.MAX_ABANDONED_CHECKS + 1, (
+            "each abandoned check holds a thread, so their number is bounded"
+        )
         gated_check.may_finish.set()
 
     asyncio.run(scenario())
@@ -125,7 +127,7 @@ def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatc
         assert await level.current() == "new"
 
     asyncio.run(scenario())
-    assert caplog.text.count("its files cannot be checked") == 1, "it is told once"
+    assert caplog.text.count("its files cannot be checked") == 1, "the warning is logged once"
 
 
 def test_check_out_of_file_descriptors_keeps_old_level():

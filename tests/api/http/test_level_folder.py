@@ -50,8 +50,8 @@ def test_folder_serves_level_files_only(folder: Path, tmp_path: Path):
     (folder / "moor.yaml").rename(folder / "moor.yml")
     (folder / ".hills.yaml").write_text("an editor's", encoding="utf-8")
     (folder / "below.yaml").mkdir()
-    named = write_level(tmp_path, "named")
-    assert ServedLevels([named], folder=folder).names() == ["named", "hills", "moor"]
+    named_level = write_level(tmp_path, "named")
+    assert ServedLevels([named_level], folder=folder).names() == ["named", "hills", "moor"]
 
 
 def test_broken_level_file_is_logged_and_left_out(folder: Path, caplog: pytest.LogCaptureFixture):
@@ -63,14 +63,14 @@ def test_broken_level_file_is_logged_and_left_out(folder: Path, caplog: pytest.L
     assert [re.findall(r"level file \S+/(\w+).yaml is left out", text) for text in messages] == [["broken"], ["nowhere"], ["pipe"]]
 
 
-@pytest.mark.parametrize(("other", "named"), [("hills.yml", False), ("hills.yaml", True)])
-def test_two_level_files_of_one_name_are_an_error(folder: Path, tmp_path: Path, other: str, named: bool):
-    path = write_level(tmp_path, "hills") if named else folder / other
-    if not named:
+@pytest.mark.parametrize(("second_path", "is_argument"), [("hills.yml", False), ("hills.yaml", True)])
+def test_two_level_files_of_one_name_are_an_error(folder: Path, tmp_path: Path, second_path: str, is_argument: bool):
+    path = write_level(tmp_path, "hills") if is_argument else folder / second_path
+    if not is_argument:
         path.write_text((folder / "hills.yaml").read_text(), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        ServedLevels([path] if named else [], folder=folder)
-    assert caught.value.name == "SKUGGA_LEVELS" and "a level 'hills'" in str(caught.value)
+        ServedLevels([path] if is_argument else [], folder=folder)
+    assert caught.value.name == "SKUGGA_LEVELS" and "both named 'hills'" in str(caught.value)
     assert exit_status(caught.value) == 2
 
 
@@ -85,7 +85,7 @@ def test_reload_folder_updates_the_list(folder: Path, caplog: pytest.LogCaptureF
     remove(folder, "moor")
     write_level(folder, "fen")
     (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
-    assert levels.names() == ["hills", "moor"], "not before it is told to"
+    assert levels.names() == ["hills", "moor"], "the list changes at the next reload only"
     levels.reload_folder()
     assert levels.names() == ["fen", "hills"] and levels.reload_if_changed("hills") is hills
     assert "broken.yaml is left out" in caplog.text
@@ -99,7 +99,7 @@ def test_unreadable_folder_leaves_levels_unchanged(folder: Path, caplog: pytest.
     write_level(folder, "fen")
     (folder / "fen.yml").write_text((folder / "fen.yaml").read_text(), encoding="utf-8")
     levels.reload_folder()
-    assert levels.names() == ["hills", "moor"] and "a level 'fen'" in caplog.text
+    assert levels.names() == ["hills", "moor"] and "both named 'fen'" in caplog.text
     folder.rename(folder.with_name("elsewhere"))
     levels.reload_folder()
     assert levels.names() == ["hills", "moor"] and "The levels are unchanged." in caplog.text
@@ -191,8 +191,8 @@ def test_sighup_reads_the_folder_again(folder: Path):
         write_level(folder, "fen")
         process.send_signal(signal.SIGHUP)
         assert process.stderr is not None
-        while not (line := process.stderr.readline()).endswith("new: fen; gone: moor\n"):
-            assert line, "it has ended"
+        while not (line := process.stderr.readline()).endswith("added: fen; removed: moor\n"):
+            assert line, "the service ended without the log line"
         assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"fen", "hills"}
 
 

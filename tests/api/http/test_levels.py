@@ -55,7 +55,7 @@ def test_level_without_a_sun_reports_a_default_sun(tmp_path):
     (level,) = ServedLevels([write_level(tmp_path, "bare", sun=None)]).cached_levels()
     summary = level.summary()
     assert summary["sun_is_default"]
-    assert set(summary["sun"]) == {"azimuth", "altitude"}, "a low one of its place, at no time"
+    assert set(summary["sun"]) == {"azimuth", "altitude"}, "a low sun that suits the place, without a time"
 
 
 def test_engineering_level_is_listed_without_bounds(client: Client):

@@ -45,7 +45,7 @@ def is_ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "sent",
     [
         b"",
         b"GET /healthz HT",
@@ -54,9 +54,9 @@ def is_ended(connection: socket.socket) -> bool:
         b"POST /plan HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n{\r\n",
     ],
 )
-def test_stalled_request_closes_its_connection(serve_with, open_sockets, said: bytes):
+def test_stalled_request_closes_its_connection(serve_with, open_sockets, sent: bytes):
     client = serve_with(fake_workers.scripted, client_timeout_s=0.3)
-    assert is_ended(open_sockets(client, said))
+    assert is_ended(open_sockets(client, sent))
 
 
 def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
@@ -69,17 +69,19 @@ def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
             time.sleep(0.05)
 
 
-@pytest.mark.parametrize("start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100])
-def test_endless_headers_close_the_connection(serve_with, open_sockets, start: bytes):
+@pytest.mark.parametrize(
+    "request_start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100]
+)
+def test_endless_headers_close_the_connection(serve_with, open_sockets, request_start: bytes):
     client = serve_with(fake_workers.scripted)
-    connection = open_sockets(client, start)
-    part = b"x" * 65536 if not start.endswith(b"\n") else b"A: b\r\n" * 10_000
+    connection = open_sockets(client, request_start)
+    part = b"x" * 65536 if not request_start.endswith(b"\n") else b"A: b\r\n" * 10_000
     sent_bytes = 0
     with contextlib.suppress(OSError):
         while sent_bytes < 64 * 2**20:
             connection.sendall(part)
             sent_bytes += len(part)
-    assert sent_bytes < 32 * 2**20, "the connection has ended long before"
+    assert sent_bytes < 32 * 2**20, "the server closed the connection long before 64 MiB"
     assert client.get("/healthz").status_code == 200
 
 
@@ -94,10 +96,10 @@ def test_unread_answers_close_their_connection(serve_with, open_sockets):
     client = serve_with(fake_workers.scripted, client_timeout_s=0.5)
     response_bytes, request_count = len(client.get("/openapi.json").content), 500
     connection = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * request_count)
-    assert connection.recv(1) == b"H", "the server has the connection; before that, its end is not to be waited for"
+    assert connection.recv(1) == b"H", "the server has accepted the connection"
     while client.get("/healthz").status_code == 200 and _connections(client) > 1:
         time.sleep(0.05)
-    assert 0 < _received_bytes(connection) < response_bytes * request_count, "what the system's buffers held, and no more"
+    assert 0 < _received_bytes(connection) < response_bytes * request_count, "only the bytes in the system's buffers arrive"
 
 
 def _connections(client: Client) -> int:

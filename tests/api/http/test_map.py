@@ -140,11 +140,11 @@ def test_sun_hours_map_agrees_with_points(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("query", "parameter", "said"),
+    ("query", "parameter", "expected_text"),
     [
         ("bbox=1,2,3", "bbox", "four numbers"),
         ("bbox=3,2,1,4", "bbox", "west < east"),
-        ("bbox=8.3,47.4,8.5,47.6", "bbox", "is off the level, whose maps are in EPSG:3857. For degrees add crs=OGC:CRS84"),
+        ("bbox=8.3,47.4,8.5,47.6", "bbox", "lies outside of the level, whose maps are in EPSG:3857. For degrees add crs=OGC:CRS84"),
         ("bbox=a,b,c,d", "bbox", "four numbers"),
         ("bbox=0,0,nan,4", "bbox", "four numbers"),
         ("crs=%2Bproj%3Dutm%20%2Bzone%3D32%20%2Bnadgrids%3Dhouse.tif", "crs", "by its code"),
@@ -160,9 +160,9 @@ def test_sun_hours_map_agrees_with_points(client: Client):
         ("colour=red", "colour", "bbox"),
     ],
 )
-def test_map_names_wrong_parameters(client: Client, query: str, parameter: str, said: str):
+def test_map_names_wrong_parameters(client: Client, query: str, parameter: str, expected_text: str):
     problem = check_problem(client.get(f"{MAP}.png?{query}"), 422, "invalid_parameter", parameter)
-    assert said in problem["detail"]
+    assert expected_text in problem["detail"]
 
 
 def test_engineering_level_refuses_a_crs(client: Client):

@@ -14,7 +14,7 @@ from tests.api.conftest import running
 from tests.api.crs_towers import plain_with_tower
 from tests.rasters import write_geotiff
 
-NOT_OF_EARTH = "is not a CRS of the earth"
+NOT_A_CRS_OF_THE_EARTH = "is not a CRS of the earth"
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 def test_requests_that_need_the_earth_are_refused(client: Client, address: str):
     answer = client.get(f"levels/moon/{address}")
     assert answer.status_code == 422
-    assert NOT_OF_EARTH in answer.text
+    assert NOT_A_CRS_OF_THE_EARTH in answer.text
 
 
 @pytest.mark.parametrize("address", ["levels/moon/snapshot.png?view=map&azimuth=110&altitude=15&size=64x64", "levels/moon/map.png"])

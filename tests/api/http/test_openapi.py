@@ -16,7 +16,7 @@ import schemathesis
 from fastapi import APIRouter
 from fastapi.routing import APIRoute
 from hypothesis import HealthCheck, Phase, given
-from hypothesis import settings as drawn
+from hypothesis import settings as hypothesis_settings
 from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi.checks import (
     content_type_conformance,
@@ -215,14 +215,14 @@ def test_answers_conform_to_the_document(
         kinds.append((negative_operation, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 
-        @drawn(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
+        @hypothesis_settings(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
         @given(case=operation.as_strategy(generation_mode=mode))
-        def ask(case: schemathesis.Case) -> None:
+        def request_and_validate(case: schemathesis.Case) -> None:
             answer = case.call(base_url=str(client.base_url), headers=NOT_MODIFIED_HEADERS, timeout=60, allow_redirects=False)
             assert answer.status_code < 500, answer.text
             case.validate_response(answer, checks=checks)  # noqa: B023
 
-        ask()
+        request_and_validate()
 
 
 CHECKS = (
@@ -291,9 +291,9 @@ def test_cors_origins_restrict_pages(serve_with):
         assert (client.options("/levels", headers=headers).status_code == 200) == allowed
         refusal = client.get("/levels", headers={"Origin": origin})
         check_problem(refusal, 401, "unauthorized", None)
-        assert ("access-control-allow-origin" in refusal.headers) == allowed, "a page has to be able to read why"
+        assert ("access-control-allow-origin" in refusal.headers) == allowed, "a page of an allowed origin can read the refusal"
         assert refusal.headers["vary"] == "Origin"
-    assert client.get("/levels").headers["vary"] == "Origin", "or a cache would send it to pages"
+    assert client.get("/levels").headers["vary"] == "Origin", "caches keep answers apart by origin"
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/metrics"])

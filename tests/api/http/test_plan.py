@@ -54,7 +54,7 @@ def facts(client: Client) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("seen", "asked"),
+    ("view_query", "option_query"),
     [
         ({}, {}),
         ({"view": "map"}, {"policy": "rules", "max_error": "0.01", "max_ms": "12.5"}),
@@ -63,11 +63,13 @@ def facts(client: Client) -> dict:
         ({"azimuth": "0", "altitude": "-20"}, {}),
     ],
 )
-def test_plan_of_a_view_equals_that_of_its_descriptor(client: Client, seen: dict, asked: dict):
-    view_plan = client.get(PLAN, params={**seen, **asked})
-    descriptor = client.get(FACTS, params=seen)
+def test_plan_of_a_view_equals_that_of_its_descriptor(client: Client, view_query: dict, option_query: dict):
+    view_plan = client.get(PLAN, params={**view_query, **option_query})
+    descriptor = client.get(FACTS, params=view_query)
     assert view_plan.status_code == descriptor.status_code == 200, (view_plan.text, descriptor.text)
-    posted_plan = client.post("/plan", params=asked, content=descriptor.content, headers={"Content-Type": "application/json"})
+    posted_plan = client.post(
+        "/plan", params=option_query, content=descriptor.content, headers={"Content-Type": "application/json"}
+    )
     assert posted_plan.status_code == 200, posted_plan.text
     assert posted_plan.json() == view_plan.json()
     Plan.model_validate_json(posted_plan.content)
@@ -88,7 +90,7 @@ def test_plan_reports_an_uncalibrated_device(client: Client, facts: dict):
 
 
 @pytest.mark.parametrize(
-    ("query", "parameter", "said"),
+    ("query", "parameter", "expected_text"),
     [
         ("policy=measure", "policy", "measure takes too long for a request"),
         ("policy=probe", "policy", "probe takes too long for a request"),
@@ -106,10 +108,10 @@ def test_plan_reports_an_uncalibrated_device(client: Client, facts: dict):
         ("max_ms=1&max_ms=2", "max_ms", "more than once"),
     ],
 )
-def test_plan_names_wrong_parameters(client: Client, facts: dict, query: str, parameter: str, said: str):
+def test_plan_names_wrong_parameters(client: Client, facts: dict, query: str, parameter: str, expected_text: str):
     for answer in (client.get(f"{PLAN}?{query}"), client.post(f"/plan?{query}", json=facts)):
         problem = check_problem(answer, 422, "invalid_parameter", parameter)
-        assert said in problem["detail"] or said in str(problem)
+        assert expected_text in problem["detail"] or expected_text in str(problem)
 
 
 @pytest.mark.parametrize("query", ["time=2024-06-21T12:00:00Z", "azimuth=1", "view=map", "zoom=3"])
@@ -184,11 +186,11 @@ ARBITRARY_FACTS = st.dictionaries(
 )
 
 
-@given(made_up=KNOWN_FACTS | ARBITRARY_FACTS, view_kind=st.sampled_from(["map", "perspective"]))
+@given(generated_facts=KNOWN_FACTS | ARBITRARY_FACTS, view_kind=st.sampled_from(["map", "perspective"]))
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_all_accepted_facts_can_be_planned(facts: dict, made_up: dict, view_kind: str):
+def test_all_accepted_facts_can_be_planned(facts: dict, generated_facts: dict, view_kind: str):
     """The effects' predicates must not fail on facts that the model accepts. The worker's job runs in this process."""
-    merged_facts = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in made_up.items()}
+    merged_facts = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in generated_facts.items()}
     try:
         descriptor = SentDescriptor.model_validate({**facts, "view_kind": view_kind, "facts": {**facts["facts"], **merged_facts}})
     except ValidationError:
@@ -231,11 +233,11 @@ def test_body_over_the_limit_is_413(client: Client):
     limit = Settings().max_body_bytes
     check_problem(client.post("/plan", content=b" " * (limit + 1)), 413, "too_large", "body")
 
-    def parts():
+    def body_parts():
         for _ in range(limit // 2**16 + 2):
             yield b" " * 2**16
 
-    answer = client.post("/plan", content=parts())
+    answer = client.post("/plan", content=body_parts())
     assert answer.status_code == 413 and answer.headers["content-type"] == "application/problem+json"
     assert "SKUGGA_MAX_BODY_BYTES" in answer.json()["detail"]
 
@@ -296,7 +298,7 @@ def calibrated(pipe, config) -> None:
     fake_workers.scripted(Pipe(), config)
 
 
-def tag(client: Client) -> str:
+def plan_etag(client: Client) -> str:
     client.post("/plan", content=b"{}")
     while not client.service.pool.is_ready:
         client.get("/readyz")
@@ -307,7 +309,7 @@ def tag(client: Client) -> str:
 
 def test_etags_depend_on_the_calibration(serve_with):
     plain, other = serve_with(fake_workers.scripted), serve_with(calibrated)
-    assert tag(plain) != tag(other)
+    assert plan_etag(plain) != plan_etag(other)
     assert other.service.pool.plan_version(None) == profile_digest(profile()) != profile_digest(profile(took_s=2.0))
     assert plain.service.pool.plan_version(None) == ""
 

@@ -35,7 +35,7 @@ def check_problem(answer: httpx.Response, status: int, code: str, parameter: str
 
 
 @pytest.mark.parametrize(
-    ("address", "parameter", "said"),
+    ("address", "parameter", "expected_text"),
     [
         ("levels/nowhere", "level", "hills"),
         (TILE.replace("hills", "nowhere"), "level", "hills"),
@@ -52,13 +52,13 @@ def check_problem(answer: httpx.Response, status: int, code: str, parameter: str
         ("nothing", None, ""),
     ],
 )
-def test_unknown_resources_are_404(client: Client, address: str, parameter: str | None, said: str):
+def test_unknown_resources_are_404(client: Client, address: str, parameter: str | None, expected_text: str):
     problem = check_problem(client.get(address), 404, "not_found", parameter)
-    assert said in problem["detail"]
+    assert expected_text in problem["detail"]
 
 
 @pytest.mark.parametrize(
-    ("address", "parameter", "said"),
+    ("address", "parameter", "expected_text"),
     [
         (f"{TILE}?time=yesterday", "time", "yesterday"),
         (f"{TILE}?time=2024-06-21T12:00:00", "time", "offset"),
@@ -107,10 +107,10 @@ def test_unknown_resources_are_404(client: Client, address: str, parameter: str 
         ("levels/hills/plan?page=2", "page", "2"),
     ],
 )
-def test_wrong_parameters_are_422_and_named(client: Client, address: str, parameter: str, said: str):
+def test_wrong_parameters_are_422_and_named(client: Client, address: str, parameter: str, expected_text: str):
     problem = check_problem(client.get(address), 422, "invalid_parameter", parameter)
     assert parameter in problem["detail"]
-    assert said in problem["detail"]
+    assert expected_text in problem["detail"]
 
 
 @pytest.mark.parametrize("address", [TILE.replace("hills", "site"), TILEJSON.replace("hills", "site")])
@@ -144,15 +144,19 @@ def test_level_broken_while_served_is_500(hills_level: Path, tmp_path: Path):
 SECRETS = "/srv/levels/hills.tif", "libEGL.so.1: cannot open", "Traceback (most recent call last)", "hunter2"
 
 
-@pytest.mark.parametrize("kind", sorted(ERROR_REPORTS, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
-def test_problems_leak_no_internal_details(kind: type[SkuggaError]):
+@pytest.mark.parametrize(
+    "error_class", sorted(ERROR_REPORTS, key=lambda error_class: error_class.__name__), ids=lambda error_class: error_class.__name__
+)
+def test_problems_leak_no_internal_details(error_class: type[SkuggaError]):
     """Messages of errors that the client did not cause hold paths and drivers' texts; the answer must hold none of them."""
-    report = ERROR_REPORTS[kind]
+    report = ERROR_REPORTS[error_class]
     if report.public_message is None:
-        assert report.status < 500 or issubclass(kind, BusyError | RenderTimeoutError), "its message is made for clients"
+        assert report.status < 500 or issubclass(error_class, BusyError | RenderTimeoutError), (
+            "a message without a public version must be safe for clients"
+        )
         return
     text = " ".join(SECRETS)
-    error = kind(text, text, text) if issubclass(kind, InputError) else kind(text)
+    error = error_class(text, text, text) if issubclass(error_class, InputError) else error_class(text)
     request = Request({"type": "http", "method": "GET", "path": "/levels", "headers": [], "query_string": b""})
     answer = domain_problem(request, error)
     assert answer.status_code == report.status
@@ -179,7 +183,7 @@ def test_unparsable_request_is_a_problem_document(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("body", "status", "parameter", "said"),
+    ("body", "status", "parameter", "expected_text"),
     [
         (b"[" * 100_000, 400, "body", "nested"),
         (b"\xff\xfe{}", 422, "body", "JSON"),
@@ -195,10 +199,10 @@ def test_unparsable_request_is_a_problem_document(client: Client):
         (b'{"points": [{"lon": 8.43, "lat": 47.5}], "clock": "\\ud800"}', 422, "clock", "unicode"),
     ],
 )
-def test_hostile_bodies_are_refused(client: Client, body: bytes, status: int, parameter: str, said: str):
+def test_hostile_bodies_are_refused(client: Client, body: bytes, status: int, parameter: str, expected_text: str):
     answer = client.post("levels/hills/point", content=body, headers={"Content-Type": "application/json"})
     code = {400: "bad_request", 422: "invalid_parameter"}[status]
-    assert said in check_problem(answer, status, code, parameter)["detail"]
+    assert expected_text in check_problem(answer, status, code, parameter)["detail"]
 
 
 def test_body_with_another_content_type_is_refused(client: Client):

@@ -22,12 +22,12 @@ DAY = "2024-06-21T"
 
 
 @pytest.mark.parametrize(
-    ("given", "grain_s", "expected"),
+    ("time_text", "grain_s", "expected"),
     [("12:00:29", 60, "12:00:00"), ("12:00:30", 60, "12:01:00"), ("12:07:29", 900, "12:00:00"), ("12:00:29", 0, "12:00:29")],
 )
-def test_rounded_time_rounds_to_the_grain(given: str, grain_s: int, expected: str):
+def test_rounded_time_rounds_to_the_grain(time_text: str, grain_s: int, expected: str):
     for offset in (UTC, timezone(timedelta(hours=-4))):
-        moment = datetime.fromisoformat(DAY + given).replace(tzinfo=offset)
+        moment = datetime.fromisoformat(DAY + time_text).replace(tzinfo=offset)
         rounded = rounded_time(moment, grain_s)
         assert rounded == datetime.fromisoformat(DAY + expected).replace(tzinfo=offset)
         assert rounded.utcoffset() == moment.utcoffset()
@@ -74,7 +74,7 @@ def test_current_time_is_now_and_expires_soon(serve_with):
         assert 1 <= int(max_age_s) <= 60 and "immutable" not in answer.headers["cache-control"]
     explicit = client.get(TILE, params={"time": answer.headers["x-skugga-time"]})
     assert explicit.headers["etag"] == answer.headers["etag"]
-    assert "max-age=86400" in explicit.headers["cache-control"], "a time of its own stays fresh"
+    assert "max-age=86400" in explicit.headers["cache-control"], "a tile of an explicit time stays fresh for a day"
     check_problem(client.get(TILE, params={"time": "current", "azimuth": 1, "altitude": 2}), 422, "invalid_parameter", "time")
 
 
@@ -123,7 +123,7 @@ def test_rate_limiter_of_zero_is_off():
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "same"),
+    ("address", "other_address", "is_same_client"),
     [
         ("2001:db8:1:2::1", "2001:db8:1:2:ffff::9", True),
         ("2001:db8:1:2::1", "2001:db8:1:3::1", False),
@@ -132,8 +132,8 @@ def test_rate_limiter_of_zero_is_off():
         ("a socket", "a socket", True),
     ],
 )
-def test_client_key_groups_a_customers_addresses(one: str, other: str, same: bool):
-    assert (client_key(one) == client_key(other)) == same
+def test_client_key_groups_a_customers_addresses(address: str, other_address: str, is_same_client: bool):
+    assert (client_key(address) == client_key(other_address)) == is_same_client
 
 
 def test_too_many_suns_are_429(serve_with):
@@ -143,7 +143,7 @@ def test_too_many_suns_are_429(serve_with):
     answer = client.get(TILE, params={"azimuth": 30, "altitude": 30})
     check_problem(answer, 429, "too_many_suns", None)
     assert int(answer.headers["retry-after"]) >= 1
-    assert client.get(TILE, params={"azimuth": 10, "altitude": 30}).status_code == 200, "it is kept"
+    assert client.get(TILE, params={"azimuth": 10, "altitude": 30}).status_code == 200, "the tile is cached"
     assert client.get(TILE).status_code == 200, "the level's own sun is not new"
 
 
@@ -153,7 +153,7 @@ def test_expected_times_are_headers_of_drawn_pictures_and_refusals(serve_with):
     client = serve_with(gate.target, queue_work_s=0.1)
     gate.open()
     assert client.get(TILE).headers["x-skugga-expected-time"] == "wait=0.0; work=0.5"
-    assert "x-skugga-expected-time" not in client.get(TILE).headers, "a kept picture needs no time"
+    assert "x-skugga-expected-time" not in client.get(TILE).headers, "a cached tile needs no drawing"
     snapshots = [f"/levels/hills/snapshot.png?size=1280x1024&azimuth={azimuth}&altitude=30" for azimuth in (10, 20, 30)]
     with ThreadPoolExecutor() as threads:
         answers = [threads.submit(client.get, snapshots[0])]

@@ -36,7 +36,7 @@ from tests.api.conftest import running
 
 if __name__ == "__main__":
     app = create_app(Settings(workers=1), [Path(sys.argv[1])])
-    assert "pvlib" not in sys.modules, "a service that nobody has asked anything needs no sun's library"
+    assert "pvlib" not in sys.modules, "a service without requests does not import pvlib"
     with running(app) as client:
         tile = client.get("/levels/timed/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png")
         assert tile.status_code == 200, tile.content
@@ -60,34 +60,34 @@ def serving_process(
                 if match:
                     yield process, match.group(1)
                     return
-            raise AssertionError(f"it did not say '{log_pattern}'")
+            raise AssertionError(f"the service ended without a log line that matches '{log_pattern}'")
         finally:
             process.kill()
 
 
-def alive(pid: int) -> bool:
+def is_running(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
-def test_signal_ends_service_and_worker(hills_level: Path, number: signal.Signals):
+@pytest.mark.parametrize("signal_number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
+def test_signal_ends_service_and_worker(hills_level: Path, signal_number: signal.Signals):
     with serving_process([hills_level], r"render process (\d+) ready") as (process, worker):
-        process.send_signal(number)
+        process.send_signal(signal_number)
         _, log_text = process.communicate(timeout=TIMEOUT_S)
-        assert process.returncode in (0, -number)
+        assert process.returncode in (0, -signal_number)
         assert "Traceback" not in log_text
-        assert not alive(int(worker))
+        assert not is_running(int(worker))
 
 
 def test_signal_during_start_ends_the_service(hills_level: Path):
     with serving_process([hills_level], r"on (http://\S+)") as (process, address):
         assert httpx.get(f"{address}/healthz").status_code == 200
-        for number in (signal.SIGUSR1, signal.SIGHUP):
-            process.send_signal(number)
-            assert httpx.get(f"{address}/levels").status_code == 200, "it is no signal to end"
+        for signal_number in (signal.SIGUSR1, signal.SIGHUP):
+            process.send_signal(signal_number)
+            assert httpx.get(f"{address}/levels").status_code == 200, "this signal does not end the service"
         process.send_signal(signal.SIGINT)
         _, log_text = process.communicate(timeout=TIMEOUT_S)
         assert process.returncode == 0
@@ -100,7 +100,7 @@ def test_worker_ends_with_a_killed_service(hills_level: Path):
         process.kill()
         # The worker holds its end of the error pipe open until it ends, which is soon after its own pipe is closed.
         process.communicate(timeout=TIMEOUT_S)
-        assert not alive(int(worker))
+        assert not is_running(int(worker))
 
 
 def test_service_process_has_no_opengl(hills_level: Path, client):

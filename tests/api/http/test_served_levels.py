@@ -136,7 +136,7 @@ def level_with_tight_fit(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "said"),
+    ("write_wrong_level", "error_class", "expected_text"),
     [
         (level_of_wrong_version, LevelError, "version"),
         (level_without_raster, SourceError, "wrong.tif"),
@@ -145,15 +145,15 @@ def level_with_tight_fit(folder: Path) -> Path:
         (level_with_tight_fit, LevelError, "stable"),
     ],
 )
-def test_unservable_level_is_an_error_that_names_it(tmp_path: Path, make, error, said: str):
-    with pytest.raises(error) as caught:
-        ServedLevels([make(tmp_path)])
-    assert "wrong" in str(caught.value) and said in str(caught.value)
+def test_unservable_level_is_an_error_that_names_it(tmp_path: Path, write_wrong_level, error_class, expected_text: str):
+    with pytest.raises(error_class) as caught:
+        ServedLevels([write_wrong_level(tmp_path)])
+    assert "wrong" in str(caught.value) and expected_text in str(caught.value)
     assert exit_status(caught.value) == 2
 
 
 @pytest.mark.parametrize(
-    ("pin", "words"),
+    ("pin", "expected_texts"),
     [
         ({"algorithm": {"relief": "truth"}}, (".algorithm: ", "truth", "Allowed: auto, shadow_map")),
         ({"map_size": 512, "fit": "tight"}, (".fit: 'tight'", "auto or stable in a served level")),
@@ -162,16 +162,20 @@ def test_unservable_level_is_an_error_that_names_it(tmp_path: Path, make, error,
         ({"sun_altitude_deg": [9, 12], "map_size": 512}, (": 'view map, sun 9 to 12 degrees high'", "shadows.pins.0")),
     ],
 )
-def test_unservable_pin_is_one_error_that_names_it(tmp_path: Path, pin: dict, words: tuple[str, ...]):
+def test_unservable_pin_is_one_error_that_names_it(tmp_path: Path, pin: dict, expected_texts: tuple[str, ...]):
     level = write_level(tmp_path, "hills")
     levels, text = ServedLevels([level]), json.loads(level.read_text())
     first = {"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}
     write_level(tmp_path, "hills", shadows={"pins": [first, {"view": "map", **pin}]})
-    for look in (lambda: ServedLevels([level]), lambda: levels.reload_if_changed("hills")):  # on load, and on a later check
+    for read_level in (lambda: ServedLevels([level]), lambda: levels.reload_if_changed("hills")):  # on load, and on a later check
         with pytest.raises(LevelError) as caught:
-            look()
+            read_level()
         message = str(caught.value)
-        assert f"{level}: shadows.pins.1{words[0]}" in message and all(word in message for word in words) and "\n" not in message
+        assert (
+            f"{level}: shadows.pins.1{expected_texts[0]}" in message
+            and all(word in message for word in expected_texts)
+            and "\n" not in message
+        )
         assert exit_status(caught.value) == 2
     level.write_text(json.dumps({**text, "shadows": {"pins": [first]}}))
     assert levels.reload_if_changed("hills").loaded.level.shadows.pins[0].map_size == 512

@@ -37,13 +37,13 @@ def settings_of(monkeypatch, capsys, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "drawn"),
+    ("key", "value", "planned_value"),
     [("filter", "sun", "sun"), ("filter", "2", 2), ("bias", "normal_offset", "normal_offset"),
      ("bias", "polygon_offset", "polygon_offset"), ("culling", "front", "front")],
 )  # fmt: skip
-def test_shadow_map_options_reach_the_plan(gl, settings_of, key: str, value: str, drawn: str | int):
+def test_shadow_map_options_reach_the_plan(gl, settings_of, key: str, value: str, planned_value: str | int):
     status, _, settings = settings_of(f"--{key}", value)
-    assert status == 0 and settings[key] == drawn
+    assert status == 0 and settings[key] == planned_value
 
 
 @pytest.mark.parametrize(
@@ -60,15 +60,15 @@ def test_shadow_volume_options_reach_the_plan(gl, settings_of, algorithm: str, k
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "words"),
+    ("key", "value", "expected_text"),
     [
         ("filter", "4", "'sun'"), ("filter", "moon", "'sun'"), ("bias", "slope", "normal_offset"), ("culling", "back", "'front'"),
         ("stencil", "three_pass", "'one_pass' or 'two_pass'"), ("counting", "z_pass", "'z_fail'"), ("mask", "paper", "'original'"),
     ],
 )  # fmt: skip
-def test_invalid_options_list_the_allowed_values(settings_of, key: str, value: str, words: str):
+def test_invalid_options_list_the_allowed_values(settings_of, key: str, value: str, expected_text: str):
     status, error_text, _ = settings_of(f"--{key}", value)
-    assert status == 2 and error_text.count("\n") == 1 and key in error_text and value in error_text and words in error_text
+    assert status == 2 and error_text.count("\n") == 1 and key in error_text and value in error_text and expected_text in error_text
 
 
 def test_picture_query_carries_the_options():

@@ -33,7 +33,7 @@ def test_requested_view_equals_a_view_of_the_level(client: Client, folder: Path)
     ).computed.array
     requested_pixels = pixels(client, eye=EYE, target=TARGET, fov="40")
     assert np.array_equal(requested_pixels, color[..., :3]) and len(np.unique(requested_pixels.reshape(-1, 3), axis=0)) > 100, (
-        "it is not blank"
+        "the picture is blank"
     )
 
 
@@ -52,7 +52,7 @@ def test_default_size_is_that_of_views_in_level_files(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("asked", "parameter", "said"),
+    ("query", "parameter", "expected_text"),
     [
         ({"eye": EYE}, "target", "eye and target together"),
         ({"target": TARGET}, "eye", "eye and target together"),
@@ -71,23 +71,23 @@ def test_default_size_is_that_of_views_in_level_files(client: Client):
         ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WIDTHxHEIGHT"),
     ],
 )
-def test_wrong_camera_parameters_are_named(client: Client, asked: dict[str, str], parameter: str, said: str):
-    answer = client.get(f"{SNAPSHOT}.png", params=asked)
+def test_wrong_camera_parameters_are_named(client: Client, query: dict[str, str], parameter: str, expected_text: str):
+    answer = client.get(f"{SNAPSHOT}.png", params=query)
     check_problem(answer, 422, "invalid_parameter", parameter)
-    assert said in answer.json()["detail"]
+    assert expected_text in answer.json()["detail"]
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "layer", "most"),
+    ("algorithm", "layer", "max_value"),
     [("shadow_map", "shadow-map", 65535), ("shadow_volume", "stencil", 255), ("shadow_volume", "volumes", 255),
      ("hybrid", "silhouettes", 255)],
 )  # fmt: skip
-def test_intermediate_layers_can_be_requested(client: Client, algorithm: str, layer: str, most: int):
+def test_intermediate_layers_can_be_requested(client: Client, algorithm: str, layer: str, max_value: int):
     query = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}
     answer = client.get(f"{SNAPSHOT}.png", params=query)
     assert answer.status_code == 200, answer.text
     values = np.asarray(Image.open(io.BytesIO(answer.content)))
-    assert values.max() <= most and len(np.unique(values)) > 1
+    assert values.max() <= max_value and len(np.unique(values)) > 1
     if layer == "volumes":
         color = pixels(client, **{key: value for key, value in query.items() if key != "layer"})
         assert values.shape == color.shape and not np.array_equal(values, color)

@@ -34,7 +34,7 @@ def test_styles_differ_in_colour_but_not_in_alpha(client: Client):
     level_style = client.get("/levels/hills").json()["style"]
     assert np.array_equal(pictures[level_style], pixels(client.get(TILE)))
     assert len({picture.tobytes() for picture in pictures.values()}) == len(STYLES)
-    assert len({picture[..., 3].tobytes() for picture in pictures.values()}) == 1, "the same ground is there"
+    assert len({picture[..., 3].tobytes() for picture in pictures.values()}) == 1, "all styles cover the same pixels"
     grey = pictures["grey"][..., :3].astype(int)
     assert np.ptp(grey, axis=-1).max() <= 1
 
@@ -72,7 +72,9 @@ def test_wms_and_wmts_accept_styles(client: Client):
     for name in ("swiss", "analysis"):
         tile = client.get(TILE, params={"style": name})
         difference = np.abs(pixels(client.get("/wms", params={**WMS, "STYLES": name})).astype(int) - pixels(tile))
-        assert difference.max() <= 1 and (difference > 0).mean() < 1e-3, "drawn by the geometry buffer, and without"
+        assert difference.max() <= 1 and (difference > 0).mean() < 1e-3, (
+            "maps are drawn with a geometry buffer and tiles without one, so rounding may differ"
+        )
         assert client.get("/wmts", params={**WMTS, "STYLE": name}).content == tile.content
     for address, key in (("/wms", "STYLES"), ("/wmts", "STYLE")):
         base_query = WMS if address == "/wms" else WMTS

@@ -41,16 +41,16 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("format", "layer", "mode", "kind"),
+    ("format", "layer", "mode", "image_format"),
     [
         ("png", "color", "RGBA", "PNG"), ("png", "shadow", "RGBA", "PNG"), ("png", "mask", "L", "PNG"),
         ("webp", "color", "RGBA", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_tile_formats_have_their_modes(client: Client, format: str, layer: str, mode: str, kind: str):
+def test_tile_formats_have_their_modes(client: Client, format: str, layer: str, mode: str, image_format: str):
     answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})
     image = picture(answer)
-    assert (image.size, image.mode, image.format) == ((256, 256), mode, kind)
+    assert (image.size, image.mode, image.format) == ((256, 256), mode, image_format)
     assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
 
 
@@ -108,7 +108,7 @@ def test_tiles_equal_the_pixels_of_a_larger_map(client: Client, layer: str):
     map_pixels = read("/levels/hills/map", **extent)
     tiles = [np.concatenate([read(f"{TILES}/{ZOOM}/{x}/{y}") for x in columns], axis=1) for y in rows]
     np.testing.assert_array_equal(np.concatenate(tiles), map_pixels)
-    assert len(np.unique(map_pixels[np.isfinite(map_pixels)])) > 1, "it shows something"
+    assert len(np.unique(map_pixels[np.isfinite(map_pixels)])) > 1, "the map is not of one colour"
 
 
 def test_2x_tile_equals_four_tiles_of_the_next_zoom(client: Client):
@@ -240,7 +240,9 @@ def test_cors_headers_are_sent_with_every_tile(client: Client):
     assert "X-Skugga-Caster-Reach" in answer.headers["access-control-expose-headers"]
     originless_response = client.get(TILE)
     for name in ("access-control-allow-origin", "access-control-expose-headers", "vary"):
-        assert originless_response.headers.get(name) == answer.headers.get(name), "a cache sends the one to who asks for the other"
+        assert originless_response.headers.get(name) == answer.headers.get(name), (
+            "a shared cache sends the same answer to requests with and without an origin"
+        )
 
 
 def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):

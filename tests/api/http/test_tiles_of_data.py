@@ -16,7 +16,7 @@ from tests.api.test_terrain_encodings import mapbox_height_m, terrarium_height_m
 
 X, Y = CORNER
 TILES = "/levels/hills/tiles/WebMercatorQuad"
-LOWEST_M = float(np.floor(hills().min()))
+LOWEST_HEIGHT_M = float(np.floor(hills().min()))
 
 
 def heights(client: Client, layer: str, place: str = f"{ZOOM}/{X}/{Y}", suffix: str = "png") -> np.ndarray:
@@ -44,10 +44,14 @@ def test_height_tiles_equal_the_interpolated_raster(client: Client):
 
 def test_heights_off_the_data_are_the_lowest_height(client: Client):
     far, near = heights(client, "terrain-rgb", f"{ZOOM}/{X + 50}/{Y}"), heights(client, "terrain-rgb")
-    np.testing.assert_allclose(far, LOWEST_M, atol=1e-6)
-    assert np.isclose(near.min(), LOWEST_M) and near.max() > LOWEST_M + 300
+    np.testing.assert_allclose(far, LOWEST_HEIGHT_M, atol=1e-6)
+    assert np.isclose(near.min(), LOWEST_HEIGHT_M) and near.max() > LOWEST_HEIGHT_M + 300
     tilejson = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrarium").json()
-    assert (tilejson["encoding"], tilejson["skugga"]["nodata_height"], tilejson["skugga"]["sun"]) == ("terrarium", LOWEST_M, None)
+    assert (tilejson["encoding"], tilejson["skugga"]["nodata_height"], tilejson["skugga"]["sun"]) == (
+        "terrarium",
+        LOWEST_HEIGHT_M,
+        None,
+    )
     assert client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrain-rgb").json()["encoding"] == "mapbox"
 
 

@@ -26,7 +26,7 @@ def metric_series(client: Client) -> dict[tuple, float]:
     return {(sample.name, *sorted(sample.labels.items())): sample.value for family in families for sample in family.samples}
 
 
-def requests(client: Client, route: str, status: int) -> float:
+def request_count(client: Client, route: str, status: int) -> float:
     labels = {"route": route, "method": "GET", "status": str(status)}
     return metric_series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
 
@@ -38,10 +38,10 @@ def test_metrics_count_requests_jobs_and_caches(serve_with):
     assert client.get(TILE.replace("hills", "nowhere")).status_code == 404
     assert client.get("/some/where").status_code == 404
     values = metric_series(client)
-    assert requests(client, TILE_ROUTE, 200) == 1
-    assert requests(client, "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)", 200) == 1
-    assert requests(client, TILE_ROUTE, 404) == 1
-    assert requests(client, "other", 404) == 1
+    assert request_count(client, TILE_ROUTE, 200) == 1
+    assert request_count(client, "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)", 200) == 1
+    assert request_count(client, TILE_ROUTE, 404) == 1
+    assert request_count(client, "other", 404) == 1
     assert values["skugga_jobs_total", ("outcome", "answered")] == 1
     assert values["skugga_cache_requests_total", ("cache", "tiles"), ("result", "hit")] == 1
     assert values["skugga_cache_bytes", ("cache", "blocks")] > 0
@@ -54,14 +54,14 @@ def test_metrics_count_requests_jobs_and_caches(serve_with):
 def test_clients_cannot_create_metric_series(serve_with):
     client = serve_with(fake_workers.scripted)
 
-    def make_up(number: int) -> int:
+    def request_unknown_names(number: int) -> int:
         client.get(f"/nothing/{number}")
         client.request(f"M{number}", "/levels")
         client.get(f"/levels/nowhere{number}")
         return len(metric_series(client))
 
-    make_up(1)
-    assert make_up(2) == make_up(3) == make_up(4)
+    request_unknown_names(1)
+    assert request_unknown_names(2) == request_unknown_names(3) == request_unknown_names(4)
 
 
 def test_pass_metrics_by_algorithm_are_bounded(serve_with):
@@ -85,14 +85,15 @@ def test_dashboard_names_existing_metrics_only(serve_with):
 
 
 @pytest.mark.parametrize(
-    ("given", "kept"), [("abc-123_x.Y", True), ("x" * 64, True), ("x" * 65, False), ("a b", False), ('"<b>', False), ("", False)]
+    ("sent_id", "is_kept"),
+    [("abc-123_x.Y", True), ("x" * 64, True), ("x" * 65, False), ("a b", False), ('"<b>', False), ("", False)],
 )
-def test_only_a_valid_request_id_is_kept(serve_with, given: str, kept: bool):
+def test_only_a_valid_request_id_is_kept(serve_with, sent_id: str, is_kept: bool):
     client = serve_with(fake_workers.scripted)
-    answer = client.get("/healthz", headers={"X-Request-ID": given})
-    number = answer.headers["x-request-id"]
-    assert (number == given) == kept
-    assert re.fullmatch(r"[A-Za-z0-9._-]{1,64}", number)
+    answer = client.get("/healthz", headers={"X-Request-ID": sent_id})
+    answered_id = answer.headers["x-request-id"]
+    assert (answered_id == sent_id) == is_kept
+    assert re.fullmatch(r"[A-Za-z0-9._-]{1,64}", answered_id)
 
 
 def test_all_answers_have_the_common_headers(serve_with):
@@ -176,7 +177,9 @@ def test_token_is_required_if_set(serve_with):
     right = {"Authorization": "Bearer a secret token"}
     assert client.get("/levels", headers=right).status_code == 200
     tile = client.get(TILE, headers=right)
-    assert tile.status_code == 200 and tile.headers["cache-control"].startswith("private, max-age="), "a proxy would send it to all"
+    assert tile.status_code == 200 and tile.headers["cache-control"].startswith("private, max-age="), (
+        "a shared cache must not store answers to a token"
+    )
     check_problem(client.get(TILE), 401, "unauthorized", None)
     assert client.get("/healthz").status_code == 200
     preflight = {

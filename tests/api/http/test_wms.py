@@ -28,7 +28,7 @@ MAP = {
 }  # fmt: skip
 FEATURE_INFO_QUERY = {**MAP, "REQUEST": "GetFeatureInfo", "QUERY_LAYERS": "hills:color", "I": "100", "J": "50"}
 
-CHILD_ORDER = {
+CHILD_ELEMENT_ORDER = {
     "Service": ["Name", "Title", "Abstract", "OnlineResource", "Fees", "AccessConstraints", "LayerLimit", "MaxWidth", "MaxHeight"],
     "Capability": ["Request", "Exception", "Layer"],
     "Request": ["GetCapabilities", "GetMap", "GetFeatureInfo"],
@@ -64,7 +64,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 def test_wms_capabilities_follow_the_schema(client: Client, root: ElementTree.Element):
-    check_order(root, CHILD_ORDER)
+    check_order(root, CHILD_ELEMENT_ORDER)
     assert root.get("version") == "1.3.0"
     layers = layers_of(root)
     assert set(layers) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in ("color", "shadow", "mask", "sunhours")}
@@ -218,7 +218,7 @@ def test_legend_has_the_announced_size(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("change", "status", "code", "locator"),
+    ("query_changes", "status", "code", "locator"),
     [
         ({"REQUEST": None}, 422, "MissingParameterValue", "REQUEST"),
         ({"REQUEST": "GetTile"}, 422, "OperationNotSupported", "REQUEST"),
@@ -243,8 +243,8 @@ def test_legend_has_the_announced_size(client: Client):
         ({"REQUEST": "GetLegendGraphic", "LAYER": "hills:color"}, 422, "LayerNotDefined", "LAYER"),
     ],
 )
-def test_wms_exceptions_have_code_and_locator(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
-    answer = client.get("/wms", params={name: value for name, value in {**MAP, **change}.items() if value is not None})
+def test_wms_exceptions_have_code_and_locator(client: Client, query_changes: dict[str, Any], status: int, code: str, locator: str):
+    answer = client.get("/wms", params={name: value for name, value in {**MAP, **query_changes}.items() if value is not None})
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml"), answer.text
     report = ElementTree.fromstring(answer.content)
     exception = report.find("e:ServiceException", NAMESPACES)

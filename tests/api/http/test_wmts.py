@@ -34,7 +34,7 @@ KEYS = {
 
 LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sunhours"}
 
-CHILD_ORDER = {
+CHILD_ELEMENT_ORDER = {
     "Layer": [
         "Title", "Abstract", "WGS84BoundingBox", "Identifier", "Style", "Format", "Dimension", "TileMatrixSetLink", "ResourceURL",
     ],
@@ -87,7 +87,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 def test_wmts_capabilities_follow_the_schema(root: ElementTree.Element):
-    check_order(root, CHILD_ORDER)
+    check_order(root, CHILD_ELEMENT_ORDER)
     names = [node.findtext("o:Identifier", "", NAMESPACES) for node in root.iterfind("w:Contents/w:Layer", NAMESPACES)]
     assert set(names) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in LAYERS} and len(set(names)) == len(names)
     for layer in root.iterfind("w:Contents/w:Layer", NAMESPACES):
@@ -254,7 +254,7 @@ def test_kvp_gettile_equals_the_rest_tile(client: Client):
 
 
 @pytest.mark.parametrize(
-    ("change", "status", "code", "locator"),
+    ("query_changes", "status", "code", "locator"),
     [
         ({"LAYER": None}, 422, "MissingParameterValue", "LAYER"),
         ({"REQUEST": None}, 422, "MissingParameterValue", "REQUEST"),
@@ -274,8 +274,8 @@ def test_kvp_gettile_equals_the_rest_tile(client: Client):
         ({"LAYER": "site:color"}, 422, "InvalidParameterValue", "LAYER"),
     ],
 )
-def test_wmts_exceptions_have_code_and_locator(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
-    answer = client.get("/wmts", params={name: value for name, value in {**KEYS, **change}.items() if value is not None})
+def test_wmts_exceptions_have_code_and_locator(client: Client, query_changes: dict[str, Any], status: int, code: str, locator: str):
+    answer = client.get("/wmts", params={name: value for name, value in {**KEYS, **query_changes}.items() if value is not None})
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml")
     assert answer.headers["cache-control"] == "no-store"
     report = ElementTree.fromstring(answer.content)

@@ -95,11 +95,11 @@ ROTATED_POLES: dict[str, Callable[[], xarray.DataArray]] = {
 
 
 @IGNORE_NOT_GEOREFERENCED
-@pytest.mark.parametrize("form", ROTATED_POLES)
+@pytest.mark.parametrize("crs_form", ROTATED_POLES)
 @pytest.mark.parametrize("product", PRODUCTS)
-def test_chunks_of_a_rotated_pole_equal_the_whole(form, product):
+def test_chunks_of_a_rotated_pole_equal_the_whole(crs_form, product):
     """All forms of the CRS give the same result."""
-    array = ROTATED_POLES[form]()
+    array = ROTATED_POLES[crs_form]()
     full_result = PRODUCTS[product](array)
     assert full_result.dims == array.dims and full_result.notnull().any()
     assert full_result.rio.crs == array.rio.crs
@@ -110,10 +110,10 @@ def test_chunks_of_a_rotated_pole_equal_the_whole(form, product):
 
 
 @IGNORE_NOT_GEOREFERENCED
-@pytest.mark.parametrize("form", ROTATED_POLES)
-def test_shadows_of_a_rotated_pole_follow_true_north(form):
+@pytest.mark.parametrize("crs_form", ROTATED_POLES)
+def test_shadows_of_a_rotated_pole_follow_true_north(crs_form):
     """A tower's shadow runs away from the sun by the compass, which no row or column of the grid does here."""
-    array = ROTATED_POLES[form]()
+    array = ROTATED_POLES[crs_form]()
     array = array.copy(data=np.zeros(array.shape, np.float32))
     row, col = 45, 60
     array[row, col] = 300.0
@@ -130,10 +130,10 @@ def test_shadows_of_a_rotated_pole_follow_true_north(form):
     assert abs(grid_north) > 5.0
 
 
-@pytest.mark.parametrize("form", ROTATED_POLES)
+@pytest.mark.parametrize("crs_form", ROTATED_POLES)
 @pytest.mark.parametrize("chunks", [None, 50])
-def test_the_horizon_of_a_rotated_pole_is_a_point_s(form, chunks):
-    array = ROTATED_POLES[form]()
+def test_the_horizon_of_a_rotated_pole_is_a_point_s(crs_form, chunks):
+    array = ROTATED_POLES[crs_form]()
     x, y = ROTATED_WEST + 60.5 / 3600, ROTATED_NORTH - 40.5 / 3600
     horizon = (array if chunks is None else array.chunk(chunks)).skugga.horizon(x, y)
     transform = Affine(1 / 3600, 0.0, ROTATED_WEST, 0.0, -1 / 3600, ROTATED_NORTH)
@@ -161,13 +161,13 @@ def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
 @pytest.mark.parametrize("steps", [(-1, 1), (1, -1), (-1, -1)])
 @pytest.mark.parametrize("chunks", [None, {"y": 40, "x": 70}])
 def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
-    right = georeferenced_hills(crs)
-    flipped = right.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
+    upright = georeferenced_hills(crs)
+    flipped = upright.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
     for product in ("shadow", "hours"):
         answer = PRODUCTS[product](flipped if chunks is None else flipped.chunk(chunks)).compute()
         xarray.testing.assert_equal(answer.y, flipped.y)
         xarray.testing.assert_equal(answer.x, flipped.x)
-        xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](right))
+        xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](upright))
 
 
 def test_cells_without_coordinates_use_the_geotransform(tmp_path):
@@ -207,9 +207,9 @@ INVALID_ARRAYS: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
 @pytest.mark.parametrize("chunked", [False, True])
 @pytest.mark.parametrize("fault", INVALID_ARRAYS)
 def test_arrays_on_no_regular_grid_are_refused_with_a_remedy(fault, chunked):
-    change, words = INVALID_ARRAYS[fault]
+    change, expected_text = INVALID_ARRAYS[fault]
     array = change(georeferenced_hills("EPSG:32633"))
-    with pytest.raises(skugga.SkuggaError, match=words) as error:
+    with pytest.raises(skugga.SkuggaError, match=expected_text) as error:
         (array.chunk() if chunked else array).skugga.shadow(**SUN)
     assert "\n" not in str(error.value)
 

@@ -37,18 +37,18 @@ def heights_with_undeclared_nodata() -> np.ndarray:
     return heights
 
 
-def write(path: Path, values: np.ndarray) -> Path:
+def write_plain_raster(path: Path, values: np.ndarray) -> Path:
     return write_geotiff(path, values.astype(np.float32), CRS, WEST, NORTH, CELL_M)
 
 
 @pytest.fixture
 def plain(tmp_path) -> Path:
-    return write(tmp_path / "plain.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
+    return write_plain_raster(tmp_path / "plain.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
 
 
 def test_open_level_warns_of_undeclared_nodata(tmp_path):
     """The shadow of the block is 60 m / tan(30 degrees) = 104 m long: 10 cells behind each of its 7 columns."""
-    path = write(tmp_path / "dem.tif", heights_with_undeclared_nodata())
+    path = write_plain_raster(tmp_path / "dem.tif", heights_with_undeclared_nodata())
     with caught_warnings() as caught, skugga.open_level(path) as level:
         level.shade("mask", **SUN)
     (warning,) = caught
@@ -88,7 +88,7 @@ def test_sun_hours_of_an_array_warn_of_undeclared_nodata():
 def test_the_first_result_warns_of_objects(request, tmp_path, plain, result):
     if result in ("render", "film"):
         request.getfixturevalue("gl")
-    canopy = write(tmp_path / "canopy.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
+    canopy = write_plain_raster(tmp_path / "canopy.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
     with skugga.open_level(plain, canopy=canopy) as level:  # without a warning: no file of trees is read
         with caught_warnings() as caught:
             RESULTS[result](level)
@@ -98,7 +98,7 @@ def test_the_first_result_warns_of_objects(request, tmp_path, plain, result):
 
 
 def test_wrong_arguments_do_not_warn_of_objects(tmp_path, plain):
-    canopy = write(tmp_path / "canopy.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
+    canopy = write_plain_raster(tmp_path / "canopy.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
     with skugga.open_level(plain, canopy=canopy) as level, pytest.raises(skugga.SkuggaError, match="^layer: 'depth'"):
         level.shade("depth", **SUN)
 

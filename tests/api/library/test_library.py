@@ -98,7 +98,7 @@ def test_an_array_of_heights_is_a_level(height_m, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "expected_texts"),
     [
         (lambda: skugga.open_level("nowhere.tif"), ("LEVEL", "nowhere.tif")),
         (lambda: skugga.open_level("jacksboro").shade("depth"), ("layer", "depth", "mask")),
@@ -106,11 +106,11 @@ def test_an_array_of_heights_is_a_level(height_m, tmp_path):
         (lambda: skugga.open_level("jacksboro").shade(azimuth=10.0), ("altitude",)),
     ],
 )
-def test_wrong_input_is_an_error_that_names_it(call, words):
+def test_wrong_input_is_an_error_that_names_it(call, expected_texts):
     with pytest.raises(skugga.SkuggaError) as error:
         call()
-    for word in words:
-        assert word in str(error.value)
+    for text in expected_texts:
+        assert text in str(error.value)
 
 
 def test_the_accessor_keeps_coordinates_and_equals_the_level(heights, height_m):
@@ -132,19 +132,19 @@ def test_row_order_and_dimension_order_do_not_matter(heights):
 @IGNORE_NOT_GEOREFERENCED
 def test_chunks_are_computed_lazily_and_equal_the_whole(heights):
     """Shadows fall from one chunk on another. Only requested chunks are computed, and none before the request."""
-    read, lock = [], threading.Lock()
+    read_chunk_shapes, lock = [], threading.Lock()
 
-    def noted(chunk: np.ndarray) -> np.ndarray:
+    def record_read(chunk: np.ndarray) -> np.ndarray:
         with lock:
-            read.append(chunk.shape)
+            read_chunk_shapes.append(chunk.shape)
         return chunk
 
     chunked = heights.chunk({"y": 70, "x": 110})
-    chunked = chunked.copy(data=chunked.data.map_blocks(noted, dtype=np.float32, meta=np.empty((0, 0), np.float32)))
+    chunked = chunked.copy(data=chunked.data.map_blocks(record_read, dtype=np.float32, meta=np.empty((0, 0), np.float32)))
     lazy = chunked.skugga.shadow(**LOW_SUN)
-    assert lazy.chunks == chunked.chunks and not read
+    assert lazy.chunks == chunked.chunks and not read_chunk_shapes
     xarray.testing.assert_equal(lazy.compute(), heights.skugga.shadow(**LOW_SUN))
-    assert len(read) == 9, "each chunk is read once"
+    assert len(read_chunk_shapes) == 9, "each chunk is read once"
     np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW_SUN)[80:90, 120:130])
 
 

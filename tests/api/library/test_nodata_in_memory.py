@@ -34,9 +34,9 @@ def masked(height_m: np.ndarray, fill_value: float) -> np.ma.MaskedArray:
     return np.ma.masked_array(np.where(np.isnan(height_m), np.float32(fill_value), height_m), np.isnan(height_m))
 
 
-@pytest.mark.parametrize("under", [0.0, 5000.0, -9999.0, -3.4e38])
-def test_masked_cells_are_no_ground(height_m, under):
-    masked_heights = masked(height_m, under)
+@pytest.mark.parametrize("masked_value", [0.0, 5000.0, -9999.0, -3.4e38])
+def test_masked_cells_are_no_ground(height_m, masked_value):
+    masked_heights = masked(height_m, masked_value)
     for call in (
         lambda heights: skugga.shadow(heights, 30.0, 250.0, 12.0),
         lambda heights: skugga.horizon(heights, 30.0, 250.0),
@@ -85,16 +85,16 @@ def caught_warnings() -> Iterator[list[warnings.WarningMessage]]:
 
 
 def test_nodata_attributes_of_an_array_are_respected(height_m):
-    right = heights(height_m).skugga.shadow(**SUN)
+    expected = heights(height_m).skugga.shadow(**SUN)
     sentinel_heights = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
     for array in (
         sentinel_heights.rio.write_nodata(-9999),
         sentinel_heights.assign_attrs(_FillValue=-9999),
         sentinel_heights.assign_attrs(missing_value=-9999.0),
     ):
-        xarray.testing.assert_equal(array.skugga.shadow(**SUN), right)
+        xarray.testing.assert_equal(array.skugga.shadow(**SUN), expected)
     with caught_warnings() as caught:
-        assert sentinel_heights.skugga.shadow(**SUN)[MASKED_CELLS].sum() > 0, "a pit, where nobody says that it is none"
+        assert sentinel_heights.skugga.shadow(**SUN)[MASKED_CELLS].sum() > 0, "undeclared nodata is drawn as a deep pit"
     assert ["are -9999, far from all other heights" in str(warning.message) for warning in caught] == [True]
 
 
@@ -130,12 +130,14 @@ def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
     assert array.attrs["scale_factor"] == 0.5
     np.testing.assert_array_equal(array.assign_attrs(units="ft").skugga.shadow(**SUN), visibility < 0.5)
     metres = heights(height_m * 0 + (feet * 0.5 + 1000.0) * 0.3048).skugga.shadow(**SUN)
-    assert (metres.to_numpy() != (visibility < 0.5))[np.isfinite(height_m)].mean() < 0.02, "but for the hole, which casts filled"
+    assert (metres.to_numpy() != (visibility < 0.5))[np.isfinite(height_m)].mean() < 0.02, (
+        "the hole is filled with 900 m in the file, and casts shadows there"
+    )
 
 
 @IGNORE_NOT_GEOREFERENCED
 @pytest.mark.parametrize(
-    ("per_metre", "said"),
+    ("units_per_metre", "attributes"),
     [
         (1.0 / 0.3048, {"units": "ft"}),
         (100.0, {"units": "cm"}),
@@ -144,12 +146,12 @@ def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
         (-1.0 / 1.8288, {"units": "fathoms", "positive": "down"}),
     ],
 )
-def test_unit_and_direction_apply_to_chunks_and_whole_arrays(height_m, per_metre, said):
-    right = heights(height_m).skugga.shadow(**SUN)
-    array = heights(height_m.astype(np.float64) * per_metre).assign_attrs(said)
+def test_unit_and_direction_apply_to_chunks_and_whole_arrays(height_m, units_per_metre, attributes):
+    expected = heights(height_m).skugga.shadow(**SUN)
+    array = heights(height_m.astype(np.float64) * units_per_metre).assign_attrs(attributes)
     full_result, chunked = array.skugga.shadow(**SUN), array.chunk({"y": 40, "x": 70}).skugga.shadow(**SUN).compute()
     xarray.testing.assert_equal(chunked, full_result)
-    assert (full_result != right).mean() < 0.001
+    assert (full_result != expected).mean() < 0.001
 
 
 @pytest.mark.parametrize("chunks", [None, 50])
@@ -184,9 +186,9 @@ def test_a_collar_of_undeclared_nodata_warns_the_caller(height_m, chunks):
     heights = np.nan_to_num(height_m, nan=900.0)
     heights[:, :20] = -9999.0
     array = xarray.DataArray(heights, dims=("y", "x")).rio.write_crs("EPSG:32633").rio.write_transform(TRANSFORM)
-    lazy_or_not = array if chunks is None else array.chunk(chunks)
+    maybe_chunked = array if chunks is None else array.chunk(chunks)
     with caught_warnings() as caught:
-        lazy_or_not.skugga.shadow(azimuth=250.0, altitude=12.0).compute(scheduler="synchronous")
+        maybe_chunked.skugga.shadow(azimuth=250.0, altitude=12.0).compute(scheduler="synchronous")
     assert ["the array: " in (text := str(warning.message)) and "border is -9999" in text for warning in caught] == [True]
     if chunks is None:
         assert caught[0].filename == __file__

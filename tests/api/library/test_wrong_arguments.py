@@ -40,7 +40,7 @@ ODD_ARRAYS = [
 ]  # fmt: skip
 
 
-def answers_or_refuses(call: Callable[[], Any]) -> None:
+def check_answers_or_refuses(call: Callable[[], Any]) -> None:
     """Call a function; fail on any warning and on any error but ``SkuggaError``."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -52,8 +52,8 @@ def answers_or_refuses(call: Callable[[], Any]) -> None:
 
 @pytest.fixture(scope="module")
 def level() -> Iterator[skugga.OpenLevel]:
-    with skugga.open_heights(GROUND, TRANSFORM, "EPSG:32633") as opened:
-        yield opened
+    with skugga.open_heights(GROUND, TRANSFORM, "EPSG:32633") as open_level:
+        yield open_level
 
 
 ARRAY_FUNCTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -64,22 +64,23 @@ ARRAY_FUNCTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         skugga.sun_hours, dict(height_m=GROUND, cell_m=30.0, date="2024-03-21", lat_deg=46.0, lon_deg=7.0, step_min=60.0),
     ),
     "open_heights": (
-        lambda **given: skugga.open_heights(**given).close(), dict(height_m=GROUND, transform=TRANSFORM, crs="EPSG:32633"),
+        lambda **arguments: skugga.open_heights(**arguments).close(), dict(height_m=GROUND, transform=TRANSFORM, crs="EPSG:32633"),
     ),
     "open_level": (
-        lambda **given: skugga.open_level(**given).close(),
+        lambda **arguments: skugga.open_level(**arguments).close(),
         dict(source="jacksboro", canopy=None, buildings=None, nodata=None, units=None),
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter"), [(name, argument) for name, (_, right) in ARRAY_FUNCTIONS.items() for argument in right]
+    ("name", "parameter"),
+    [(name, argument) for name, (_, valid_arguments) in ARRAY_FUNCTIONS.items() for argument in valid_arguments],
 )
 def test_functions_answer_or_refuse_odd_values(name, parameter):
-    function, right = ARRAY_FUNCTIONS[name]
+    function, valid_arguments = ARRAY_FUNCTIONS[name]
     for value in [*ODD_VALUES, *(ODD_ARRAYS if parameter == "height_m" else ())]:
-        answers_or_refuses(lambda value=value: function(**{**right, parameter: value}))
+        check_answers_or_refuses(lambda value=value: function(**{**valid_arguments, parameter: value}))
 
 
 LEVEL_METHODS: dict[str, dict[str, Any]] = {
@@ -104,10 +105,12 @@ LEVEL_METHODS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "parameter"), [(name, argument) for name, right in LEVEL_METHODS.items() for argument in right])
+@pytest.mark.parametrize(
+    ("name", "parameter"), [(name, argument) for name, valid_arguments in LEVEL_METHODS.items() for argument in valid_arguments]
+)
 def test_levels_answer_or_refuse_odd_values(level, name, parameter):
     for value in ODD_VALUES:
-        answers_or_refuses(lambda value=value: getattr(level, name)(**{**LEVEL_METHODS[name], parameter: value}))
+        check_answers_or_refuses(lambda value=value: getattr(level, name)(**{**LEVEL_METHODS[name], parameter: value}))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,7 @@ def test_levels_answer_or_refuse_odd_values(level, name, parameter):
 )
 def test_render_answers_or_refuses_odd_values(gl, level, parameter):
     for value in ODD_VALUES:
-        answers_or_refuses(lambda value=value: level.render(**{**SUN, "size": (8, 8), parameter: value}))
+        check_answers_or_refuses(lambda value=value: level.render(**{**SUN, "size": (8, 8), parameter: value}))
 
 
 FLOATS = st.sampled_from([np.float32, np.float64, np.float16])
@@ -139,11 +142,11 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
         with np.errstate(invalid="ignore"):
             assert not in_shadow[~(np.abs(heights.astype(np.float64)) <= 1.01e6)].any()
 
-    answers_or_refuses(shaded)
+    check_answers_or_refuses(shaded)
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "expected_texts"),
     [
         (lambda level: level.shade("mask", times="2024-03-21T10:00Z"), ("times: unknown parameter", "time,", "algorithm")),
         (lambda level: skugga.shadow(GROUND, 0.0, 250.0, 12.0), ("cell_m: '0.0'", "0.000001 to 1,000,000 metres")),
@@ -166,11 +169,11 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
         (lambda level: skugga.open_level("a" * 5000), ("LEVEL", "aaa")),
     ],
 )  # fmt: skip
-def test_messages_name_parameter_and_allowed_values(level, call, words):
+def test_messages_name_parameter_and_allowed_values(level, call, expected_texts):
     with pytest.raises(skugga.SkuggaError) as error:
         call(level)
-    for word in words:
-        assert word in str(error.value)
+    for text in expected_texts:
+        assert text in str(error.value)
 
 
 @pytest.mark.parametrize(

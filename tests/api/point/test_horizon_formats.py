@@ -18,28 +18,28 @@ from skugga.terrain.geo.world import WGS84
 PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WGS84, np.zeros(3), np.eye(3))
 
 
-def horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
+def point_horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
     """Return a horizon that differs by direction: 40 degrees in the east, falling to -5 in the west."""
     azimuth = np.arange(720) / 2 if azimuth_deg is None else azimuth_deg
     height = 17.5 + 22.5 * np.sin(np.radians(azimuth))
     return PointHorizon(azimuth, height, np.full(len(azimuth), -90.0), np.full(len(azimuth), -90.0))
 
 
-def text(name: str) -> str:
-    return horizon_file(name, horizon(directions_for(name)), PLACE)
+def file_text(name: str) -> str:
+    return horizon_file(name, point_horizon(directions_for(name)), PLACE)
 
 
-def expected(azimuth_deg: np.ndarray) -> np.ndarray:
+def expected_horizon_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     return np.maximum(17.5 + 22.5 * np.sin(np.radians(azimuth_deg)), 0.0)
 
 
 def test_pvgis_csv_counts_azimuths_from_south():
-    lines = text("pvgis-csv").splitlines()
+    lines = file_text("pvgis-csv").splitlines()
     assert lines[0] == "Latitude (decimal degrees): 47.500000" and lines[2] == "Elevation (m): 602.0"
     table = np.array([line.split() for line in lines[lines.index("A_hor\t\tH_hor") + 1 :] if line[:1] in "-0123456789" and line])
     azimuth, height = table.astype(float).T
     assert azimuth[0] == -180.0 and azimuth[-1] == 180.0 and (np.diff(azimuth) > 0).all()
-    assert height == pytest.approx(expected(azimuth + 180.0), abs=0.006)
+    assert height == pytest.approx(expected_horizon_deg(azimuth + 180.0), abs=0.006)
     assert height[np.flatnonzero(azimuth == -90.0)[0]] == pytest.approx(40.0)  # the east
     assert "0 = S, 90 = W" in lines[-2]
 
@@ -53,34 +53,34 @@ def test_pvgis_json_is_read_by_pvlib(monkeypatch):
 
         @staticmethod
         def json():
-            return json.loads(text("pvgis-json"))
+            return json.loads(file_text("pvgis-json"))
 
     monkeypatch.setattr("requests.get", lambda *args, **kwargs: Answer)
     series, _ = get_pvgis_horizon(47.5, 11.25)
     assert len(series) == 720 and series.index[0] == 0.0
-    assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
+    assert series.to_numpy() == pytest.approx(expected_horizon_deg(series.index.to_numpy()), abs=1e-3)
 
 
 def test_upload_formats_go_clockwise_from_north():
-    upload = np.array(text("pvgis-upload").split(), float)
-    assert len(upload) == 360 and upload == pytest.approx(expected(np.arange(360.0)), abs=0.006)
-    listed = np.array(text("forecast-solar").strip().split(","), float)
-    assert len(listed) == 72 and listed == pytest.approx(expected(np.arange(72) * 5.0), abs=0.06)
+    upload = np.array(file_text("pvgis-upload").split(), float)
+    assert len(upload) == 360 and upload == pytest.approx(expected_horizon_deg(np.arange(360.0)), abs=0.006)
+    listed = np.array(file_text("forecast-solar").strip().split(","), float)
+    assert len(listed) == 72 and listed == pytest.approx(expected_horizon_deg(np.arange(72) * 5.0), abs=0.06)
 
 
 def test_pvlib_csv_is_a_series_by_azimuth():
-    series = pandas.read_csv(io.StringIO(text("pvlib")), index_col=0)["horizon_elevation"]
+    series = pandas.read_csv(io.StringIO(file_text("pvlib")), index_col=0)["horizon_elevation"]
     assert series.index.name == "horizon_azimuth" and series.index.is_monotonic_increasing
-    assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
+    assert series.to_numpy() == pytest.approx(expected_horizon_deg(series.index.to_numpy()), abs=1e-3)
 
 
 def test_hor_has_one_line_per_degree_from_south():
-    azimuth, height = np.array([line.split(" ") for line in text("hor").splitlines()], float).T
+    azimuth, height = np.array([line.split(" ") for line in file_text("hor").splitlines()], float).T
     assert azimuth.tolist() == list(range(-180, 180))
-    assert height == pytest.approx(expected(azimuth + 180.0), abs=0.006)
+    assert height == pytest.approx(expected_horizon_deg(azimuth + 180.0), abs=0.006)
 
 
 def test_an_unknown_format_is_refused():
     assert len(HORIZON_FORMATS) == 6
     with pytest.raises(InputError, match="format: 'xyz' is not allowed. Allowed: pvgis-csv, pvgis-json"):
-        horizon_file("xyz", horizon(None), PLACE)
+        horizon_file("xyz", point_horizon(None), PLACE)

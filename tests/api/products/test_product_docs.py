@@ -19,7 +19,7 @@ PAGE_TEXT = (Path(__file__).parents[3] / "docs" / "products.md").read_text(encod
 
 
 def test_the_page_has_the_table_of_all_products():
-    assert product_table().strip() in PAGE_TEXT, "put the table of product_table() there"
+    assert product_table().strip() in PAGE_TEXT, "docs/products.md: replace its table by the output of product_table()"
 
 
 @pytest.fixture
@@ -55,8 +55,8 @@ def test_the_pages_example_computes_slopes(write_raster, make_scene, slope):
         assert np.isnan(slopes_deg).sum() >= 20, "a hole has no slope"
 
 
-@pytest.mark.parametrize("towards", ["east", "north"])
-def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make_scene, slope, towards):
+@pytest.mark.parametrize("uphill", ["east", "north"])
+def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make_scene, slope, uphill):
     """The plane has ten degrees, at 60 degrees north in longitude and latitude, where a cell is half as wide as it is high."""
     cell_deg, semi_major_m, flattening = 1.0 / 3600.0, 6_378_137.0, 1.0 / 298.257223563
     row, col = np.mgrid[:80, :120]
@@ -65,7 +65,7 @@ def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make
     along_m = (
         np.radians(cell_deg) * semi_major_m * (1.0 - eccentricity_squared) / (1.0 - eccentricity_squared * np.sin(lat) ** 2) ** 1.5
     )
-    rise_m = np.tan(np.radians(10.0)) * (across_m * col if towards == "east" else np.cumsum(along_m, axis=0)[::-1])
+    rise_m = np.tan(np.radians(10.0)) * (across_m * col if uphill == "east" else np.cumsum(along_m, axis=0)[::-1])
     scene = make_scene(write_raster(rise_m.astype(np.float32), "EPSG:4326", 10.0, 60.0, cell_deg), 200.0, 30.0)
     map_view = scene.view("map", crs="EPSG:4326")
     view = MapView(
@@ -89,7 +89,7 @@ def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_
 def test_product_records_are_consistent(name: str):
     """No field of a record contradicts another."""
     product = PRODUCTS[name]
-    assert product.description or not product.map_formats, "what HTTP serves is described"
+    assert product.description or not product.map_formats, "products with formats of maps need a description"
     assert not product.is_picture or product.dtype == "uint8"
     assert product.options.UNSERVED.keys() <= product.options.model_fields.keys()
     empty = product.empty_array(3, 5)

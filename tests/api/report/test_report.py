@@ -153,8 +153,8 @@ def test_the_page_states_shares_that_hold_for_all_rows(text: str) -> None:
 
 def test_names_cannot_become_markup(text: str) -> None:
     page = Page(text)
-    assert page.text.count(MARKUP_TEXT) >= 4, "title, level, name, note"
-    assert not [attributes for attributes in page.elements_named("b") if attributes], "no element of a name's making"
+    assert page.text.count(MARKUP_TEXT) >= 4, "the markup is shown as text in title, level, name and note"
+    assert not [attributes for attributes in page.elements_named("b") if attributes], "a name creates no element"
     assert len(page.elements_named("script")) == 2
     assert text.count("</script>") == 2
 
@@ -206,7 +206,9 @@ def test_pictures_hold_every_class_and_level(rows: Comparison, text: str) -> Non
         assert np.array_equal(indexes // GRAY_LEVELS == MISSED_SHADOW, row.missed_shadow)
         assert np.array_equal(indexes % GRAY_LEVELS, np.rint(row.visibility / 255.0 * (GRAY_LEVELS - 1)))
     assert np.abs(decoded(data["ground"]).astype(int) - BASE_PICTURE).mean() < 12
-    assert (data["left"], data["right"]) == (1, 4), "the front's fastest that casts, and its most accurate"
+    assert (data["left"], data["right"]) == (1, 4), (
+        "the slider starts with the fastest casting row of the front and with its most accurate row"
+    )
 
 
 def test_pixels_that_no_light_reaches_are_no_cast_shadow() -> None:
@@ -251,7 +253,7 @@ def test_forty_noisy_pictures_fit_the_size_limit() -> None:
     assert small_pictures.character_count <= 400_000 < full_pictures.character_count and 1 < small_pictures.factor < 8
     fewer_grays = report_pictures(ground, rows, full_pictures.character_count - 1)
     assert (fewer_grays.factor, full_pictures.levels, fewer_grays.levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), (
-        "fewer grays before fewer pixels"
+        "pictures that are too large lose grays before they lose pixels"
     )
     levels = palette_indexes(rows[0], levels=FEW_GRAY_LEVELS)
     assert np.array_equal(decoded(fewer_grays.row_uris[0]), palette(FEW_GRAY_LEVELS)[levels])
@@ -281,7 +283,7 @@ def test_a_long_remark_is_folded() -> None:
         report_html(comparison(NONE_FIGURES, remarks=["nothing is lit", f"left out: {names}"]), BASE_PICTURE, REPORT_CONTEXT)
     )
     assert names in page.text and "Nothing is lit." in page.text
-    assert len(page.elements_named("details")) == 2, "the remark and the row's settings"
+    assert len(page.elements_named("details")) == 2, "one element for the remark, one for the settings of the row"
 
 
 def test_each_omitted_row_has_its_command() -> None:
@@ -304,7 +306,7 @@ def test_a_page_of_one_row_or_none(rows: tuple[dict[str, Any], ...]) -> None:
 
 def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
     page = Page(scatter_plot(rows))
-    assert "none" not in page.text, "it would only take room"
+    assert "none" not in page.text, "rows that cast no shadow are not plotted"
     points = {int(attributes["data-row"]): attributes for attributes in page.elements_named("a")}
     halos = page.elements_named("circle", class_="halo")
     places = {
@@ -312,9 +314,9 @@ def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
         for attributes, halo in zip(page.elements_named("a"), halos, strict=True)
     }
     indexes_by_time = sorted(places, key=lambda k: rows.rows[k].figures["ms_median"])
-    assert indexes_by_time == sorted(places, key=lambda k: places[k][0]), "slower is further right"
+    assert indexes_by_time == sorted(places, key=lambda k: places[k][0]), "slower rows are plotted further right"
     indexes_by_time = sorted(places, key=lambda k: rows.rows[k].figures["wrong_cast"])
-    assert indexes_by_time == sorted(places, key=lambda k: -places[k][1]), "less wrong is lower"
+    assert indexes_by_time == sorted(places, key=lambda k: -places[k][1]), "more accurate rows are plotted lower"
     assert all(0 < x < SCATTER_WIDTH and 0 < y < SCATTER_HEIGHT for x, y in places.values())
     for k, attributes in points.items():
         assert attributes["aria-label"].startswith(rows.rows[k].figures["name"] + ":")
@@ -324,7 +326,9 @@ def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
     for k, (x, y) in places.items():
         is_on_line = any((round(x, 1), round(y, 1)) == corner for corner in corners)
         assert is_on_line == rows.rows[k].figures["pareto"]
-    assert all(a[0] == b[0] or a[1] == b[1] for a, b in pairwise(corners)), "stairs"
+    assert all(a[0] == b[0] or a[1] == b[1] for a, b in pairwise(corners)), (
+        "the line of the front has only horizontal and vertical parts"
+    )
 
 
 @given(st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1e6)), min_size=1, max_size=8), st.booleans())
@@ -344,7 +348,7 @@ def test_bars_are_as_long_as_their_stages() -> None:
     assert stages_of(quick) == {"depth map": 25.0, "visibility": 70.0, REST_STAGE: pytest.approx(5.0)}
     assert stages_of(slow) == {"map": 60.0, "visibility": 90.0}
     page = Page(bar_chart([slow, quick]))
-    assert [attributes["data-row"] for attributes in page.elements_named("a")] == ["1", "0"], "the fastest first"
+    assert [attributes["data-row"] for attributes in page.elements_named("a")] == ["1", "0"], "rows are sorted by time"
     widths = [float(attributes["width"]) for attributes in page.elements_named("rect")]
     assert np.allclose(np.array(widths) / widths[0], np.array([25.0, 70.0, 5.0, 60.0, 90.0]) / 25.0, atol=1e-3)
     fills = [attributes["fill"] for attributes in page.elements_named("rect")]

@@ -106,41 +106,48 @@ def test_errors_up_to_three_noise_floors_are_exact() -> None:
     assert "Bringing the error from 2.0 % down to the noise of truth costs 2.0 times the time (sweep to hybrid)." in sentences
     assert not any("hybrid to shadow_volume" in text for text in sentences)
     assert "The most accurate is shadow_volume" in " ".join(format_summary(comparison(*rows, noise_floor=0.0009))), (
-        "not at 2.9 of them"
+        "an error of 2.9 e-3 is more than 3 noise floors of 0.9 e-3"
     )
 
 
-@pytest.mark.parametrize(("count", "others"), [(2, "; 1 more is as accurate"), (3, "; 2 more are as accurate")])
-def test_exact_rows_are_reported_with_the_fastest(count: int, others: str) -> None:
+@pytest.mark.parametrize(("count", "others_clause"), [(2, "; 1 more is as accurate"), (3, "; 2 more are as accurate")])
+def test_exact_rows_are_reported_with_the_fastest(count: int, others_clause: str) -> None:
     sentences = format_summary(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
-    assert sentences == [f"sweep-0 is both the fastest and the most accurate: exact within the noise of truth, in 10 ms{others}."]
+    assert sentences == [
+        f"sweep-0 is both the fastest and the most accurate: exact within the noise of truth, in 10 ms{others_clause}."
+    ]
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("further_interior_errors", "expected_start"),
     [
         ([], "sweep has interior errors, although its error is small: 0.20 % of"),
         ([0.004], "sweep and hybrid have interior errors, although their error is small: up to 0.40 % of"),
     ],
 )
-def test_interior_errors_of_accurate_rows_are_reported(more: list[float], words: str) -> None:
-    rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
+def test_interior_errors_of_accurate_rows_are_reported(further_interior_errors: list[float], expected_start: str) -> None:
+    rows = [
+        figures("sweep", 10.0, 0.01, interior=0.002),
+        *(figures("hybrid", 20.0, 0.005, interior=i) for i in further_interior_errors),
+    ]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
     aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
     sentences = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
-    assert len(sentences) == 1 and sentences[0].startswith(words)
+    assert len(sentences) == 1 and sentences[0].startswith(expected_start)
 
 
 @pytest.mark.parametrize(
-    ("lost", "words"),
+    ("dominated_algorithms", "expected_start"),
     [(["hybrid"], "hybrid serves this view, but is"), (["hybrid", "planar"], "hybrid and planar serve this view, but are")],
 )
-def test_algorithms_never_on_the_front_are_listed(lost: list[str], words: str) -> None:
+def test_algorithms_never_on_the_front_are_listed(dominated_algorithms: list[str], expected_start: str) -> None:
     rows = figures("sweep", 10.0, 0.01), figures("shadow_map-64", 50.0, 0.001), figures("shadow_map-32", 60.0, 0.02)
     sentences = [
-        text for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text
+        text
+        for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in dominated_algorithms)))
+        if "never" in text
     ]
-    assert len(sentences) == 1 and sentences[0].startswith(words), "shadow_map is on the front by one of its settings"
+    assert len(sentences) == 1 and sentences[0].startswith(expected_start), "shadow_map is on the front by one of its settings"
 
 
 def test_none_on_the_front_lists_no_dominated_algorithms() -> None:
@@ -161,19 +168,19 @@ def test_soft_edges_are_reported_if_another_row_is_best() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ms", "soft_front", "words"),
+    ("ms", "soft_front", "expected_start"),
     [
         (5.0, False, "The default, sweep, is on the front by wrong_cast:"),
         (20.0, True, "The default, sweep, is on the front by soft_error:"),
         (20.0, False, "Better than the default, sweep, in no more time is hybrid."),
     ],
 )
-def test_default_algorithm_is_compared_with_pareto_front(ms: float, soft_front: bool, words: str) -> None:
+def test_default_algorithm_is_compared_with_pareto_front(ms: float, soft_front: bool, expected_start: str) -> None:
     default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
     sentences = [
         text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text
     ]
-    assert len(sentences) == 1 and sentences[0].startswith(words)
+    assert len(sentences) == 1 and sentences[0].startswith(expected_start)
 
 
 def test_the_algorithm_family_is_that_of_one_light() -> None:

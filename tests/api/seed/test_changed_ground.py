@@ -73,7 +73,7 @@ def test_a_change_redraws_tiles_that_its_shadows_reach(tmp_path: Path, heights: 
     fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), suns=(sun,))
     fresh_run()
 
-    assert run.output.read_bytes() == fresh_run.output.read_bytes(), "not less"
+    assert run.output.read_bytes() == fresh_run.output.read_bytes(), "all changed tiles were redrawn"
     redrawn_tiles = {(task.zoom, task.x, task.y) for task in drawn_tasks}
     different = {place for place, tiles in tiles_by_block(fresh_run).items() if tiles != before[place]}
     assert different and different <= redrawn_tiles
@@ -86,7 +86,7 @@ def test_a_change_redraws_tiles_that_its_shadows_reach(tmp_path: Path, heights: 
     length_m = (high_m - float(min(heights.min(), changed.min()))) / np.tan(np.radians(sun.altitude))
     reach = swept_shadow(chunks, sun.azimuth, length_m).buffer(0.06 * length_m + 1.5 * CHUNK_CELLS * CELL_M)
     reachable_tiles = {place for place in before if block_on_raster(*place).intersects(reach)}
-    assert redrawn_tiles <= reachable_tiles, "not more"
+    assert redrawn_tiles <= reachable_tiles, "no tile beyond the shadows' reach was redrawn"
     if case != "a tower in the middle":
         assert len(redrawn_tiles) <= len(before) / 2
 
@@ -109,7 +109,7 @@ def test_colours_depend_on_the_range_of_heights(tmp_path: Path, heights: np.ndar
         fresh_run = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), layer="color")
         fresh_run()
         assert drawn_tasks and run.output.read_bytes() == fresh_run.output.read_bytes()
-    assert len(drawn_tasks) == len(tiles_by_block(run)), "all colours go by the highest ground"
+    assert len(drawn_tasks) == len(tiles_by_block(run)), "the highest ground scales all colours"
 
 
 def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: np.ndarray):
@@ -135,7 +135,7 @@ def test_a_rewritten_file_with_equal_heights_redraws_nothing(tmp_path: Path, hei
     new_folder = tmp_path / "elsewhere"
     new_folder.mkdir()
     run.level = run.level.rename(new_folder / "dem.tif")
-    assert run()[1] == [], "nor is one that lies elsewhere"
+    assert run()[1] == [], "a moved raster of equal content redraws nothing either"
 
 
 @pytest.mark.long
@@ -172,7 +172,7 @@ def test_changed_ground_moves_the_objects_on_it(tmp_path: Path, heights: np.ndar
     run = Run(level, tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1))
     run()
 
-    def check() -> int:
+    def redraw_and_compare() -> int:
         _, drawn_tasks = run()
         fresh_run = Run(level, tmp_path / "fresh.pmtiles", (ZOOM - 1, ZOOM - 1))
         fresh_run()
@@ -181,6 +181,6 @@ def test_changed_ground_moves_the_objects_on_it(tmp_path: Path, heights: np.ndar
 
     heights[270:290, 10:30] = np.clip(heights[270:290, 10:30] + 180.0, None, heights.max() - 1.0)
     write_ground(tmp_path / "dem.tif", heights)
-    assert 0 < check()
+    assert 0 < redraw_and_compare()
     write_tower(200.0)
-    assert check() == len(tiles_by_block(run))
+    assert redraw_and_compare() == len(tiles_by_block(run))

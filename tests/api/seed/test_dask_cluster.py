@@ -183,7 +183,7 @@ def test_a_worker_with_another_renderer_is_refused(run, cluster):
         seed_on_cluster(run, cluster)
     cluster.add_worker()
     wait_until(lambda: workers_of(cluster) == 2)  # with the other worker alone, no worker could draw
-    assert len(set(seed_on_cluster(run, cluster))) == 1, "the other one draws all"
+    assert len(set(seed_on_cluster(run, cluster))) == 1, "the worker that can draw draws all tasks"
 
 
 def test_render_processes_start_early_and_end_with_the_run(cluster):
@@ -199,7 +199,7 @@ def test_render_processes_start_early_and_end_with_the_run(cluster):
     wait_until(lambda: not render_processes(first.pid) and not render_processes(late_worker.pid))
     third = cluster.add_worker()
     wait_until(lambda: workers_of(cluster) == 3)
-    assert render_processes(third.pid) == [], "nobody has asked for it"
+    assert render_processes(third.pid) == [], "no run needs a render process of the third worker"
 
 
 def wait_until(condition: Callable[[], bool]) -> None:

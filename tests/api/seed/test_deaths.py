@@ -75,7 +75,7 @@ def test_fifty_kills_do_not_change_the_archive(folder: Path):
                     deaths -= 1
             run.wait()
         done_count = done_tasks(folder, "a.pmtiles")
-        assert done_count >= done_before, "what was done stays done"
+        assert done_count >= done_before, "finished tasks are not drawn again"
         done_before = done_count
         if run.returncode == 0:  # the run ended: repeat publishing, which must survive kills, too
             (folder / "a.pmtiles").unlink()

@@ -20,7 +20,7 @@ from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import GraphicsError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
 
-LIMIT_S = 15.0
+TASK_TIME_LIMIT_S = 15.0
 """Limit for tasks that take half a second: long enough on a busy machine."""
 
 
@@ -68,7 +68,7 @@ def attempt_counts(run: Run) -> list[int]:
 def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Path):
     pool = StoppingPool(times=1)
     first = pool.pids
-    seed_with_pool(run, pool, min_timeout_s=LIMIT_S)
+    seed_with_pool(run, pool, min_timeout_s=TASK_TIME_LIMIT_S)
     assert pool.left == 0 and attempt_counts(run) == [1]
     assert pool.pids != first and not Path(f"/proc/{first[0]}").exists()
     undisturbed_run = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)

@@ -71,7 +71,9 @@ def test_seeded_tiles_equal_those_of_a_service(run: Run):
         service_tiles |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
     archive_tiles = tiles_of(run.output)
     assert set(archive_tiles) < set(service_tiles) and all(service_tiles[place] == body for place, body in archive_tiles.items())
-    assert len({body for place, body in service_tiles.items() if place not in archive_tiles}) == 1, "all others are empty"
+    assert len({body for place, body in service_tiles.items() if place not in archive_tiles}) == 1, (
+        "tiles that the archive leaves out are the empty tile"
+    )
 
 
 def test_an_unchanged_level_draws_nothing(run: Run):
@@ -81,7 +83,7 @@ def test_an_unchanged_level_draws_nothing(run: Run):
     assert (result.drawn, result.written, drawn_tasks) == (0, [], [])
     assert run.output.stat() == before
     run.output.unlink()
-    assert run()[0].written == [run.output], "it is written again from what was drawn"
+    assert run()[0].written == [run.output], "a deleted archive is written again from the stored tiles"
 
 
 def test_the_order_of_tasks_does_not_change_the_archive(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -106,14 +108,14 @@ def test_the_most_expensive_tasks_come_first(run: Run):
 def test_an_interrupted_run_resumes(run: Run, tmp_path: Path):
     count = 0
 
-    def ends(task):
+    def interrupt_fourth_task(task):
         nonlocal count
         count += 1
         if count == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(ends)
+        run(interrupt_fourth_task)
     assert not run.output.exists()
     result, drawn_tasks = run()
     complete_run = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
@@ -222,7 +224,7 @@ def test_an_output_has_the_requested_zooms(run: Run):
     assert run()[1] == []
     assert {place[0] for place in tiles_of(run.output)} == {12, 13}
     run.zooms = ZOOMS
-    assert run()[1] == [] and len(tasks_of_full_run) > 4, "what was drawn for other zooms is kept"
+    assert run()[1] == [] and len(tasks_of_full_run) > 4, "stored tiles of other zooms are kept"
     assert {place[0] for place in tiles_of(run.output)} == {11, 12, 13, 14}
 
 
@@ -232,7 +234,7 @@ def test_suns_have_an_archive_each(run: Run):
     first_tiles, second_tiles = (tiles_of(run.output_of(number)) for number in (0, 1))
     assert set(first_tiles) == set(second_tiles) and first_tiles != second_tiles
     run.suns = (*run.suns, SunSpec(azimuth=180.0, altitude=45.0))
-    assert {task.sun for task in run()[1]} == {2}, "a sun more draws its own tiles alone"
+    assert {task.sun for task in run()[1]} == {2}, "an additional sun draws only its own tiles"
 
 
 @pytest.mark.parametrize("layer", ["mask", "terrain-rgb", "terrarium"])
@@ -242,7 +244,7 @@ def test_data_layers_are_written_as_png(run: Run, layer: str):
     tiles = tiles_of(run.output)
     assert tiles and all(body.startswith(b"\x89PNG") for body in tiles.values())
     run.layer = "shadow"
-    assert len(run()[1]) > 0, "another layer is another picture"
+    assert len(run()[1]) > 0, "the tiles of another layer are drawn"
 
 
 def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.MonkeyPatch):
@@ -293,7 +295,7 @@ def test_changed_metadata_redraws_nothing(run: Run, tmp_path: Path):
     run()
     level.write_text("# said\nversion: 1\ntitle: Other\nattribution: Me\nterrain: {source: dem.tif}\n", encoding="utf-8")
     result, drawn_tasks = run()
-    assert drawn_tasks == [] and result.written == [run.output], "the title stands in the archive"
+    assert drawn_tasks == [] and result.written == [run.output], "the title is stored in the archive, not in the tiles"
     level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 1.5}\n", encoding="utf-8")
     assert run()[1] != []
 

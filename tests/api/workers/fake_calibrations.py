@@ -23,14 +23,14 @@ def profile(**changes) -> DeviceProfile:
     return DeviceProfile(**{**fields, **changes})
 
 
-def when_file_exists(path: Path) -> DeviceProfile:
+def return_when_file_exists(path: Path) -> DeviceProfile:
     """Return a profile as soon as a file exists."""
     while not path.exists():
         time.sleep(0.01)
     return profile()
 
 
-def endless(start_log: Path) -> DeviceProfile:
+def run_endlessly(start_log: Path) -> DeviceProfile:
     """Leave a temporary file behind, append its path to ``start_log``, and never end."""
     _, temporary_file = tempfile.mkstemp()
     _append(start_log, temporary_file)
@@ -38,25 +38,25 @@ def endless(start_log: Path) -> DeviceProfile:
     raise AssertionError
 
 
-def failing(start_log: Path) -> DeviceProfile:
+def raise_graphics_error(start_log: Path) -> DeviceProfile:
     """Fail to find a device."""
     _append(start_log, "failing")
     raise GraphicsError("libEGL is broken")
 
 
-def dying(start_log: Path) -> DeviceProfile:
+def exit_process(start_log: Path) -> DeviceProfile:
     """End the process."""
     _append(start_log, "dying")
     os._exit(9)
 
 
-def buggy(start_log: Path) -> DeviceProfile:
+def divide_by_zero(start_log: Path) -> DeviceProfile:
     """Divide by zero."""
     _append(start_log, "buggy")
     return profile(took_s=1 / 0)
 
 
-def other_device(start_log: Path) -> DeviceProfile:
+def return_other_device(start_log: Path) -> DeviceProfile:
     """Return the profile of another device."""
     _append(start_log, "elsewhere")
     return profile(renderer="another")

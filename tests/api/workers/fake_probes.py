@@ -9,13 +9,13 @@ from skugga.selector.observation import Observation
 from skugga.terrain.errors import RenderError
 
 
-def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Observation:
+def observation(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Observation:
     return Observation(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
 
 
 def probe_two_scales(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
     """Return an observation at each of two scales."""
-    return MapProbes(classes=tuple(ProbedClass(scale=scale, sun=sun, seen={"sun": (seen(),)}) for scale in (4, 5)))
+    return MapProbes(classes=tuple(ProbedClass(scale=scale, sun=sun, seen={"sun": (observation(),)}) for scale in (4, 5)))
 
 
 def failing(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:

@@ -34,7 +34,7 @@ from skugga.selector.map_probes import MapClass
 from skugga.terrain.errors import GraphicsError, InputError, RenderError
 
 RENDERER, VERSION = "fake", "1"
-UNPROBED = MapClass(4, -1)
+UNPROBED_CLASS = MapClass(4, -1)
 FILM_ROWS, FILM_COLS = 4, 6
 TILE_POSITIONS = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
@@ -44,12 +44,12 @@ def scripted(
     config: WorkerConfig,
     job_started: Semaphore | None = None,
     may_finish: Semaphore | None = None,
-    always: str | None = None,
+    command_for_all: str | None = None,
 ) -> None:
     """Answer at once. If ``may_finish`` is given, signal ``job_started`` for each job and wait for ``may_finish``.
 
-    The view of a plan is a command, unless ``always`` is the command for all jobs. Commands are ``crash``, ``hang``, ``refuse``
-    (wrong input), ``fail`` and ``doubt`` (broken OpenGL).
+    The view of a plan is a command, unless ``command_for_all`` is the command for all jobs. Commands are ``crash``, ``hang``,
+    ``refuse`` (wrong input), ``fail`` and ``break_opengl`` (an OpenGL error, after which the process is replaced).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(WorkerReady(RENDERER))
@@ -65,12 +65,12 @@ def scripted(
             job_started.release()
         if may_finish is not None:
             may_finish.acquire()
-        order = always or "draw" if isinstance(job, BlockJob) else getattr(job, "view", "described")
-        if order == "crash":
+        command = command_for_all or "draw" if isinstance(job, BlockJob) else getattr(job, "view", "described")
+        if command == "crash":
             os._exit(9)
-        if order == "hang":
+        if command == "hang":
             signal.pause()
-        pipe.send(_answer(order))
+        pipe.send(_answer(command))
 
 
 def planning(
@@ -102,7 +102,7 @@ def planning(
             pipe.send(PlanAnswer(f'{{"policy": "{"rules" if measurements.device is None else "predict"}"}}'))
         else:
             version = measurements.version_of(job.level)
-            unprobed_class = None if measurements.device is None or measurements.probes_of(job.level).classes else UNPROBED
+            unprobed_class = None if measurements.device is None or measurements.probes_of(job.level).classes else UNPROBED_CLASS
             tiles = dict.fromkeys(TILE_POSITIONS, version.encode())
             pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed_class=unprobed_class))
 
@@ -112,11 +112,11 @@ def filming(
     config: WorkerConfig,
     job_started: Semaphore | None = None,
     may_finish: Semaphore | None = None,
-    orders: tuple[tuple[int, str], ...] = (),
+    commands: tuple[tuple[int, str], ...] = (),
 ) -> None:
     """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``scripted``.
 
-    Gated like ``scripted``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
+    Gated like ``scripted``, except that film checks are answered at once. ``commands`` are pairs of frame number and command:
     ``crash``, ``fail``.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -142,12 +142,12 @@ def filming(
         if not isinstance(job, FrameJob):
             pipe.send(_answer("draw"))
             continue
-        order = dict(orders).get(job.number)
-        if order == "crash":
+        command = dict(commands).get(job.number)
+        if command == "crash":
             os._exit(9)
         planned = 1 if job.previous_plan_state is None else job.previous_plan_state.state + 1
         picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), FilmPlanState(planned))  # type: ignore[arg-type]
-        pipe.send(picture if order is None else _answer(order))
+        pipe.send(picture if command is None else _answer(command))
 
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
@@ -210,13 +210,13 @@ def leaking_errors(pipe: Connection, config: WorkerConfig) -> None:
         pipe.send(Failure.from_error(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
-def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
-    if order == "refuse":
-        return Failure.from_error(InputError("view", order, "another order"))
-    if order == "fail":
+def _answer(command: str) -> BlockTiles | PlanAnswer | Failure:
+    if command == "refuse":
+        return Failure.from_error(InputError("view", command, "another command"))
+    if command == "fail":
         return Failure.from_error(RenderError("it went wrong"))
-    if order == "doubt":
+    if command == "break_opengl":
         return Failure.from_error(GraphicsError("OpenGL left an error behind"), is_fatal=True)
-    if order != "draw":
-        return PlanAnswer(f'{{"view": "{order}"}}')
+    if command != "draw":
+        return PlanAnswer(f'{{"view": "{command}"}}')
     return BlockTiles(dict.fromkeys(TILE_POSITIONS, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

@@ -24,7 +24,7 @@ def echo(pipe: Connection, word: str) -> None:
         return
 
 
-def leave(pipe: Connection, status: int) -> None:
+def exit_with_status(pipe: Connection, status: int) -> None:
     """Exit at once."""
     os._exit(status)
 
@@ -37,7 +37,7 @@ def is_alive(pid: int) -> bool:
     return True
 
 
-def with_child(scenario: Callable[[ChildProcess], Coroutine[Any, Any, None]], target: Callable[..., None], *args: Any) -> None:
+def run_with_child(scenario: Callable[[ChildProcess], Coroutine[Any, Any, None]], target: Callable[..., None], *args: Any) -> None:
     """Run a scenario with a child process, and end the child after it."""
 
     async def run(threads: ThreadPoolExecutor) -> None:
@@ -61,7 +61,7 @@ def test_a_child_answers_and_is_gone_after_its_end():
         child.pipe.send(7)
         assert await child.run_in_thread(child.pipe.recv) == 7
 
-    with_child(scenario, echo, "ready")
+    run_with_child(scenario, echo, "ready")
 
 
 def test_a_child_that_never_answers_frees_its_thread():
@@ -72,7 +72,7 @@ def test_a_child_that_never_answers_frees_its_thread():
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(asyncio.shield(waiting), 0.05)
 
-    with_child(scenario, echo, "ready")
+    run_with_child(scenario, echo, "ready")
 
 
 def test_a_child_that_exits_leaves_its_status():
@@ -83,15 +83,15 @@ def test_a_child_that_exits_leaves_its_status():
         await child.wait_for_end()
         assert child.exitcode == 3
 
-    with_child(scenario, leave, 3)
+    run_with_child(scenario, exit_with_status, 3)
 
 
 def test_end_waits_for_a_start_that_timed_out(monkeypatch: pytest.MonkeyPatch):
-    start = PipedProcess.start
+    original_start = PipedProcess.start
 
     def slow_start(self: PipedProcess) -> None:
         clock.sleep(0.2)
-        start(self)
+        original_start(self)
 
     monkeypatch.setattr(PipedProcess, "start", slow_start)
 
@@ -102,7 +102,7 @@ def test_end_waits_for_a_start_that_timed_out(monkeypatch: pytest.MonkeyPatch):
         await child.end()
         assert child.pid is not None and not is_alive(child.pid)
 
-    with_child(scenario, echo, "ready")
+    run_with_child(scenario, echo, "ready")
 
 
 def test_a_child_that_cannot_start_leaves_no_open_pipe(monkeypatch: pytest.MonkeyPatch):
@@ -115,4 +115,4 @@ def test_a_child_that_cannot_start_leaves_no_open_pipe(monkeypatch: pytest.Monke
         with pytest.raises(OSError, match="no process"):
             await child.start()
 
-    with_child(scenario, echo, "ready")
+    run_with_child(scenario, echo, "ready")

@@ -24,32 +24,32 @@ from tests.terrain.gl.egl_machines import duplicate_mesa_environment
 SERVE_SCRIPT = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
 
 
-def numbered(pipe: Connection, config: WorkerConfig) -> None:
+def report_device_number(pipe: Connection, config: WorkerConfig) -> None:
     """Report the device of this worker's number, and answer nothing."""
     pipe.send(WorkerReady("card", egl_device=f"EGL device {config.number}"))
     signal.pause()
 
 
 def test_a_replaced_process_keeps_its_device_number(caplog: pytest.LogCaptureFixture):
-    def devices() -> list[tuple[str, str]]:
+    def ready_devices() -> list[tuple[str, str]]:
         return re.findall(r"render process (\d+) ready after .*: card, EGL device (\d+)", caplog.text)
 
     async def scenario(pool: Pool) -> None:
-        await wait_until(lambda: len(devices()) == 3)
-        assert sorted(number for _, number in devices()) == ["0", "1", "2"]
-        os.kill(int(next(pid for pid, number in devices() if number == "1")), signal.SIGKILL)
-        await wait_until(lambda: len(devices()) == 4)
-        assert devices()[-1][1] == "1"
+        await wait_until(lambda: len(ready_devices()) == 3)
+        assert sorted(number for _, number in ready_devices()) == ["0", "1", "2"]
+        os.kill(int(next(pid for pid, number in ready_devices() if number == "1")), signal.SIGKILL)
+        await wait_until(lambda: len(ready_devices()) == 4)
+        assert ready_devices()[-1][1] == "1"
 
     with caplog.at_level(logging.INFO, "skugga"):
-        run_with_pool(scenario, numbered, workers=3)
+        run_with_pool(scenario, report_device_number, workers=3)
 
 
 def test_seeding_processes_have_device_numbers(monkeypatch: pytest.MonkeyPatch):
-    started: list[tuple] = []
-    monkeypatch.setattr(local_pool, "RenderProcess", lambda *args: started.append(args))
+    pool_arguments: list[tuple] = []
+    monkeypatch.setattr(local_pool, "RenderProcess", lambda *args: pool_arguments.append(args))
     local_pool.LocalPool(3)
-    assert [number for _, _, number in started] == [0, 1, 2]
+    assert [number for _, _, number in pool_arguments] == [0, 1, 2]
 
 
 @pytest.mark.usefixtures("gl")

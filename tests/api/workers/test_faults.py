@@ -32,7 +32,7 @@ def tile(x: int = X, y: int = Y) -> str:
 
 
 @pytest.fixture
-def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
+def gated_client(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
     """Return a client whose service queues one more block, a function that waits until a block has begun, and one that
     releases it.
     """
@@ -42,17 +42,17 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
         functools.partial(fake_workers.scripted, job_started=job_started, may_finish=may_finish), queue_length=1, queue_work_s=0.1
     )
 
-    def wait() -> None:
+    def wait_for_start() -> None:
         assert job_started.acquire(timeout=TIMEOUT_S)
 
-    return client, wait, may_finish.release
+    return client, wait_for_start, may_finish.release
 
 
-def test_a_full_queue_is_503_with_retry_after(gated):
-    client, wait_begun, release = gated
+def test_a_full_queue_is_503_with_retry_after(gated_client):
+    client, wait_for_start, release = gated_client
     with ThreadPoolExecutor(2) as threads:
         first = threads.submit(client.get, tile())
-        wait_begun()
+        wait_for_start()
         second = threads.submit(client.get, tile(X - 1))
         while client.service.pool.queued < 1:
             client.get("/healthz")
@@ -64,11 +64,11 @@ def test_a_full_queue_is_503_with_retry_after(gated):
         assert [first.result().status_code, second.result().status_code] == [200, 200]
 
 
-def test_the_service_answers_while_a_block_waits(gated):
-    client, wait_begun, release = gated
+def test_the_service_answers_while_a_block_waits(gated_client):
+    client, wait_for_start, release = gated_client
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
-        wait_begun()
+        wait_for_start()
         assert client.get("/healthz").status_code == 200
         assert client.get("/levels").status_code == 200
         assert not drawing.done()
@@ -76,11 +76,11 @@ def test_the_service_answers_while_a_block_waits(gated):
         assert drawing.result().status_code == 200
 
 
-def test_work_of_a_disconnected_client_is_dropped(gated):
-    client, wait_begun, release = gated
+def test_work_of_a_disconnected_client_is_dropped(gated_client):
+    client, wait_for_start, release = gated_client
     with ThreadPoolExecutor(1) as thread:
         first = thread.submit(client.get, tile())
-        wait_begun()
+        wait_for_start()
         with socket.create_connection((client.base_url.host, client.base_url.port)) as connection:
             connection.sendall(f"GET {tile(X - 1)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
             while client.service.pool.queued < 1:
@@ -92,19 +92,19 @@ def test_work_of_a_disconnected_client_is_dropped(gated):
     assert client.service.pool.counters.abandoned == 1
 
 
-def test_a_block_of_a_killed_process_is_retried(gated):
-    client, wait_begun, release = gated
+def test_a_block_of_a_killed_process_is_retried(gated_client):
+    client, wait_for_start, release = gated_client
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
-        wait_begun()
+        wait_for_start()
         os.kill(*client.service.pool.ready_pids, signal.SIGKILL)
-        wait_begun()
+        wait_for_start()
         release()
-        assert drawing.result().status_code == 200, "another process has begun it again"
+        assert drawing.result().status_code == 200, "another process draws the block again"
 
 
 def test_repeated_crashes_open_the_circuit_breaker(serve_with):
-    client = serve_with(functools.partial(fake_workers.scripted, always="crash"))
+    client = serve_with(functools.partial(fake_workers.scripted, command_for_all="crash"))
     for _ in range(2):
         answer = client.get(tile())
         check_problem(answer, 503, "worker_crash", None)
@@ -165,9 +165,9 @@ def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
         elapsed_s = problem["preparing"].pop("elapsed_s")
         assert problem["preparing"] == {"task": "compiling loops for map tiles", "done": 3, "total": 9}
         time.sleep(1.0)
-        later = client.get("/readyz").json()["preparing"]["elapsed_s"]
-        assert 1.0 <= later - elapsed_s < TIMEOUT_S, "seconds since the service began, whoever asks"
-        assert client.get("/levels").status_code == 200, "what needs no drawing is there"
+        later_s = client.get("/readyz").json()["preparing"]["elapsed_s"]
+        assert 1.0 <= later_s - elapsed_s < TIMEOUT_S, "the seconds count from the service's start, for every client"
+        assert client.get("/levels").status_code == 200, "answers that need no drawing are available"
         assert not waiting.done()
         may_finish.release()
         assert waiting.result(TIMEOUT_S).status_code == 200

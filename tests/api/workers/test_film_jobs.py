@@ -34,22 +34,26 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 from tests.api.conftest import write_level
 from tests.api.workers import fake_workers
-from tests.api.workers.test_pool import LEVEL, TIMEOUT_S, block, order, run_with_pool, wait_until
+from tests.api.workers.test_pool import LEVEL, TIMEOUT_S, block, plan_job, run_with_pool, wait_until
 
 SPAN = FilmSpan(10, 60.0)
 
 
-def frame(number: int = 0, before: FilmPlanState | None = None) -> FrameJob:
-    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plan_state=before)
+def frame_job(number: int = 0, previous_plans: FilmPlanState | None = None) -> FrameJob:
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plan_state=previous_plans)
 
 
-def pending(job: Any, arrived_s: float) -> PendingJob:
+def make_pending_job(job: Any, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
 
 
 def test_pictures_go_before_earlier_frames():
     queue = JobQueue(1, ExpectedTimes())
-    first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BACKGROUND_PENALTY_S - 1.0)
+    first, tile, plan = (
+        make_pending_job(frame_job(), 0.0),
+        make_pending_job(block(1), 1.0),
+        make_pending_job(plan_job("map"), BACKGROUND_PENALTY_S - 1.0),
+    )
     for job in (first, tile, plan):
         queue.put(job)
     taken_jobs = []
@@ -61,27 +65,27 @@ def test_pictures_go_before_earlier_frames():
 
 def test_a_frame_is_not_starved_by_a_steady_load():
     queue = JobQueue(1, ExpectedTimes())
-    first, late = pending(frame(), 0.0), pending(block(1), BACKGROUND_PENALTY_S + 30.0)
+    first, late_job = make_pending_job(frame_job(), 0.0), make_pending_job(block(1), BACKGROUND_PENALTY_S + 30.0)
     queue.put(first)
-    queue.put(late)
+    queue.put(late_job)
     assert queue.start_next(BACKGROUND_PENALTY_S + 30.0) is first
 
 
 def test_frames_leave_one_process_for_pictures():
     queue = JobQueue(3, ExpectedTimes())
-    queue.expected_times.add_duration(frame(), 0.001)
+    queue.expected_times.add_duration(frame_job(), 0.001)
     for number in range(3):
-        queue.put(pending(frame(number), 0.0))
+        queue.put(make_pending_job(frame_job(number), 0.0))
     assert [queue.start_next(0.0) is not None for _ in range(3)] == [True, True, False]
     queue.expected_times.add_duration(block(0), 0.1)
-    tile = pending(block(1), 1.0)
+    tile = make_pending_job(block(1), 1.0)
     queue.put(tile)
     assert queue.start_next(1.0) is tile
 
 
 def test_waiting_frames_do_not_count_as_queued_pictures():
     queue = JobQueue(1, ExpectedTimes())
-    queue.put(pending(frame(), 0.0))
+    queue.put(make_pending_job(frame_job(), 0.0))
     assert (len(queue), len(queue.foreground_jobs)) == (1, 0)
     assert queue.wait_s(block(1), "", 5.0) == 0.0
 
@@ -89,11 +93,11 @@ def test_waiting_frames_do_not_count_as_queued_pictures():
 class FilmGate:
     """Gate that holds the jobs of a process. ``orders`` are pairs of frame number and order."""
 
-    def __init__(self, *orders: tuple[int, str]) -> None:
+    def __init__(self, *commands: tuple[int, str]) -> None:
         spawn = get_context("spawn")
         self._job_started, self._may_finish = spawn.Semaphore(0), spawn.Semaphore(0)
         self.target = functools.partial(
-            fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, orders=orders
+            fake_workers.filming, job_started=self._job_started, may_finish=self._may_finish, commands=commands
         )
 
     async def job_started(self) -> None:
@@ -110,17 +114,17 @@ def test_pictures_overtake_frames_and_full_queue_takes_frames():
     async def scenario(pool: Pool) -> None:
         finished: list[str] = []
 
-        async def run(name: str, job: Any) -> None:
+        async def run_and_record(name: str, job: Any) -> None:
             await pool.run(job)
             finished.append(name)
 
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(run("running", block(0)))
+            tasks.create_task(run_and_record("running", block(0)))
             await gate.job_started()
-            tasks.create_task(run("frame", frame(0)))
-            tasks.create_task(run("frame", frame(1)))
+            tasks.create_task(run_and_record("frame", frame_job(0)))
+            tasks.create_task(run_and_record("frame", frame_job(1)))
             await wait_until(lambda: pool.queued == 2)
-            tasks.create_task(run("tile", block(1)))
+            tasks.create_task(run_and_record("tile", block(1)))
             await wait_until(lambda: pool.queued == 3)
             with pytest.raises(RetryLaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
@@ -137,7 +141,7 @@ def test_waiting_frames_do_not_time_out():
     async def scenario(pool: Pool) -> None:
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
-        waiting = asyncio.create_task(pool.run(frame()))
+        waiting = asyncio.create_task(pool.run(frame_job()))
         await wait_until(lambda: pool.queued == 1)
         with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # came later, and times out
@@ -154,9 +158,9 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
 
     async def scenario(pool: Pool) -> None:
         gate.open()
-        first = await pool.run(frame(0))
+        first = await pool.run(frame_job(0))
         await gate.job_started()
-        drawing = asyncio.create_task(pool.run(frame(1, first.next_plan_state)))  # type: ignore[union-attr]
+        drawing = asyncio.create_task(pool.run(frame_job(1, first.next_plan_state)))  # type: ignore[union-attr]
         await gate.job_started()
         os.kill(*pool.ready_pids, signal.SIGKILL)
         await gate.job_started()
@@ -171,10 +175,10 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
 def test_a_frame_that_crashes_two_processes_is_an_error():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
-            await pool.run(frame(3))
+            await pool.run(frame_job(3))
         assert pool.counters.retried == 1
 
-    run_with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
+    run_with_pool(scenario, functools.partial(fake_workers.filming, commands=((3, "crash"),)))
 
 
 def test_a_cancelled_frame_is_dropped():
@@ -183,7 +187,7 @@ def test_a_cancelled_frame_is_dropped():
     async def scenario(pool: Pool) -> None:
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
-        waiting = asyncio.create_task(pool.run(frame()))
+        waiting = asyncio.create_task(pool.run(frame_job()))
         await wait_until(lambda: pool.queued == 1)
         waiting.cancel()
         await wait_until(lambda: pool.queued == 0)
@@ -202,13 +206,13 @@ ALGORITHMS = ["sweep"] * 3 + ["shadow_map"] * 9
 def plans(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Callable[..., Any]]:
     """Return ``plans(number)``, which makes plans by ``ALGORITHMS`` for a frame."""
 
-    def plans_of(number: int) -> Callable[..., Any]:
-        def plan(descriptor: Any, plan_request: Any, overrides: Any) -> Any:
+    def plan_maker_of(number: int) -> Callable[..., Any]:
+        def make_plan(descriptor: Any, plan_request: Any, overrides: Any) -> Any:
             return select(descriptor, plan_request, {"algorithm": ALGORITHMS[number], **(overrides or {})}, "rules")
 
-        return plan
+        return make_plan
 
-    return plans_of
+    return plan_maker_of
 
 
 def test_single_frames_equal_those_of_the_film(
@@ -244,8 +248,8 @@ def test_single_frames_equal_those_of_the_film(
 
 
 def test_equal_frames_differ_by_their_plan_handover():
-    assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
+    assert frame_job(0) == frame_job(0) and hash(frame_job(0)) == hash(frame_job(0))
     handover, other_handover = FilmPlanState(1), FilmPlanState(1)  # type: ignore[arg-type]
-    assert frame(1, handover) == frame(1, handover) != frame(1, other_handover), "plans that were made apart are others"
+    assert frame_job(1, handover) == frame_job(1, handover) != frame_job(1, other_handover), "plan states are compared by identity"
     request = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
-    assert frame(0).model_copy(update={"request": request}) != frame(0)
+    assert frame_job(0).model_copy(update={"request": request}) != frame_job(0)

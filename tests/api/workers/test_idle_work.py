@@ -52,7 +52,7 @@ def test_plan_versions_depend_on_profile_and_probes():
     ) != measurements.version_of(OTHER_LEVEL)
     newer_level = LevelKey(path=LEVEL.path, version="newer")
     assert both_probed.version_of(newer_level) == measurements.version_of(newer_level), (
-        "what was probed for another version does not hold"
+        "probes of another version of the level are not used"
     )
 
 
@@ -67,14 +67,14 @@ def test_all_processes_adopt_new_measurements():
 
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: len(pool.ready_pids) == 3)
-        for first, measurements in enumerate([None, PlanMeasurements(profile()), PlanMeasurements(profile(took_s=2.0))]):
+        for round_number, measurements in enumerate([None, PlanMeasurements(profile()), PlanMeasurements(profile(took_s=2.0))]):
             pool.measurements = measurements or pool.measurements
             # one job at a time for each process
-            light = [asyncio.create_task(pool.run(block(10 * first + offset))) for offset in range(3)]
+            tasks = [asyncio.create_task(pool.run(block(10 * round_number + offset))) for offset in range(3)]
             await asyncio.gather(*(gate.job_started() for _ in range(2)))
             gate.open(3)
             await gate.job_started()
-            assert {plan_version_of(await task) for task in light} == {pool.plan_version(LEVEL)}
+            assert {plan_version_of(await task) for task in tasks} == {pool.plan_version(LEVEL)}
 
     run_with_pool(scenario, gate.target, workers=3)
 
@@ -129,14 +129,14 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
     failures: list[str] = []
 
     async def scenario(pool: Pool) -> None:
-        async def note(version: int) -> None:
+        async def adopt_probes(version: int) -> None:
             assert pool.measurements is not None
             pool.measurements = pool.measurements.with_probes({LEVEL.version: str(version)})
 
         assert plan_version_of(await pool.run(block(1))) == ""
-        pool.idle_work.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
-        pool.idle_work.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
-        pool.idle_work.add(IdleJob(abs, (-5,), note, failures.append))
+        pool.idle_work.add(IdleJob(os.getenv, (), adopt_probes, failures.append))  # fails: it needs an argument
+        pool.idle_work.add(IdleJob(abs, (-3,), adopt_probes, failures.append, lambda: False))
+        pool.idle_work.add(IdleJob(abs, (-5,), adopt_probes, failures.append))
         await wait_until(lambda: pool.plan_version(LEVEL) != "")
         assert pool.measurements is not None and pool.measurements.probes_json_by_version == {LEVEL.version: "5"}
         assert pool.plan_version(OTHER_LEVEL) == ""
@@ -155,12 +155,12 @@ def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch)
     async def scenario(pool: Pool) -> None:
         finished = asyncio.Event()
 
-        async def note(version: int) -> None:
+        async def set_finished(version: int) -> None:
             finished.set()
 
         running = asyncio.create_task(pool.run(block(1)))
         await gate.job_started()
-        pool.idle_work.add(IdleJob(abs, (-5,), note, pytest.fail))
+        pool.idle_work.add(IdleJob(abs, (-5,), set_finished, pytest.fail))
         await asyncio.sleep(0.3)
         assert pool.idle_work.pid is None and not finished.is_set()
         gate.open()

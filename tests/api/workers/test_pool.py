@@ -23,7 +23,7 @@ TIMEOUT_S = 30.0
 """Much longer than any test here takes."""
 
 
-def order(view: str) -> PlanJob:
+def plan_job(view: str) -> PlanJob:
     return PlanJob(level=LEVEL, view=view)
 
 
@@ -45,10 +45,10 @@ def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_worke
             assert not pool.ready_pids
 
     for pid in asyncio.run(run()):
-        assert not alive(pid)
+        assert not is_running(pid)
 
 
-def alive(pid: int) -> bool:
+def is_running(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -80,7 +80,7 @@ class Gate:
 
 def test_a_pool_answers_a_plan_job():
     async def scenario(pool: Pool) -> None:
-        answer = await pool.run(order("map"))
+        answer = await pool.run(plan_job("map"))
         assert isinstance(answer, PlanAnswer)
         assert answer.plan_json == '{"view": "map"}'
         assert pool.is_ready
@@ -116,7 +116,7 @@ def test_the_render_timeout_excludes_compilation():
         expected_s = pool.expected_s(block(1))
         assert isinstance(await asyncio.wait_for(pool.run(block(1)), TIMEOUT_S), BlockTiles)
         assert pool.counters.timed_out == 0
-        assert pool.expected_s(block(1)) == expected_s, "what happens once says nothing of the next block"
+        assert pool.expected_s(block(1)) == expected_s, "compilation happens once, so it does not count for the next block"
         await pool.close()
 
     asyncio.run(run())
@@ -137,8 +137,8 @@ def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.Monkey
         pool.open()
         await wait_until(lambda: pool.preparing == PreparationProgress("compiling loops for points", 5, 7))
         assert pool.is_ready and pool.background_compile.is_running
-        assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
-        assert not pool.idle_work._is_idle(), "what is measured while the machine is idle waits"
+        assert isinstance(await pool.run(block(1)), BlockTiles), "jobs do not wait for the compilation"
+        assert not pool.idle_work._is_idle(), "idle work, such as a calibration, waits for the compilation"
         finished.set()
         await wait_until(lambda: pool.preparing is None and not pool.background_compile.is_running)
         await pool.close()
@@ -153,10 +153,10 @@ def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.Monk
         pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, missing=7))
         pool.open()
         await wait_until(lambda: pool.background_compile._compile_process is not None)
-        farm = pool.background_compile._compile_process
-        assert farm is not None
+        compile_process = pool.background_compile._compile_process
+        assert compile_process is not None
         await asyncio.wait_for(pool.close(), TIMEOUT_S)
-        return farm.returncode
+        return compile_process.returncode
 
     assert asyncio.run(run()) == -signal.SIGKILL
 
@@ -175,10 +175,10 @@ def test_equal_jobs_are_deduplicated():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        waiting = [asyncio.create_task(pool.run(block(1))) for _ in range(5)]
+        waiting_jobs = [asyncio.create_task(pool.run(block(1))) for _ in range(5)]
         await gate.job_started()
         gate.open()
-        answers = await asyncio.gather(*waiting)
+        answers = await asyncio.gather(*waiting_jobs)
         assert all(answer is answers[0] for answer in answers)
         assert pool.counters.answered == 1
 
@@ -202,16 +202,16 @@ def test_only_a_client_with_a_full_queue_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        running_job = asyncio.create_task(pool.run(order("first")))
+        running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
-        queued = [asyncio.create_task(pool.run(order(f"queued {n}"), "one")) for n in range(2)]
+        queued = [asyncio.create_task(pool.run(plan_job(f"queued {n}"), "one")) for n in range(2)]
         await wait_until(lambda: pool.queued == 2)
         with pytest.raises(BusyError, match="2 pictures of this client are queued"):
-            await pool.run(order("too many"), "one")
-        repeated_job = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so it is admitted
-        other = asyncio.create_task(pool.run(order("too many"), "other"))
+            await pool.run(plan_job("too many"), "one")
+        repeated_job = asyncio.create_task(pool.run(plan_job("queued 1"), "one"))  # no new job, so it is admitted
+        other_job = asyncio.create_task(pool.run(plan_job("too many"), "other"))
         gate.open(4)
-        await asyncio.gather(running_job, repeated_job, other, *queued)
+        await asyncio.gather(running_job, repeated_job, other_job, *queued)
 
     run_with_pool(scenario, gate.target, queue_work_s=1.2)  # a plan is expected to take 0.5 s
 
@@ -220,14 +220,14 @@ def test_a_job_counts_for_the_clients_that_wait_for_it():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        running_job = asyncio.create_task(pool.run(order("first")))
+        running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
-        leaves = asyncio.create_task(pool.run(order("second"), "one"))
+        leaving_job = asyncio.create_task(pool.run(plan_job("second"), "one"))
         await wait_until(lambda: pool.queued == 1)
-        staying_job = asyncio.create_task(pool.run(order("second"), "other"))
-        await wait_until(lambda: len(pool.jobs.queue.waiting[order("second")].clients) == 2)
+        staying_job = asyncio.create_task(pool.run(plan_job("second"), "other"))
+        await wait_until(lambda: len(pool.jobs.queue.waiting[plan_job("second")].clients) == 2)
         assert len(pool.jobs.queue.jobs_of_client("one")) == 1
-        leaves.cancel()
+        leaving_job.cancel()
         await wait_until(lambda: not pool.jobs.queue.jobs_of_client("one"))
         assert len(pool.jobs.queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
         gate.open(2)
@@ -255,13 +255,13 @@ def test_a_job_that_nobody_waits_for_is_dropped():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        first = asyncio.create_task(pool.run(order("first")))
+        first = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
-        dropped_job = asyncio.create_task(pool.run(order("dropped")))
+        dropped_job = asyncio.create_task(pool.run(plan_job("dropped")))
         await wait_until(lambda: pool.queued == 1)
         dropped_job.cancel()
         await wait_until(lambda: pool.queued == 0)
-        last = asyncio.create_task(pool.run(order("last")))
+        last = asyncio.create_task(pool.run(plan_job("last")))
         gate.open(2)
         await asyncio.gather(first, last)
         assert (pool.counters.answered, pool.counters.abandoned) == (2, 1)
@@ -284,29 +284,29 @@ def test_a_running_job_finishes_and_is_cached_after_cancelling():
 
 @pytest.mark.parametrize(
     ("view", "error"),
-    [("refuse", InputError), ("fail", RenderError), ("doubt", GraphicsError), ("crash", WorkerCrashError)],
+    [("refuse", InputError), ("fail", RenderError), ("break_opengl", GraphicsError), ("crash", WorkerCrashError)],
 )
 def test_an_error_affects_only_its_own_job(view: str, error: type[Exception]):
     async def scenario(pool: Pool) -> None:
         for _ in range(2):
             with pytest.raises(error):
-                await pool.run(order(view))
-            assert isinstance(await pool.run(order("map")), PlanAnswer)
-        replaced = 4 if view in ("doubt", "crash") else 0  # each job is tried twice
-        assert pool.counters.started == 1 + replaced
+                await pool.run(plan_job(view))
+            assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        replacement_count = 4 if view in ("break_opengl", "crash") else 0  # each job is tried twice
+        assert pool.counters.started == 1 + replacement_count
 
     run_with_pool(scenario)
 
 
 def test_a_job_over_its_time_limit_ends_its_process():
     async def scenario(pool: Pool) -> None:
-        await pool.run(order("map"))
+        await pool.run(plan_job("map"))
         (pid,) = pool.ready_pids
         with pytest.raises(RenderTimeoutError):
-            await pool.run(order("hang"))
-        assert isinstance(await pool.run(order("map")), PlanAnswer)
+            await pool.run(plan_job("hang"))
+        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
         assert pid not in pool.ready_pids
-        assert not alive(pid)
+        assert not is_running(pid)
 
     run_with_pool(scenario, render_timeout_s=0.5)
 
@@ -315,12 +315,12 @@ def test_a_job_of_a_killed_process_is_retried():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        running_job = asyncio.create_task(pool.run(order("first")))
+        running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
-        queued = asyncio.create_task(pool.run(order("second")))
+        queued = asyncio.create_task(pool.run(plan_job("second")))
         os.kill(*pool.ready_pids, signal.SIGKILL)
         gate.open(2)
-        assert isinstance(await running_job, PlanAnswer), "it is begun again by another process"
+        assert isinstance(await running_job, PlanAnswer), "another process draws the job again"
         assert isinstance(await queued, PlanAnswer)
         assert pool.counters.retried == 1
 
@@ -333,7 +333,7 @@ def test_a_process_killed_while_idle_is_replaced():
         (pid,) = pool.ready_pids
         os.kill(pid, signal.SIGKILL)
         await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
-        assert isinstance(await pool.run(order("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
 
     run_with_pool(scenario)
 
@@ -341,7 +341,7 @@ def test_a_process_killed_while_idle_is_replaced():
 def test_processes_are_recycled():
     async def scenario(pool: Pool) -> None:
         for number in range(5):
-            await pool.run(order(f"map {number}"))
+            await pool.run(plan_job(f"map {number}"))
         assert pool.counters.started == 3
 
     run_with_pool(scenario, recycle_blocks=2)
@@ -353,9 +353,9 @@ def test_processes_are_recycled():
 def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
     async def scenario(pool: Pool) -> None:
         with pytest.raises(error):
-            await pool.run(order("waits for the first start"))
+            await pool.run(plan_job("waits for the first start"))
         with pytest.raises(error):
-            await pool.run(order("comes later"))
+            await pool.run(plan_job("comes later"))
         assert not pool.is_ready
 
     run_with_pool(scenario, target)
@@ -364,7 +364,7 @@ def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
 def test_a_start_that_never_ends_times_out():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerStartError, match="warm up"):
-            await pool.run(order("map"))
+            await pool.run(plan_job("map"))
 
     run_with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)
 
@@ -373,9 +373,9 @@ def test_closing_fails_running_and_queued_jobs():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        running_job = asyncio.create_task(pool.run(order("first")))
+        running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
-        queued = asyncio.create_task(pool.run(order("second")))
+        queued = asyncio.create_task(pool.run(plan_job("second")))
         await wait_until(lambda: pool.queued == 1)
         (pid,) = pool.ready_pids
         await pool.close()
@@ -383,8 +383,8 @@ def test_closing_fails_running_and_queued_jobs():
             with pytest.raises(BusyError):
                 await task
         with pytest.raises(BusyError):
-            await pool.run(order("third"))
-        assert not alive(pid)
+            await pool.run(plan_job("third"))
+        assert not is_running(pid)
 
     run_with_pool(scenario, gate.target)
 

@@ -22,12 +22,12 @@ from skugga.api.workers.pool import Pool
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
 from tests.api.workers import fake_workers
-from tests.api.workers.test_pool import LEVEL, Gate, block, order, run_with_pool, wait_until
+from tests.api.workers.test_pool import LEVEL, Gate, block, plan_job, run_with_pool, wait_until
 
 OTHER_LEVEL = LevelKey(path=LEVEL.path.with_name("other.yaml"), version="1")
 
 
-def view(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
+def snapshot_job(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
     request = ProductRequest(overrides=RequestedSettings.of(settings))
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
@@ -43,7 +43,7 @@ def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyP
         def Pipe(self):
             raise OSError(errno.EMFILE, "Too many open files")
 
-    def context(method: str):
+    def context_without_pipes(method: str):
         if failures_left[0] and started_counts:
             failures_left[0] -= 1
             return NoPipes()
@@ -51,7 +51,7 @@ def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyP
 
     started_counts: list[int] = []
     monkeypatch.setattr(supervisor_module, "INITIAL_BACKOFF_S", 0.01)
-    monkeypatch.setattr(piped_process, "get_context", context)
+    monkeypatch.setattr(piped_process, "get_context", context_without_pipes)
 
     async def scenario(pool: Pool) -> None:
         await wait_until(lambda: pool.is_ready)
@@ -59,7 +59,7 @@ def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyP
         os.kill(*pool.ready_pids, signal.SIGKILL)
         await wait_until(lambda: not failures_left[0] and pool.is_ready and set(started_counts) != pool.ready_pids)
         assert pool.is_healthy
-        assert isinstance(await pool.run(order("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
 
     run_with_pool(scenario)
 
@@ -85,7 +85,7 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
         await wait_until(lambda: is_stopped(pid) or pid not in pool.ready_pids)
         assert not pool.is_ready or pid not in pool.ready_pids
         await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
-        assert isinstance(await pool.run(order("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
 
     run_with_pool(scenario)
 
@@ -95,7 +95,7 @@ def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        running_job = asyncio.create_task(pool.run(order("map")))
+        running_job = asyncio.create_task(pool.run(plan_job("map")))
         await gate.job_started()
         os.kill(*pool.ready_pids, signal.SIGSTOP)
         await gate.job_started()
@@ -110,11 +110,11 @@ def test_a_queued_job_times_out():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
-        pool.jobs.queue.expected_times.add_duration(order("first"), 0.01)
-        running_job = asyncio.create_task(pool.run(order("first")))
+        pool.jobs.queue.expected_times.add_duration(plan_job("first"), 0.01)
+        running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
         with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
-            await pool.run(order("waits"))
+            await pool.run(plan_job("waits"))
         assert caught.value.retry_after_s >= 1
         assert pool.queued == 0 and pool.counters.expired == 1
         gate.open()
@@ -131,10 +131,10 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
         await wait_until(lambda: pool.is_ready)
         running_job = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
-        waiting = asyncio.create_task(pool.run(order("waits"), "other"))
+        waiting = asyncio.create_task(pool.run(plan_job("waits"), "other"))
         await wait_until(lambda: pool.queued == 1)
         with pytest.raises(RetryLaterError, match="the expected wait is") as caught:
-            await pool.run(order("map"), "other")
+            await pool.run(plan_job("map"), "other")
         assert 20 <= caught.value.retry_after_s <= 31
         waiting.cancel()
         gate.open()
@@ -145,17 +145,17 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
 
 def test_repeated_timeouts_open_the_breaker_of_one_level():
     async def scenario(pool: Pool) -> None:
-        hanging_job = order("hang")
+        hanging_job = plan_job("hang")
         for _ in range(2):
             with pytest.raises(RenderTimeoutError):
                 await pool.run(hanging_job)
         with pytest.raises(CircuitOpenError, match="level level") as caught:
             await pool.run(hanging_job)
         assert 1 <= caught.value.retry_after_s <= 30
-        started = pool.counters.started
-        other = order("map").model_copy(update={"level": OTHER_LEVEL})
-        assert isinstance(await pool.run(other), PlanAnswer)
-        assert pool.counters.started <= started + 1
+        started_count = pool.counters.started
+        other_job = plan_job("map").model_copy(update={"level": OTHER_LEVEL})
+        assert isinstance(await pool.run(other_job), PlanAnswer)
+        assert pool.counters.started <= started_count + 1
 
     run_with_pool(scenario, render_timeout_s=0.3)
 
@@ -166,10 +166,10 @@ def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPa
 
     async def scenario(pool: Pool) -> None:
         for number in range(3):
-            hanging_job = order("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
+            hanging_job = plan_job("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
             with pytest.raises(RenderTimeoutError):
                 await pool.run(hanging_job)
-        assert isinstance(await pool.run(order("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
 
     run_with_pool(scenario, render_timeout_s=0.2)
 
@@ -177,39 +177,43 @@ def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPa
 def test_a_job_that_crashes_its_process_is_tried_twice():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
-            await pool.run(order("crash"))
+            await pool.run(plan_job("crash"))
         assert pool.counters.retried == 1
 
     run_with_pool(scenario)
 
 
-def pending(job, arrived_s: float) -> PendingJob:
+def make_pending_job(job, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
 def test_light_jobs_overtake_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
-    queue.expected_times.add_duration(view(), 30.0)
+    queue.expected_times.add_duration(snapshot_job(), 30.0)
     queue.expected_times.add_duration(block(0), 0.1)
-    heavy, light, later_job = pending(view(), 0.0), pending(block(1), 10.0), pending(block(2), 31.0)
-    for job in (heavy, light, later_job):
+    heavy_job, light_job, later_job = (
+        make_pending_job(snapshot_job(), 0.0),
+        make_pending_job(block(1), 10.0),
+        make_pending_job(block(2), 31.0),
+    )
+    for job in (heavy_job, light_job, later_job):
         queue.put(job)
-    assert [queue.start_next(40.0) for _ in range(1)] == [light]
-    queue.discard(light)
-    assert queue.start_next(40.0) is heavy
+    assert [queue.start_next(40.0) for _ in range(1)] == [light_job]
+    queue.discard(light_job)
+    assert queue.start_next(40.0) is heavy_job
 
 
 def test_one_process_is_reserved_for_light_jobs():
     queue = JobQueue(3, ExpectedTimes())
     queue.expected_times.add_duration(block(0), 0.1)
-    slow_jobs = [view((640 + n, 480)) for n in range(4)]
+    slow_jobs = [snapshot_job((640 + n, 480)) for n in range(4)]
     for job in slow_jobs:
-        queue.put(pending(job, 0.0))
+        queue.put(make_pending_job(job, 0.0))
     taken_jobs = [queue.start_next(0.0) for _ in range(3)]
     assert [taken_job is not None for taken_job in taken_jobs] == [True, True, False]
-    queue.put(pending(block(1), 5.0))
-    light = queue.start_next(5.0)
-    assert light is not None and isinstance(light.job, BlockJob)
+    queue.put(make_pending_job(block(1), 5.0))
+    light_job = queue.start_next(5.0)
+    assert light_job is not None and isinstance(light_job.job, BlockJob)
     assert queue.start_next(5.0) is None
     queue.discard(taken_jobs[0])  # type: ignore[arg-type]
     assert queue.start_next(5.0) is not None
@@ -217,7 +221,7 @@ def test_one_process_is_reserved_for_light_jobs():
 
 def test_a_single_process_does_heavy_jobs_too():
     queue = JobQueue(1, ExpectedTimes())
-    queue.put(pending(view(), 0.0))
+    queue.put(make_pending_job(snapshot_job(), 0.0))
     assert queue.start_next(0.0) is not None
 
 
@@ -228,9 +232,13 @@ def test_expected_times_follow_measurements():
     assert expected.is_light(block(1)) and expected.expected_s(block(1)) == 1.0
     expected.add_duration(block(1), 2.0)
     assert expected.expected_s(block(2)) == pytest.approx(1.3)
-    assert expected.expected_s(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, "another level is another matter"
-    expected.add_duration(view((1280, 1024)), 4.0)
-    assert expected.expected_s(view((2560, 2048))) == pytest.approx(16.0), "a snapshot takes as long as it has pixels"
+    assert expected.expected_s(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, (
+        "another level keeps the initial estimate"
+    )
+    expected.add_duration(snapshot_job((1280, 1024)), 4.0)
+    assert expected.expected_s(snapshot_job((2560, 2048))) == pytest.approx(16.0), (
+        "the time of a snapshot is proportional to its pixels: four times as many take 16 s"
+    )
 
 
 def test_the_breaker_closes_after_pauses_that_double():
@@ -240,7 +248,9 @@ def test_the_breaker_closes_after_pauses_that_double():
     assert breaker.seconds_left(block(0)) == 0.0
     breaker.record_failure(block(1))
     assert breaker.seconds_left(block(2)) == 30.0
-    assert breaker.seconds_left(order("map")) == 30.0, "plain tiles fail, so the level does"
+    assert breaker.seconds_left(plan_job("map")) == 30.0, (
+        "failures with the level's own settings open the circuit of the whole level"
+    )
     now_s[0] = 31.0
     assert breaker.seconds_left(block(0)) == 0.0
     breaker.record_failure(block(0))
@@ -254,9 +264,9 @@ def test_the_breaker_closes_after_pauses_that_double():
 def test_the_breaker_opens_only_for_jobs_with_equal_options():
     breaker = CircuitBreaker(lambda: 0.0)
     for _ in range(2):
-        breaker.record_failure(view(algorithm="shadow_volume"))
-    assert breaker.seconds_left(view((100, 100), algorithm="shadow_volume")) > 0.0
-    assert breaker.seconds_left(view()) == 0.0
+        breaker.record_failure(snapshot_job(algorithm="shadow_volume"))
+    assert breaker.seconds_left(snapshot_job((100, 100), algorithm="shadow_volume")) > 0.0
+    assert breaker.seconds_left(snapshot_job()) == 0.0
     assert breaker.seconds_left(block(0)) == 0.0
 
 
@@ -275,18 +285,18 @@ while True: pass
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
-@pytest.mark.parametrize("stopped", [False, True])
-def test_a_process_ends_with_its_killed_parent(stopped: bool):
+@pytest.mark.parametrize("stops_child", [False, True])
+def test_a_process_ends_with_its_killed_parent(stops_child: bool):
     parent = subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     pid = int(parent.stdout.readline().split()[0])
-    if stopped:
+    if stops_child:
         os.kill(pid, signal.SIGSTOP)
     parent.kill()
     parent.communicate()
-    until_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 10.0
     while _is_alive(pid):
-        assert time.monotonic() < until_s, "it outlived its parent"
+        assert time.monotonic() < deadline_s, "the child outlived its parent"
         time.sleep(0.01)
 
 

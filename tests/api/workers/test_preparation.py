@@ -20,10 +20,10 @@ def test_first_block_lies_in_the_middle_of_the_level(hills_level: Path) -> None:
     (block,) = central_blocks(ServedLevels([hills_level]))
     zooms = level.zooms[DEFAULT_MATRIX_SET]
     assert block.zoom == zooms.first and block.level == level.key
-    finer = central_block(level, zooms.last)
-    assert finer is not None
+    fine_block = central_block(level, zooms.last)
+    assert fine_block is not None
     ratio = 2 ** (zooms.last - zooms.first)
-    assert abs(finer.block_x / ratio - block.block_x) <= 1 and abs(finer.block_y / ratio - block.block_y) <= 1
+    assert abs(fine_block.block_x / ratio - block.block_x) <= 1 and abs(fine_block.block_y / ratio - block.block_y) <= 1
 
 
 def test_preparation_opens_the_level_and_its_sky_view(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,8 +15,8 @@ def test_another_renderer_is_refused(gl):
         warm_up("no such renderer")
 
 
-@pytest.mark.parametrize("seen", [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (float("nan"), float("nan"))])
-def test_a_renderer_that_draws_wrong_shadows_is_refused(gl, monkeypatch: pytest.MonkeyPatch, seen: tuple[float, float]):
-    monkeypatch.setattr(module, "_visibility_beside_wall", lambda algorithm: seen)
+@pytest.mark.parametrize("visibilities", [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (float("nan"), float("nan"))])
+def test_a_renderer_that_draws_wrong_shadows_is_refused(gl, monkeypatch: pytest.MonkeyPatch, visibilities: tuple[float, float]):
+    monkeypatch.setattr(module, "_visibility_beside_wall", lambda algorithm: visibilities)
     with pytest.raises(GraphicsError, match="wrong shadows"):
         warm_up()

@@ -92,7 +92,9 @@ def test_the_figure_is_reproducible_with_a_point_per_view():
     views = [view(family, (10.0, 0.09), (10.0 * ratio, 0.001)) for ratio in (2, 3, 4) for family in ("a", "b")]
     svg = figure_svg(views)
     assert svg == figure_svg(views)
-    assert svg.count("<use") - figure_svg(views[:-1]).count("<use") == 2 * 3, "in its family and in all, for three goals"
+    assert svg.count("<use") - figure_svg(views[:-1]).count("<use") == 2 * 3, (
+        "each view has one point in the plot of its family and one in the plot of all views, for each of three goals"
+    )
 
 
 def test_pages_agree_with_the_table(stored_table):

@@ -115,7 +115,7 @@ PICKS_OF_WOODED_VIEW = {
 
 
 @pytest.mark.parametrize(
-    ("choice", "found"),
+    ("choice", "expected_row"),
     [
         ("shadow_map 1024 x2", "two"),
         ("shadow_map 1024", "one"),  # without cascades, as in a map view, there is one map
@@ -130,8 +130,8 @@ PICKS_OF_WOODED_VIEW = {
         ("planar", None),
     ],
 )
-def test_a_pick_resolves_to_the_equivalent_row_of_a_view(choice, found):
-    assert equivalent_row(choice, view_record({}, PICKS_OF_WOODED_VIEW)) == found
+def test_a_pick_resolves_to_the_equivalent_row_of_a_view(choice, expected_row):
+    assert equivalent_row(choice, view_record({}, PICKS_OF_WOODED_VIEW)) == expected_row
 
 
 def test_a_pick_resolves_to_a_row_without_settings():
@@ -230,14 +230,14 @@ def test_interior_errors_count_if_a_clean_row_meets_the_target():
     )  # no other row meets the target
 
 
-@pytest.mark.parametrize(("slow_ms", "closed"), [(11.8, None), (12.4, 1.0)])
-def test_a_gap_below_a_tenth_is_not_reported(slow_ms, closed):
+@pytest.mark.parametrize(("slow_ms", "expected_gap"), [(11.8, None), (12.4, 1.0)])
+def test_a_gap_below_a_tenth_is_not_reported(slow_ms, expected_gap):
     """The losses of the single best are 1.18 or 1.24 in one view and 1 in the other: in the mean 9 % or 12 % above the best."""
     near = QUICK_IS_RIGHT | {"rows": QUICK_IS_RIGHT["rows"] | {"slow": row(slow_ms, 0.001)}}
     score = score_choices(
         instances_of([near, SLOW_IS_RIGHT], [THREE_PERCENT]), choices_of("quick", "slow"), choices_of("slow", "slow")
     )
-    assert score.gap_closed == (closed if closed is None else pytest.approx(closed))
+    assert score.gap_closed == (expected_gap if expected_gap is None else pytest.approx(expected_gap))
 
 
 def test_the_list_of_the_worst_is_short_and_sorted():

@@ -172,7 +172,7 @@ def test_render_rejects_a_skipped_pass(gl, scene, monkeypatch):
             return np.ones(buffer.valid.shape, np.float32)
 
     monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=skip_depth_pass))
-    with pytest.raises(RenderError, match="are not the plan's"):
+    with pytest.raises(RenderError, match="differ from those of the plan"):
         render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 
 

@@ -13,7 +13,7 @@ from skugga.shadows.truth.truth import Truth
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
-from tests.params import quick
+from tests.params import mark_long_except
 from tests.render import block_at
 from tests.shadows.boxes import box, build_mesh_scene
 from tests.shadows.volumes.test_shadow_volume import (
@@ -60,7 +60,7 @@ def check_equals_volumes(view_points: ShadowCase, truth: Truth | None = None, **
 # -- conservative
 
 
-@pytest.mark.parametrize(("name", "view"), quick(BUNDLED_VIEWS, *QUICK_VIEWS))
+@pytest.mark.parametrize(("name", "view"), mark_long_except(BUNDLED_VIEWS, *QUICK_VIEWS))
 def test_hybrid_equals_volumes_in_bundled_scenes(gl, name, view):
     view_points, truth = thesis_case(name, view)
     marked_share = check_equals_volumes(view_points, truth)

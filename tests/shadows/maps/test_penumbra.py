@@ -19,7 +19,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
-from tests.params import quick
+from tests.params import mark_long_except
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render
 from tests.shadows.boxes import View, box, build_mesh_scene, visibility
@@ -60,7 +60,7 @@ def edge_profile(folder, height_m: float, width_m: float, **overrides) -> tuple[
 
 @pytest.mark.parametrize(
     ("height_m", "radii_texels"),
-    quick(product([8.0, 30.0, 70.0], [2.5, 20.0, 50.0]), (8.0, 50.0), (30.0, 20.0), (70.0, 2.5)),
+    mark_long_except(product([8.0, 30.0, 70.0], [2.5, 20.0, 50.0]), (8.0, 50.0), (30.0, 20.0), (70.0, 2.5)),
 )
 def test_penumbra_of_a_straight_edge_matches_the_disc(gl, tmp_path, height_m, radii_texels):
     """This holds for all distances and texels. The caster lies outside the view, far towards the sun."""

@@ -45,7 +45,7 @@ MAX_FINE_TEXEL_M = MAX_FINE_TEXEL_SHARE * DISC_WIDTH * THROW_DISTANCE_M
 @pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * MAX_FINE_TEXEL_M, 3), (1.1 * MAX_FINE_TEXEL_M, 1)])
 def test_sun_taps_follow_texel_and_penumbra_widths(texel_m, taps):
     tap_count, reason = sun_taps(make_descriptor(meshes=casting(THROW_DISTANCE_M, 0.5)), [cascade(texel_m)])
-    assert tap_count == taps and reason.startswith("by soft error: texels are finer than penumbrae in ")
+    assert tap_count == taps and reason.startswith("for the least soft error: texels are finer than penumbrae in ")
 
 
 def test_fine_share_weights_cascades_by_their_shadow():

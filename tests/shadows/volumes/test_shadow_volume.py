@@ -47,7 +47,7 @@ from tests.hard_cases.bodies import (
     with_ground_pebble,
     without_triangles,
 )
-from tests.params import quick
+from tests.params import mark_long_except
 from tests.rasters import ENGINEERING
 from tests.render import block_at
 from tests.shadows.boxes import View, box, build_mesh_scene
@@ -178,7 +178,7 @@ def thesis_case(name: str, view: str = "main") -> tuple[ShadowCase, Truth]:
     return case, case.truth()
 
 
-@pytest.mark.parametrize(("name", "view"), quick(BUNDLED_VIEWS, *QUICK_VIEWS))
+@pytest.mark.parametrize(("name", "view"), mark_long_except(BUNDLED_VIEWS, *QUICK_VIEWS))
 def test_volumes_match_truth_in_bundled_scenes(gl, name, view):
     """Measured: at most 0.009 % of the decidable pixels differ.
 

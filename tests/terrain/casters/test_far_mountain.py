@@ -15,7 +15,7 @@ from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, transformer
 from skugga.terrain.ground import overview
 from skugga.terrain.scene import Scene
-from tests.products import drawn, shade_array
+from tests.products import draw_map, shade_array
 from tests.render import plan_of
 
 CELL_M, COLS, ROWS = 30.0, 2700, 700
@@ -101,7 +101,7 @@ def test_tiles_of_every_zoom_show_the_far_shadow(scene):
             view = MapView(grid, float(row), float(col), 1.0, 1.0, SAMPLE_PATCH_PX, SAMPLE_PATCH_PX)
             plan = plan or plan_of(scene, view)  # all tiles of a level share one plan
             middle = slice(SAMPLE_PATCH_PX // 2 - 1, SAMPLE_PATCH_PX // 2 + 1)
-            opacity = drawn(scene, view, plan).opacity[middle, middle]
+            opacity = draw_map(scene, view, plan).opacity[middle, middle]
             if (opacity != (255 if dark else 0)).any():
                 mismatches.append((zoom, (RIM_M - x) / 1000.0, (y - MIDDLE_NORTHING_M) / 1000.0, dark, opacity.tolist()))
     assert not mismatches, "\n".join(map(str, mismatches))

@@ -5,25 +5,25 @@ from __future__ import annotations
 from benchmarks.peers.figures import dominated_rows, unmatched_peers
 from benchmarks.peers.pages import format_percent, format_seconds
 from benchmarks.seeds.claims import markdown_table
-from benchmarks.sun_questions.day_hours import HOURS
+from benchmarks.sun_questions.day_hours import HOURS_QUESTION
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, tool_standings
-from benchmarks.sun_questions.many_masks import ALTITUDE_TOLERANCE_DEG, MASKS
-from benchmarks.sun_questions.one_horizon import AZIMUTH_STEP_DEG, HORIZON, TOPOCALC_AZIMUTH_STEP_DEG
+from benchmarks.sun_questions.many_masks import ALTITUDE_TOLERANCE_DEG, MASKS_QUESTION
+from benchmarks.sun_questions.one_horizon import AZIMUTH_STEP_DEG, HORIZON_QUESTION, TOPOCALC_AZIMUTH_STEP_DEG
 
 TITLES = {
-    HOURS: "1. Hours of sun of a day",
-    HORIZON: "2. The horizon at a point",
-    MASKS: "3. 31 masks of a day",
+    HOURS_QUESTION: "1. Hours of sun of a day",
+    HORIZON_QUESTION: "2. The horizon at a point",
+    MASKS_QUESTION: "3. 31 masks of a day",
 }
 
-UNIT_BY_QUESTION = {HOURS: "minutes", HORIZON: "degrees", MASKS: "% of the cells"}
+UNIT_BY_QUESTION = {HOURS_QUESTION: "minutes", HORIZON_QUESTION: "degrees", MASKS_QUESTION: "% of the cells"}
 
 
 def format_error(question: str, value: float | None) -> str:
     """Format an error in the question's unit."""
     if value is None:
         return "-"
-    if question == MASKS:
+    if question == MASKS_QUESTION:
         return format_percent(value)
     return f"{value:.2f}" if value >= 0.1 or value == 0.0 else f"{value:.1g}"
 
@@ -62,16 +62,16 @@ def format_verdict(comparison: SunComparison, question: str) -> str:
         case_standings = tool_standings(comparison, question, clock)
         if not case_standings:
             continue
-        dominated, over = dominated_rows(case_standings), unmatched_peers(case_standings)
-        dominated_text = "; ".join(f"{our_row} by {peer} ({case})" for our_row, peer, case in dominated)
+        dominated, unmatched = dominated_rows(case_standings), unmatched_peers(case_standings)
+        dominated_text = "; ".join(f"{skugga_row} by {peer} ({case})" for skugga_row, peer, case in dominated)
         text = (
             f"in {len(case_standings)} case{'s' * (len(case_standings) > 1)} no peer is both faster and more accurate than any row "
             f"of Skugga's."
             if not dominated
             else f"beaten in both at once: {dominated_text}. "
             + (
-                "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in over) + "."
-                if over
+                "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in unmatched) + "."
+                if unmatched
                 else "No peer beats all of its rows in any case."
             )
         )
@@ -90,18 +90,18 @@ def _better_peers_text(comparison: SunComparison, question: str, metric: str, cl
     standings_by_case = tool_standings(comparison, question, clock)
     if not standings_by_case:
         return f"- {adjective[0].upper()}{adjective[1:]}: not measured."
-    times: dict[str, list[float]] = {}
+    factors_by_tool: dict[str, list[float]] = {}
     for case_standings in standings_by_case.values():
-        our_best = min(getattr(standing, metric) for standing in case_standings if standing.tool.ours)
+        skugga_best = min(getattr(standing, metric) for standing in case_standings if standing.tool.ours)
         for standing in case_standings:
             value = getattr(standing, metric)
-            if not standing.tool.ours and value < our_best:
-                times.setdefault(standing.tool.name, []).append(our_best / value if value else float("inf"))
-    if not times:
+            if not standing.tool.ours and value < skugga_best:
+                factors_by_tool.setdefault(standing.tool.name, []).append(skugga_best / value if value else float("inf"))
+    if not factors_by_tool:
         return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: no peer, in any case."
     peers_text = "; ".join(
         f"{name} in {len(ratios)} of {len(standings_by_case)} cases, up to {max(ratios):.2g} times"
-        for name, ratios in times.items()
+        for name, ratios in factors_by_tool.items()
     )
     return f"- {adjective[0].upper()}{adjective[1:]} than Skugga's best row: {peers_text}."
 
@@ -121,20 +121,23 @@ def check_table(comparison: SunComparison) -> list[str]:
 
 
 METHOD_BY_QUESTION = {
-    HOURS: """21 March, rasters of which every tool gets the same GeoTIFF. Truth are rays every 10 seconds. `Wrong` is the mean over
+    HOURS_QUESTION: """\
+21 March, rasters of which every tool gets the same GeoTIFF. Truth are rays every 10 seconds. `Wrong` is the mean over
 the sampled cells of the minutes by which a tool differs from rays under *its own* sun, earth and horizon, so that only shadows
 and steps of time are judged; `wrong as it is` the same beside astronomy's sun (NREL's, with refraction) on the round earth,
 which is what a user gets. Computing: Skugga's `level.sun_hours` as an array, the second time; the call of `time_in_daylight`,
 without reading; the modules r.sun and r.horizon on two threads, without import and export. Whitebox's share of the day is made
 hours by the length of its own day.""",
-    HORIZON: f"""720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
+    HORIZON_QUESTION: f"""\
+720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
 crossing of the direction with the triangles' edges, to the raster's rim, on the round earth (for topocalc, which knows none, in
 a flat world). Computing: one point of a level that is open and whose loops are compiled; the module r.horizon. Whole process:
 `skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters:
 {360.0 / TOPOCALC_AZIMUTH_STEP_DEG:.0f} directions are measured, and the seconds multiplied by \
 {TOPOCALC_AZIMUTH_STEP_DEG / AZIMUTH_STEP_DEG:.0f} (`~`).
 r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
-    MASKS: f"""31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
+    MASKS_QUESTION: f"""\
+31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
 azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns \
 {ALTITUDE_TOLERANCE_DEG:g} degrees
 lower and higher) at the sampled cells, beside rays: of each cell's sun on the round earth for Skugga, of the given angles in a flat
@@ -174,7 +177,7 @@ def format_sun_page(comparison: SunComparison) -> str:
             cases = "\n".join(f"- *{case.case}*: {case.about}" for case in comparison.cases if case.question == question)
             parts += [f"## {TITLES[question]}", format_verdict(comparison, question), cases, METHOD_BY_QUESTION[question]]
             parts.append("\n".join(answer_table(comparison, question)))
-            if question == HOURS and comparison.checks:
+            if question == HOURS_QUESTION and comparison.checks:
                 parts += ["### Conventions", CONVENTIONS, "\n".join(check_table(comparison))]
     if comparison.left_out:
         parts += ["## Left out", "\n".join(f"- {name}: {reason}" for name, reason in comparison.left_out.items())]
