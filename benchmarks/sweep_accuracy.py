@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from skugga.shadows.sweep.grid import sunlit
-from skugga.shadows.truth.metrics import INTERIOR_PX, interior
+from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, interior_error_mask
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import SkuggaError
 from skugga.terrain.geo.world import WGS84
@@ -185,7 +185,7 @@ def compare_with_truth(
         wrong=int(wrong_cells.sum()) / count,
         false_shadow=int((wrong_cells & truth.lit).sum()) / count,
         missed_shadow=int((wrong_cells & ~truth.lit).sum()) / count,
-        interior=int(interior(wrong_cells, ~truth.lit & valid, valid, INTERIOR_PX).sum()) / count,
+        interior=int(interior_error_mask(wrong_cells, ~truth.lit & valid, valid, MIN_INTERIOR_DISTANCE_PX).sum()) / count,
         undecided=float((~certain)[raster.valid].mean()),
     )
 

@@ -31,7 +31,7 @@ from skugga.selector.planner.planner import SETTING_NAMES, Planner
 from skugga.selector.portfolio import portfolio
 from skugga.selector.ranking import CandidateFigures
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
@@ -165,10 +165,10 @@ class LightOptions:
     def miss_chance(self, which: int, max_error: float) -> float:
         """Return the probability, in [0, 1], that an option exceeds an error limit.
 
-        The limits are ``max_error`` for the error and ``MAX_INTERIOR`` for the interior error.
+        The limits are ``max_error`` for the error and ``MAX_INTERIOR_SHARE`` for the interior error.
         """
         error = self.error.probability_over(which, log_error(max_error))
-        inside = self.interior.probability_over(which, log_interior(MAX_INTERIOR))
+        inside = self.interior.probability_over(which, log_interior(MAX_INTERIOR_SHARE))
         return max(error, inside)  # interior errors are errors, too
 
     def forecast(self, which: int, max_error: float) -> Forecast:

@@ -12,7 +12,7 @@ from typing import Any, get_args
 from skugga.selector.choices import Choice
 from skugga.selector.mixes import MIXES
 from skugga.shadows.algorithm import Algorithm
-from skugga.shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
+from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, can_serve, selectable_algorithms
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
@@ -51,7 +51,7 @@ def portfolio(
 
 def _solo_name(algorithm: Algorithm) -> str:
     """Return the name of a choice of one algorithm. It includes the fallback's name if the algorithm cannot draw meshes."""
-    return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refusals else algorithm.name
+    return f"{algorithm.name}+{FALLBACK_ALGORITHM}" if "meshes" in algorithm.refusals else algorithm.name
 
 
 def _distinct_choices(
@@ -59,7 +59,7 @@ def _distinct_choices(
 ) -> Iterator[Choice]:
     yielded = set()
     for combination, named_algorithms in combinations():
-        algorithm = {kind: named_algorithms.get(kind, FALLBACK) for kind in kinds}
+        algorithm = {kind: named_algorithms.get(kind, FALLBACK_ALGORITHM) for kind in kinds}
         if not all(can_serve(name, descriptor, light, kind, requested_shadows) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
@@ -79,7 +79,9 @@ def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -
         for key, values in name.search.search_space.items():
             possible = [value if name.search.is_tunable(descriptor, light, key, value) else None for value in values]
             search_space[key] = tuple(dict.fromkeys([*search_space.get(key, ()), *possible]))
-    companion_sizes = [name.search.companion_map_sizes for name in algorithms if name.search.companion_map_sizes is not None]
+    companion_sizes = [
+        name.search.map_sizes_for_other_casters for name in algorithms if name.search.map_sizes_for_other_casters is not None
+    ]
     if companion_sizes and "map_size" in search_space:
         search_space = {"map_size": companion_sizes[0]}
     for values in product(*search_space.values()):

@@ -34,7 +34,7 @@ from skugga.selector.predict import TARGET_MISSED
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
@@ -405,6 +405,6 @@ def _relative_overshoot(plan: Plan) -> float:
     if plan.predicted is None:
         return 0.0
     target = plan.target
-    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MAX_INTERIOR)]
+    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MAX_INTERIOR_SHARE)]
     over += [] if target.max_ms is None else [plan.predicted.ms / target.max_ms - 1.0]
     return max(2.0 * SWITCH_ERROR_GAIN if target.met is False and max(over) <= 0.0 else 0.0, *over)

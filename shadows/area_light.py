@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import AreaSettings, Fill
-from skugga.shadows.attached import attached
+from skugga.shadows.algorithm import AreaLightSettings, FillVisibility
+from skugga.shadows.attached import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work
 from skugga.terrain.casters.reach import Casters
@@ -76,33 +76,33 @@ def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene
         yield scene.with_lamp(replace(lamp, position_earth_m=lamp.position_earth_m + place_m))
 
 
-def scale_work(work: Work, points: int) -> Work:
-    """Return the work for all ``points`` of an area light, given the work for one."""
-    return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
+def scale_work(work: Work, point_count: int) -> Work:
+    """Return the work for all ``point_count`` of an area light, given the work for one."""
+    return {part: {name: point_count * count for name, count in counts.items()} for part, counts in work.items()}
 
 
 def mean_visibility_of_area_light(
-    fill: Fill,
+    fill: FillVisibility,
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
-    settings: AreaSettings,
+    settings: AreaLightSettings,
     log: PassLog,
     **changes: Any,
 ) -> np.ndarray:
     """Return the mean visibility (rows, cols) float32 over the points of an area light.
 
-    ``settings.light_points`` is the number of points. For each of them ``fill`` runs with the settings updated by ``changes``. A
-    surface that faces away from a point of the light gets 0 from that point. Intermediate pictures are kept for the first point
-    alone.
+    ``settings.light_points`` is the number of points. For each of them ``fill`` (a ``FillVisibility``) runs with the settings
+    updated by ``changes``. A surface that faces away from a point of the light gets 0 from that point. Intermediate pictures are
+    kept for the first point alone.
     """
     passes = log.pass_names(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)
     for point_scene in point_light_scenes(scene, light, settings.light_points):
         point_visibility = fill(buffer, point_scene, light, kinds, casters, of_point, log)
-        point_visibility[attached(buffer, point_scene, light)] = 0.0
+        point_visibility[attached_shadow_mask(buffer, point_scene, light)] = 0.0
         visibility += point_visibility
         log = replace(log, requested_layers=frozenset())
     for record in log.records.values():

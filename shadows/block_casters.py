@@ -20,7 +20,7 @@ NO_OUTSIDE_CASTERS_NOTE = "nothing outside of the block casts a shadow into it"
 NO_CASTERS_NOTE = "no ground casts a shadow in the block"
 
 
-def caster_pass(plan: Plan) -> str:
+def caster_search_pass(plan: Plan) -> str:
     """Return the name of the plan's pass in which casters beside a part of a map are searched."""
     return CASTERS_PASS if CASTERS_PASS in plan.effect_names else GEOMETRY_PASS
 
@@ -32,10 +32,10 @@ def find_outside_casters(
 
     If no step needs casters without a shadow, patches of ground that provably shade no receiver are marked as culled.
     """
-    name = caster_pass(plan)
+    name = caster_search_pass(plan)
     with log.record_pass(name) as record:
         casters = find_casters()
-        if all(_allows_caster_culling(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
+        if all(_allows_caster_culling(step) for step in plan.steps_of_light(SUN) if "relief" in step.kinds):
             casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
         if name == CASTERS_PASS and not casters.casting:
             record.left_out, record.note = record.left_out + 1, NO_OUTSIDE_CASTERS_NOTE

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
-from skugga.shadows.algorithm import Algorithm, Mark
+from skugga.shadows.algorithm import Algorithm, PlotMarker
 
-ALGORITHM = Algorithm(name="none", description="no cast shadows", plural="none", needs_opengl=False, mark=Mark("cross", "gray"))
+ALGORITHM = Algorithm(
+    name="none", description="no cast shadows", plural_name="none", needs_opengl=False, marker=PlotMarker("cross", "gray")
+)

@@ -23,7 +23,7 @@ class _FrozenModel(BaseModel):
 
 def settings_type(*names: AlgorithmName) -> Any:
     """Return the union of the settings types of some algorithms, for pydantic; ``AlgorithmSettings`` if none has any."""
-    types = [settings for name in names for settings in ALGORITHMS[name].settings]
+    types = [settings for name in names for settings in ALGORITHMS[name].settings_types]
     return reduce(or_, types) if types else AlgorithmSettings
 
 
@@ -120,12 +120,12 @@ class Plan(_FrozenModel):
         """
         return any(step.algorithm != NO_SHADOWS for step in self.steps)
 
-    def steps_under(self, light: str) -> list[Step]:
+    def steps_of_light(self, light: str) -> list[Step]:
         """Return the steps that fill a light's visibility, in order. Steps of the algorithm ``none`` are left out."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
     @property
-    def headline(self) -> str:
+    def algorithms_text(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""
         names = {name for per_kind in self.algorithm.values() for name in per_kind.values()}
         if len(names) <= 1:

@@ -39,7 +39,7 @@ RENDERER_VERSION = 5
 SHADING_PASS = "shading"
 REFRACTION_PASS = "refraction"
 
-MAX_PIXELS = 64_000_000
+MAX_FRAME_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
 REACH_STRIDE_PX = 4
@@ -139,8 +139,8 @@ class Frame:
 
 def check_pixels(view: MapView | PerspectiveView) -> None:
     """Raise ``InputError`` for a view with more pixels than a frame may have."""
-    if view.rows * view.cols > MAX_PIXELS:
-        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
+    if view.rows * view.cols > MAX_FRAME_PIXELS:
+        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_FRAME_PIXELS} pixels")
 
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
@@ -229,7 +229,7 @@ def render_frame(
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     assert frame is not None
-    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled)
+    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled_pictures)
 
 
 def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
@@ -255,7 +255,7 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
     available = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
     for layer in sorted(layers - available):
         capable = ", ".join(name for name, algorithm in ALGORITHMS.items() if layer in algorithm.layers) or "nothing"
-        raise UnsupportedError("layer", layer, f"{plan.headline} has no such layer; algorithms that have it: {capable}")
+        raise UnsupportedError("layer", layer, f"{plan.algorithms_text} has no such layer; algorithms that have it: {capable}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

@@ -27,7 +27,7 @@ Counts = dict[str, float]
 Work = dict[str, Counts]
 """Counts by part of an algorithm."""
 
-MAX_OPACITY = 0.98
+MAX_FOREST_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""
 
 UNKNOWN_LIGHT_FACTS = LightFacts()
@@ -76,13 +76,13 @@ class Workload:
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
     @property
-    def pictures(self) -> float:
+    def picture_count(self) -> float:
         """Number of pictures into which casters are drawn: one for the pixels, and a finer one for samples at edges, if any."""
         return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
 
     @property
     def picture_pixels(self) -> float:
-        """Number of pixels in all ``pictures``."""
+        """Number of pixels in all ``picture_count``."""
         return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
@@ -140,26 +140,26 @@ class Workload:
         return self.ground_triangles + self.triangles("meshes") + self.triangles("forest")
 
     @property
-    def nodes(self) -> float:
+    def node_count(self) -> float:
         """Number of nodes of the ground under a map's block."""
         return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
 
     @property
-    def seen_light_m2(self) -> float:
+    def visible_ground_projected_m2(self) -> float:
         """The visible ground's area, projected onto a plane perpendicular to the light, square metres."""
-        return self.level_light_m2 * self.facts.area_share
+        return self.level_ground_projected_m2 * self.facts.area_share
 
-    def by_view(self, part: str) -> str:
+    def part_name_in_view(self, part_name: str) -> str:
         """Return a part's name with the kind of view, for work that differs between maps and perspective views."""
-        return f"{part}, {self.descriptor.view_kind}"
+        return f"{part_name}, {self.descriptor.view_kind}"
 
     @property
-    def trees(self) -> float:
+    def tree_count(self) -> float:
         facts = self.caster_facts("forest")
         return 0.0 if facts is None else float(facts.count)
 
     @cached_property
-    def level_light_m2(self) -> float:
+    def level_ground_projected_m2(self) -> float:
         """The area of the level's ground, projected onto a plane perpendicular to the sun's light, square metres.
 
         For a lamp it is the area that the lamp lights at its reference distance.
@@ -180,11 +180,11 @@ class Workload:
         """
         cast = self.facts.casts.get("forest")
         if cast is not None and self.facts.facing_share > 0.0:
-            return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_OPACITY))
-        return self.trees * self.tree_light_m2 / self.level_light_m2
+            return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_FOREST_OPACITY))
+        return self.tree_count * self.tree_projected_m2 / self.level_ground_projected_m2
 
     @property
-    def tree_light_m2(self) -> float:
+    def tree_projected_m2(self) -> float:
         """The area of a tree as a box, seen from the light, square metres; 0 without trees."""
         facts = self.caster_facts("forest")
         if facts is None or facts.height_m is None or facts.width_m is None:
@@ -192,6 +192,6 @@ class Workload:
         rise = radians((self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else 45.0)
         return facts.width_m * (facts.height_m * cos(rise) + facts.width_m * sin(rise))
 
-    def trees_within(self, light_m2: float) -> float:
-        """Return the number of trees that are drawn for an area of ``light_m2`` square metres perpendicular to the light."""
-        return min(self.trees, self.tree_layers * light_m2 / max(self.tree_light_m2, 1e-9))
+    def trees_within(self, projected_m2: float) -> float:
+        """Return the number of trees that are drawn for an area of ``projected_m2`` square metres perpendicular to the light."""
+        return min(self.tree_count, self.tree_layers * projected_m2 / max(self.tree_projected_m2, 1e-9))

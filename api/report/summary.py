@@ -8,7 +8,7 @@ from typing import Any
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_two_digits
 from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 RowFigures = dict[str, Any]
 
@@ -118,7 +118,7 @@ class _SummaryWriter:
         )
 
     def failure_sentences(self, rows: list[RowFigures]) -> list[str]:
-        failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR and self.error_of(f) <= DEFAULT_MAX_ERROR]
+        failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR_SHARE and self.error_of(f) <= DEFAULT_MAX_ERROR]
         if not failing_rows:
             return []
         worst = max(f["interior"] for f in failing_rows)

@@ -30,7 +30,7 @@ from benchmarks.seeds.verdicts import (
 from benchmarks.seeds.views import ViewWithTruth, bundled_scene, view_with_truth
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.drawing import count_volumes
-from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
+from skugga.shadows.volumes.edges import Edges, closed_part_mask, find_edges
 from skugga.shadows.volumes.layers import layer_batches
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, faces_light, orientations_of, silhouette
@@ -68,8 +68,8 @@ def _measure_volumes(level: str) -> dict[str, float]:
     truth_view = view_with_truth(bundled_scene(level), "main", SIZE_PX)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
-    shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
-    rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
+    shared, separate_edges = find_edges(vertices, triangles), edges_without_sharing(triangles)
+    rule = np.where(closed_part_mask(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
     orientations = orientations_of(faces_light(vertices, triangles, light), rule)
     groups = layer_batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
@@ -90,7 +90,7 @@ def _measure_volumes(level: str) -> dict[str, float]:
     }  # fmt: skip
     counts = {name: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
-        "structure": lambda: closed_parts(edges_of(vertices, triangles)),
+        "structure": lambda: closed_part_mask(find_edges(vertices, triangles)),
         "build_silhouettes": lambda: built(shared),
         "build_polygons": lambda: built(separate_edges),
     }

@@ -53,7 +53,7 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     names: dict[str, str] = {}
     rows_by_name: dict[str, list[tuple[list[Step], str]]] = {}
     for choice, plan in plans.items():
-        name, light_steps = name_of(plan, light), plan.steps_under(light)
+        name, light_steps = name_of(plan, light), plan.steps_of_light(light)
         same_name = rows_by_name.setdefault(name, [])
         row = next((row for steps, row in same_name if steps == light_steps), f"{name} ({choice})" if same_name else name)
         same_name.append((light_steps, row))

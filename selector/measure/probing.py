@@ -25,7 +25,7 @@ from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions
 from skugga.selector.ranking import relative_overshoot
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 MIN_SAVING = 0.03
 """Minimum expected gain of a candidate that is drawn next.
@@ -84,9 +84,9 @@ class ErrorMeasurement:
     points: int
 
     def decides(self, max_error: float) -> bool:
-        """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR``."""
+        """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR_SHARE``."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, MIN_NOISE)
-        inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR)) / max(self._interior_noise, MIN_NOISE)
+        inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR_SHARE)) / max(self._interior_noise, MIN_NOISE)
         return max(over, inside_over) < -DECISION_Z or over > DECISION_Z or inside_over > DECISION_Z
 
     @property

@@ -18,7 +18,7 @@ from skugga.selector.measure.view_truth import MAX_UNDECIDABLE_SHARE, View
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import Planner
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shares
+from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shadow_shares
 from skugga.shadows.truth.truth import coverage_truth
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.errors import UnsupportedError
@@ -108,9 +108,9 @@ class SceneProber:
         ms = run.times[0]
         for _ in range(1, DRAW_REPEATS if ms < MAX_REPEATED_MS else 1):
             ms = min(ms, run_light(self._pictures.scene, self._pictures.blocks, plan, self._light).times[0])
-        self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
+        self._parts[which], self._steps[which] = run.parts, plan.steps_of_light(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
-            part[truth.attached] = 0.0
+            part[truth.attached_shadow_mask] = 0.0
             part[~truth.picture.valid] = np.nan
         self._dark[which] = [np.nan_to_num(part, nan=1.0) < 0.5 for part in run.parts]
         return ms
@@ -170,7 +170,7 @@ class SceneProber:
             ]
             self._coverage_s = time.perf_counter() - start
         share_errors = np.concatenate([
-            np.abs(block_shares(1.0 - part) - shares).ravel()
+            np.abs(block_shadow_shares(1.0 - part) - shares).ravel()
             for part, shares in zip(self._parts[which], self._shares, strict=True)
         ])  # fmt: skip
         share_errors = share_errors[np.isfinite(share_errors)]

@@ -34,7 +34,7 @@ class HybridSettings(StencilSettings):
     @property
     def label(self) -> list[str]:
         """Texels a side, the mask, and the settings that differ from their defaults."""
-        return [str(self.map.map_size), self.mask, *self.changed("mask")]
+        return [str(self.map.map_size), self.mask, *self.changed_values("mask")]
 
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:

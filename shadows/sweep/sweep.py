@@ -33,7 +33,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
+from skugga.shadows.algorithm import (
+    AccuracyInputs,
+    Algorithm,
+    AlgorithmSettings,
+    CostInputs,
+    PlotMarker,
+    Requirement,
+    SettingsSearch,
+)
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.sweep.columns import column_sweep
 from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, sweep_nodes, sweep_to_state
@@ -64,7 +72,7 @@ MIN_LINES = 2
 """Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -126,7 +134,7 @@ def fill(
 def _fill_columns(
     buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
-    """Return the visibility as ``fill`` does, for a map whose ground is upright columns with flat tops.
+    """Return the visibility as ``fill_visibility`` does, for a map whose ground is upright columns with flat tops.
 
     The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles``, radians.
     """
@@ -143,7 +151,7 @@ def _fill_columns(
     return visibility / np.float32(len(angles))
 
 
-def fill_nodes(
+def find_lit_nodes(
     nodes: BareNodes,
     scene: Scene,
     light: str,
@@ -156,7 +164,7 @@ def fill_nodes(
 
     The result includes attached shadow (surfaces that face away from the sun). If all triangles around a node face away from the
     sun, so does the triangle that the node's ray crosses. That triangle rises above the ray, so the sweep finds it as a caster.
-    Parameters and errors are those of ``fill``.
+    Parameters and errors are those of ``fill_visibility``.
     """
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
@@ -201,7 +209,7 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     """Return the ray heights that decide whether nodes of ground without objects see the sun.
 
     ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. Raises the
-    errors of ``fill_nodes``.
+    errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
     grounds = grounds_of_block(rays, nodes.surface, patches, soft_edges=False)
@@ -318,22 +326,22 @@ def _shadow_height_m(
     )  # NaN: rounding may put a point outside of the ground
 
 
-def _work(task: Workload, settings: SweepSettings) -> Work:
-    nodes = task.nodes + task.outside_triangles / 2.0 if task.is_map_view else _ground_nodes(task)
+def _work(workload: Workload, settings: SweepSettings) -> Work:
+    nodes = workload.node_count + workload.outside_triangles / 2.0 if workload.is_map_view else _ground_nodes(workload)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
-    rasterised = task.triangles("relief") * task.has_decimated_ground
+    rasterised = workload.triangles("relief") * workload.has_decimated_ground
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels,
-        "points": task.visible_pixels,
-        "answers": task.visible_pixels * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": workload.pixels,
+        "points": workload.visible_pixels,
+        "answers": workload.visible_pixels * strips, "decimated": rasterised, "outside": workload.outside_triangles / 2.0,
     }  # fmt: skip
-    return {task.by_view("sweep"): counts}
+    return {workload.part_name_in_view("sweep"): counts}
 
 
-def _ground_nodes(task: Workload) -> float:
+def _ground_nodes(workload: Workload) -> float:
     """Return the number of nodes of a perspective view's whole ground; half the number of its triangles if it is unknown."""
-    relief = task.caster_facts("relief")
-    return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
+    relief = workload.caster_facts("relief")
+    return workload.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
@@ -359,22 +367,22 @@ FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 ALGORITHM = Algorithm(
     name="sweep",
     description="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
-    plural="sweep",
-    fill=fill,
+    plural_name="sweep",
+    fill_visibility=fill_visibility,
     allows_caster_culling=lambda settings: True,
-    node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
+    lit_nodes_finder=lambda settings: find_lit_nodes if settings.filter == 1 else None,
     passes=PASSES,
     refusals=REFUSALS,
     layers=("shadow-height",),
     needs_opengl=False,
-    settings=(SweepSettings,),
-    resolve=resolve_sweep,
+    settings_types=(SweepSettings,),
+    resolve_settings=resolve_sweep,
     cache_names=("skugga.shadows.sweep.rays.ground_of_view",),
-    search=Search(variants=({"filter": "sun"},)),
-    cost=Cost(_work, calibration_settings=_calibration_settings),
-    accuracy=Accuracy(
-        groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
-        group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
+    search=SettingsSearch(other_variants=({"filter": "sun"},)),
+    cost=CostInputs(_work, calibration_settings=_calibration_settings),
+    accuracy=AccuracyInputs(
+        error_groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
+        error_group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
     ),
-    mark=Mark("star", "orange"),
+    marker=PlotMarker("star", "orange"),
 )

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, trace_truth
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, trace_truth
 from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
 from skugga.terrain.casters.rays import OFFSET_ULPS
@@ -30,7 +30,8 @@ from skugga.terrain.user_cache import load_arrays, user_cache
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size limit of the folder. Beyond it the least recently used files are deleted."""
 
-_FIELDS = ("lit", "attached", "decidable", "valid")
+_FIELD_OF_KEY = {"lit": "lit", "attached": "attached_shadow_mask", "decidable": "decidable", "valid": "valid"}
+"""Keys of the arrays in a file, in the order of the fields of ``Truth``, each with its field."""
 
 
 DEFINITION_VERSION = 3
@@ -44,11 +45,11 @@ def cached_truth(
     samples: int,
     light: str = SUN,
     folder: Path | None = None,
-    make: Callable[..., Truth] = trace_truth,
+    compute: Callable[..., Truth] = trace_truth,
 ) -> Truth:
     """Return the result of ``trace_truth``, from the disk cache if possible.
 
-    A folder that cannot be written raises no error. ``make`` computes a truth that is not cached.
+    A folder that cannot be written raises no error. ``compute`` computes a truth that is not cached.
     """
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
@@ -57,15 +58,15 @@ def cached_truth(
     if cached_arrays is not None:
         with suppress(KeyError, ValueError):  # replace a file of another format
             loaded = Truth(
-                *(np.unpackbits(cached_arrays[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS)
+                *(np.unpackbits(cached_arrays[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELD_OF_KEY)
             )
             with suppress(OSError):  # the file may be read-only
                 path.touch()
             return loaded
-    truth = make(buffer, scene, casters, samples, light=light)
+    truth = compute(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        packed: dict[str, Any] = {name: np.packbits(getattr(truth, name)) for name in _FIELDS}
+        packed: dict[str, Any] = {name: np.packbits(getattr(truth, field)) for name, field in _FIELD_OF_KEY.items()}
         with atomic_path(path) as part:
             np.savez_compressed(part, **packed)
         _evict_oldest(folder)
@@ -85,11 +86,11 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         to_light = scene.sun.in_frame(buffer.frame)
     numbers = DEFINITION_VERSION, _view_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
     digest.update(repr(numbers).encode())
-    trees = caster_trees(buffer, ALL_KINDS)
+    trees = caster_trees(buffer, ALL_CASTER_KINDS)
     parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
-    for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
+    for vertices, triangles in caster_meshes(scene, buffer, ALL_CASTER_KINDS):
         parts += [vertices, triangles]
-    for sheet in caster_sheets(scene, buffer, casters, ALL_KINDS):
+    for sheet in caster_sheets(scene, buffer, casters, ALL_CASTER_KINDS):
         parts += [sheet.position_frame_m, sheet.is_cut_nw_se]
     for array in (to_light, buffer.valid, buffer.position_frame_m, *parts):
         digest.update(np.ascontiguousarray(array).data)

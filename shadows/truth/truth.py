@@ -16,9 +16,9 @@ from typing import get_args
 import numpy as np
 from pydantic import Field
 
-from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, CostInputs, ResolvedSettings, SettingsRequest
 from skugga.shadows.area_light import disc_points, sun_disc_directions
-from skugga.shadows.attached import attached, faces_away
+from skugga.shadows.attached import attached_shadow_mask, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached
@@ -46,7 +46,7 @@ PASSES = ("rays",)
 AREA_LIGHT_SAMPLES = 64
 """Samples of an area light."""
 
-ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
+ALL_CASTER_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
 
 
 class TruthSettings(AlgorithmSettings):
@@ -63,7 +63,7 @@ class Truth:
     ----------
     lit
         Pixels whose visible point is lit.
-    attached
+    attached_shadow_mask
         Pixels in attached shadow: their normal does not face the light.
     decidable
         Pixels where an algorithm can be compared with truth.
@@ -72,7 +72,7 @@ class Truth:
     """
 
     lit: np.ndarray
-    attached: np.ndarray
+    attached_shadow_mask: np.ndarray
     decidable: np.ndarray
     valid: np.ndarray
 
@@ -84,10 +84,10 @@ class Truth:
     @property
     def cast_share(self) -> float:
         """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
-        return float((self.valid & ~self.attached & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
+        return float((self.valid & ~self.attached_shadow_mask & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -103,7 +103,7 @@ def fill(
     (rays_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(rays_pass):
         rays = ray_scene(buffer, scene, casters, kinds)
-        return area_visibility(buffer, scene, light, rays, settings.light_samples)
+        return area_light_visibility(buffer, scene, light, rays, settings.light_samples)
 
 
 def trace_truth(
@@ -112,7 +112,7 @@ def trace_truth(
     casters: Casters,
     samples: int = 4,
     light: str = SUN,
-    kinds: tuple[CasterKind, ...] = ALL_KINDS,
+    kinds: tuple[CasterKind, ...] = ALL_CASTER_KINDS,
     rays: RayScene | None = None,
     nodes: MapNodes | None = None,
 ) -> Truth:
@@ -138,7 +138,7 @@ def trace_truth(
         Ground nodes that the sub-samples share, if already computed (``sample_nodes``).
     """
     dark = np.zeros(buffer.valid.shape, bool)
-    is_attached = attached(buffer, scene, light) & buffer.valid
+    is_attached = attached_shadow_mask(buffer, scene, light) & buffer.valid
     if (light == SUN and not scene.sun_is_up) or not buffer.valid.any():
         return Truth(dark, is_attached, buffer.valid.copy(), buffer.valid)
     rays = rays or ray_scene(buffer, scene, casters, kinds)
@@ -158,7 +158,7 @@ def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes
     return shared_nodes(scene, jittered_views(buffer.view, samples), buffer.frame)
 
 
-def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
     """Return the visibility float32 (rows, cols) of an area light, the mean over samples of its visible disc.
 
     Attached shadow is included, tested for each sample. Pixels off the surface are 0. One sample means the light's centre. A lamp
@@ -220,7 +220,7 @@ def coverage_truth(
         return out
     bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(0)
-    rays = rays or ray_scene(buffer, scene, casters, ALL_KINDS)
+    rays = rays or ray_scene(buffer, scene, casters, ALL_CASTER_KINDS)
     is_dark_everywhere = light == SUN and not scene.sun_is_up
     side = int(round(samples**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
@@ -263,7 +263,9 @@ def simplification_error(buffer: GeometryBuffer, scene: Scene, casters: Casters,
     # All blocks of a map share its nodes, so the cached rays of the whole buffer serve its part, too.
     caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
     rays = (
-        ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else find_casters(scene, caster_buffer), ALL_KINDS)
+        ray_scene(
+            caster_buffer, scene, casters if caster_buffer is buffer else find_casters(scene, caster_buffer), ALL_CASTER_KINDS
+        )
         for caster_buffer in caster_buffers
     )
     lit = [lit_mask(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
@@ -325,7 +327,7 @@ def lit_mask(
         assert scene.sun is not None
         return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)
     source = scene.light_position(light, buffer.frame)
-    facing = buffer.valid & ~attached(buffer, scene, light)
+    facing = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if receiver_mask is not None:
         facing &= receiver_mask
     buffer = move_to_smooth_ground(buffer, source)
@@ -334,18 +336,23 @@ def lit_mask(
 
 
 def _unblocked_mask(
-    buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_factor: float
+    buffer: GeometryBuffer,
+    rays: RayScene,
+    facing_mask: np.ndarray,
+    normals: FacingNormals,
+    to_light: np.ndarray,
+    offset_factor: float,
 ) -> np.ndarray:
-    """Return which points in the mask ``facing`` have nothing on their ray to a light, bool (rows, cols).
+    """Return which points in the mask ``facing_mask`` have nothing on their ray to a light, bool (rows, cols).
 
     ``to_light`` (rows, cols, 3) are the rays from the points to the light, metres.
     """
-    directions = to_light[facing]
+    directions = to_light[facing_mask]
     length = np.linalg.norm(directions, axis=-1)
     directions /= length[:, None]
-    start = _offset_origins(buffer, facing, normals, directions, offset_factor * rays.offset_m)
+    start = _offset_origins(buffer, facing_mask, normals, directions, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, directions, length)
+    out[facing_mask] = ~rays.blocked(start, directions, length)
     return out
 
 
@@ -375,12 +382,12 @@ def lit_mask_towards(
 
 
 def _offset_origins(
-    buffer: GeometryBuffer, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
+    buffer: GeometryBuffer, facing_mask: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
 ) -> np.ndarray:
-    """Return the points (n, 3) in the mask ``facing``, moved off their triangles to the light's side."""
-    side = np.where((normals.normal_frame[facing] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    """Return the points (n, 3) in the mask ``facing_mask``, moved off their triangles to the light's side."""
+    side = np.where((normals.normal_frame[facing_mask] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     lift = buffer.normal_frame if normals.lift_frame is None else normals.lift_frame
-    return buffer.position_frame_m[facing] + offset_m * side * lift[facing]
+    return buffer.position_frame_m[facing_mask] + offset_m * side * lift[facing_mask]
 
 
 def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
@@ -397,14 +404,14 @@ def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0)
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
-    if request.is_area:
+    if request.is_area_light:
         return TruthSettings(light_samples=AREA_LIGHT_SAMPLES), []
     return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
-def _work(task: Workload, settings: TruthSettings) -> Work:
-    rays = task.facing_pixels * settings.light_samples
-    return {"truth": {"blocks": 1.0, "seen": task.visible_pixels, "rays": rays, "triangles": task.all_triangles}}
+def _work(workload: Workload, settings: TruthSettings) -> Work:
+    rays = workload.facing_pixels * settings.light_samples
+    return {"truth": {"blocks": 1.0, "seen": workload.visible_pixels, "rays": rays, "triangles": workload.all_triangles}}
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
@@ -415,13 +422,13 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 ALGORITHM = Algorithm(
     name="truth",
     description="ray tracing, the reference for comparisons; too slow for pictures",
-    plural="truth",
-    fill=fill,
+    plural_name="truth",
+    fill_visibility=fill_visibility,
     passes=PASSES,
-    is_served=False,
+    is_selectable=False,
     needs_opengl=False,
-    settings=(TruthSettings,),
-    resolve=_resolve,
+    settings_types=(TruthSettings,),
+    resolve_settings=_resolve,
     cache_names=("skugga.shadows.truth.truth.ray_scene",),
-    cost=Cost(_work, calibration_settings=_calibration_settings),
+    cost=CostInputs(_work, calibration_settings=_calibration_settings),
 )

@@ -33,7 +33,7 @@ from typing import Literal
 
 import numpy as np
 
-from skugga.shadows.volumes.edges import Edges, signed_sums
+from skugga.shadows.volumes.edges import Edges, signed_side_counts
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError
 from skugga.terrain.ground.columns import ColumnMesh
@@ -66,7 +66,7 @@ class Silhouette:
     caps: np.ndarray
 
 
-def homogeneous(light: np.ndarray) -> np.ndarray:
+def checked_light(light: np.ndarray) -> np.ndarray:
     """Return a light (4,) as float64: a direction to the sun and 0, or a lamp's position and 1.
 
     Raises ``InputError`` for other values.
@@ -84,7 +84,9 @@ def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) 
     The test is in float64, on vertices rounded to float32, as they are drawn. A triangle (a, b, c) faces a light l where
     ((b - a) x (c - a)) . (l_xyz - l_w a) > 0.
     """
-    return _facing(np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), homogeneous(light))
+    return _compute_faces_light(
+        np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), checked_light(light)
+    )
 
 
 def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
@@ -104,10 +106,12 @@ def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.nda
 
 def silhouette(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
     """Return the silhouette of triangles (m, 3) that cast in the given ``orientations`` (m,). ``edges`` are their edges."""
-    multiplicity = signed_sums(edges, orientations)
+    multiplicity = signed_side_counts(edges, orientations)
     edge_numbers = np.flatnonzero(multiplicity)
     has_length = edges.side_signs[:, 0] != 0
-    return Silhouette(*_directed(edges.ends[edge_numbers], multiplicity[edge_numbers]), _caps(triangles, orientations * has_length))
+    return Silhouette(
+        *_directed_edges(edges.ends[edge_numbers], multiplicity[edge_numbers]), _oriented_caps(triangles, orientations * has_length)
+    )
 
 
 def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
@@ -135,10 +139,12 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     edge_numbers = np.flatnonzero(sums)
     kind, node = np.divmod(edge_numbers, rows * cols)
     ends = np.stack([node, node + np.array([1, cols, 1 - cols, 1 + cols])[kind]], axis=-1).astype(np.int32)
-    return Silhouette(*_directed(ends, sums.ravel()[edge_numbers].astype(np.int32)), _caps(triangles, orientations.ravel()))
+    return Silhouette(
+        *_directed_edges(ends, sums.ravel()[edge_numbers].astype(np.int32)), _oriented_caps(triangles, orientations.ravel())
+    )
 
 
-def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _directed_edges(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return edges (k, 2) with their ends in the direction of the casters' boundary, and their multiplicities (k,), positive.
 
     ``multiplicity`` is negative where the boundary runs from the second end to the first.
@@ -146,7 +152,7 @@ def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, n
     return np.where(multiplicity[:, None] > 0, ends, ends[:, ::-1]), np.abs(multiplicity)
 
 
-def _caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
     casting = np.flatnonzero(orientations)
     caps = triangles[casting]
     flipped = orientations[casting] < 0
@@ -155,7 +161,7 @@ def _caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _facing(vertices, triangles, light):
+def _compute_faces_light(vertices, triangles, light):
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

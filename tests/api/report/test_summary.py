@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from skugga.api.report.summary import algorithm_family, format_summary
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.measure.compare import Comparison, ComparisonRow
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
@@ -126,7 +126,7 @@ def test_exact_rows_are_reported_with_the_fastest(count: int, others: str) -> No
 def test_interior_errors_of_accurate_rows_are_reported(more: list[float], words: str) -> None:
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
-    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
+    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR_SHARE)
     sentences = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
     assert len(sentences) == 1 and sentences[0].startswith(words)
 

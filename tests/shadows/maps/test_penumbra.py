@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc_directions
-from skugga.shadows.attached import attached
+from skugga.shadows.attached import attached_shadow_mask
 from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
@@ -32,7 +32,7 @@ def disc_visibility(scene: Scene, view: View) -> np.ndarray:
     """Return the visibility of the sun's disc by rays, attached shadow included."""
     buffer = geometry_buffer(scene, view)
     expected = soft_truth(buffer, scene, find_casters(scene, buffer))
-    return np.where(attached(buffer, scene) & buffer.valid, 0.0, expected)
+    return np.where(attached_shadow_mask(buffer, scene) & buffer.valid, 0.0, expected)
 
 
 def mean_difference(rendered: np.ndarray, expected: np.ndarray) -> float:

@@ -10,7 +10,7 @@ import pytest
 from skugga.shadows.point.clock import clock_of, solar_clock
 from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
-from skugga.shadows.point.sun_angles import angles_at, sun_directions
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_directions
 from skugga.shadows.point.sun_day import sampled_sun_hours, sun_day
 from skugga.shadows.point.sun_year import sun_year
 from skugga.terrain.errors import InputError
@@ -60,7 +60,7 @@ def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
     day = sun_day(surroundings, DAY, UTC)
     begin = day_bounds(DAY, UTC)[0].timestamp()
     timestamps = begin + np.arange(0.0, 86400.0, 10.0)
-    lit = sees_sun(surroundings, *angles_at(surroundings.place, sun_directions(surroundings.scene.world, timestamps)))
+    lit = sees_sun(surroundings, *sun_angles_at(surroundings.place, sun_directions(surroundings.scene.world, timestamps)))
     first, last = timestamps[np.flatnonzero(lit)[[0, -1]]]
     assert day.first_sun.timestamp() == pytest.approx(first, abs=15)
     assert day.last_sun.timestamp() == pytest.approx(last, abs=15)

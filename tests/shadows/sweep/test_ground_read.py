@@ -14,7 +14,7 @@ from skugga.shadows.sweep import rays
 from skugga.shadows.sweep.grid import allocate_bordered_grid, fitted_cubics
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import fill, fill_nodes
+from skugga.shadows.sweep.sweep import fill_visibility, find_lit_nodes
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -61,8 +61,8 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
 
     def sweep_results() -> list[np.ndarray]:
         return [
-            fill(buffer, scene, SUN, ("relief",), point_casters, SweepSettings(), PassLog()),
-            fill_nodes(nodes, scene, SUN, ("relief",), node_casters, SweepSettings(), PassLog()),
+            fill_visibility(buffer, scene, SUN, ("relief",), point_casters, SweepSettings(), PassLog()),
+            find_lit_nodes(nodes, scene, SUN, ("relief",), node_casters, SweepSettings(), PassLog()),
         ]
 
     empty_row_counts = []
