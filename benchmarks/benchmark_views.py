@@ -12,7 +12,7 @@ import numpy as np
 from skugga.api.catalogue import find_level
 from skugga.selector.measure.compare import picture_blocks
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.visibility import fill_steps

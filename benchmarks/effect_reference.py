@@ -10,7 +10,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.render import bands_of
 from skugga.terrain.gbuffer.antialias import picture_buffer
 from skugga.terrain.geo.camera import PerspectiveView

@@ -19,7 +19,7 @@ import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.truth.truth import trace_truth

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import sunlit
+from skugga.shadows.sweep.grid import sunlit_nodes
 from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, interior_error_mask
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import SkuggaError
@@ -114,7 +114,7 @@ class SweepFigures:
 class GridRays:
     """Rays against the triangles of a heightfield (rows, cols), with quads cut along the higher or along the lower diagonal.
 
-    The outermost heights are repeated one cell further out, as in ``sunlit``.
+    The outermost heights are repeated one cell further out, as in ``sunlit_nodes``.
     """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
@@ -236,7 +236,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
     for sun in suns:
         truth = rays.truth(*sun)
         figures.append(
-            compare_with_truth(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun)
+            compare_with_truth(raster, sunlit_nodes(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun)
         )
     return figures
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from skugga.shadows.algorithm import AreaLightSettings, FillVisibility
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work
 from skugga.terrain.casters.reach import Casters

@@ -1,4 +1,4 @@
-"""`none`: no cast shadows. Surfaces that face away from a light stay dark (``skugga.shadows.attached``)."""
+"""`none`: no cast shadows. Surfaces that face away from a light stay dark (``skugga.shadows.attached_shadow``)."""
 
 from __future__ import annotations
 

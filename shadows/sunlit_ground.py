@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan

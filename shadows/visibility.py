@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.block_casters import needed_steps
 from skugga.shadows.passes import ATTACHED_PASS, PassLog
 from skugga.shadows.plan import Plan, Step

@@ -15,7 +15,7 @@ from skugga.api.request import ProductRequest
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.view_truth import truth_of_view
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.ground_pictures import _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at

@@ -17,7 +17,7 @@ from skugga.api.catalogue import find_level
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.algorithm import AlgorithmSettings
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.truth.cache import cached_truth

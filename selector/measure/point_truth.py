@@ -18,7 +18,7 @@ import numpy as np
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.probing import INTERVAL_Z
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, edge_test_region, is_far_from_edges
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.plan import Step
 from skugga.shadows.render import bands_of
 from skugga.shadows.truth.cache import cached_truth

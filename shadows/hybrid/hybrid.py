@@ -28,7 +28,7 @@ from skugga.shadows.algorithm import (
     SettingsRequest,
     SettingsSearch,
 )
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
 from skugga.shadows.hybrid.maps import classify_pixels, maps_as_picture
 from skugga.shadows.hybrid.settings import HybridSettings, resolve_hybrid

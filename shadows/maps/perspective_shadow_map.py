@@ -23,7 +23,7 @@ from skugga.shadows.algorithm import (
     SettingsSearch,
 )
 from skugga.shadows.area_light import mean_visibility_of_area_light
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.post_perspective import (
     Camera,

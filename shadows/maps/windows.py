@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import border_texels
 from skugga.terrain.compiled import compiled, run_in_chunks

@@ -94,11 +94,11 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     """Return the heights of a block and of patches of ground beside it, with the maxima of their tiles."""
     view, block = nodes.view, nodes.surface
     windows: dict[int, list[NodeHeights]] = {0: [block]}
-    for detail in sorted({patch.lod for patch in patches}):
-        surface = scene.surface(view.grid.coarser(detail))
-        detail_patches = [patch for patch in patches if patch.lod == detail]
-        windows.setdefault(detail, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(detail_patches))
-    spans = {detail: _bounding_window(windows_of_detail) for detail, windows_of_detail in windows.items()}
+    for lod in sorted({patch.lod for patch in patches}):
+        surface = scene.surface(view.grid.coarser(lod))
+        patches_of_lod = [patch for patch in patches if patch.lod == lod]
+        windows.setdefault(lod, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(patches_of_lod))
+    spans = {lod: _bounding_window(windows_of_detail) for lod, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [
         [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (TILE_QUADS, BLOCK_QUADS)]
@@ -107,15 +107,15 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     height, tile_max = np.full(sum(sizes), np.nan, np.float32), np.empty(int(np.sum(counts)), np.float32)
     origin, grid_max = np.zeros((len(spans), 8), np.int64), np.empty(len(spans))
     begin = tile_begin = 0
-    for n, (detail, (row0, col0, rows, cols)) in enumerate(spans.items()):
+    for n, (lod, (row0, col0, rows, cols)) in enumerate(spans.items()):
         grid, block_begin = height[begin : begin + rows * cols].reshape(rows, cols), tile_begin + counts[n][0]
-        for window in windows[detail]:
+        for window in windows[lod]:
             _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
         tops, block_tops = tile_max[tile_begin:block_begin], tile_max[block_begin : block_begin + counts[n][1]]
         _write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
         _write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
         grid_max[n] = block_tops.max(initial=-np.inf)
-        origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**detail, block_begin
+        origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**lod, block_begin
         begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
     return WalkedGround(height, tile_max, origin, grid_max)
 
@@ -156,7 +156,7 @@ def sun_track(
         square = a * c - b * b
         towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
     i, j = orientation.to_turned(row, col, view.rows, view.cols)
-    shape = (view.cols, view.rows) if orientation.swapped else (view.rows, view.cols)
+    shape = (view.cols, view.rows) if orientation.axes_swapped else (view.rows, view.cols)
     turned = np.array([0, 1, 0]), np.array([0, 0, 1])
     first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
     grid_from_turned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)

@@ -26,7 +26,7 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
-from skugga.shadows.sweep.grid import GridOrientation, copy_into
+from skugga.shadows.sweep.grid import GridOrientation, copy_in_blocks
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_OCCLUDER_CLEARANCE = np.float32(1e6)
@@ -151,7 +151,7 @@ def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientat
     """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
     view = after.turned(before.restored(values))
     out = np.empty(view.shape, view.dtype)
-    copy_into(view, out)
+    copy_in_blocks(view, out)
     return out
 
 
@@ -199,15 +199,17 @@ def end_day(spells: SunSpells, threshold_minutes: float) -> None:
     spells.day_minutes[:] = 0.0
 
 
-def compute_clearances(ray_height: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
+def compute_clearances(
+    ray_height: np.ndarray, shadow_ray_heights: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int
+) -> np.ndarray:
     """Compute the clearances of eyes above the cells' nodes into ``out`` float32 (n, m), and return it.
 
-    ``ray_height`` and ``shade`` (n, m), metres, are those of ``NodeClearance`` (``skugga.shadows.sweep.sweep``). ``eye_height_m``
-    is the height of the eyes, converted to ray height.
+    ``ray_height`` and ``shadow_ray_heights`` (n, m), metres, are those of ``NodeClearance`` (``skugga.shadows.sweep.sweep``).
+    ``eye_height_m`` is the height of the eyes, converted to ray height.
     """
 
     def write_band(rows: slice) -> None:
-        _write_clearances(ray_height[rows], shade[rows], np.float32(eye_height_m), out[rows])
+        _write_clearances(ray_height[rows], shadow_ray_heights[rows], np.float32(eye_height_m), out[rows])
 
     _run_in_bands(write_band, len(out), cores)
     return out
@@ -218,10 +220,10 @@ def _run_in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
 
 
 @compiled
-def _write_clearances(ray_height, shade, eye_height_m, out):
+def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
     rows, cols = out.shape
     for i in range(rows):
-        ray_height_row, shade_row, out_row = ray_height[i], shade[i], out[i]
+        ray_height_row, shade_row, out_row = ray_height[i], shadow_ray_heights[i], out[i]
         for j in range(cols):
             clearance = ray_height_row[j] - shade_row[j] + eye_height_m
             out_row[j] = NO_OCCLUDER_CLEARANCE if clearance > NO_OCCLUDER_CLEARANCE else clearance

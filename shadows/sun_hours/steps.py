@@ -35,7 +35,7 @@ MAX_MISSED_MINUTES = 0.006
 Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
 """
 
-IDENTITY_ORIENTATION = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+IDENTITY_ORIENTATION = GridOrientation(axes_swapped=False, rows_reversed=False, cols_reversed=False)
 
 
 def sampling_step_minutes(scene: Scene, nodes: BareNodes, day: WindowSun, min_altitude_deg: float, height_m: float) -> float:

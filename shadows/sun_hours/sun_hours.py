@@ -282,7 +282,7 @@ class _TerrainBlock:
             arrays.append(
                 compute_clearances(
                     node_clearance.ray_height_m,
-                    node_clearance.shade_m,
+                    node_clearance.shadow_ray_height_m,
                     self._height_m * node_clearance.ray_height_per_metre,
                     spare,
                     CORES,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT, Strip, TurnedGrid, sweep_rows
-from skugga.shadows.sweep.points import StripPoints, intervals_of, no_points, scatter_results, select_strip_points
+from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT, LineStrip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
 from skugga.terrain.errors import UnsupportedError
 
@@ -58,7 +58,7 @@ class GridOrientation:
 
     Attributes
     ----------
-    swapped
+    axes_swapped
         Whether rows and columns are swapped first.
     rows_reversed
         Whether the order of the rows is reversed then.
@@ -66,7 +66,7 @@ class GridOrientation:
         Whether the order of the columns is reversed then.
     """
 
-    swapped: bool
+    axes_swapped: bool
     rows_reversed: bool
     cols_reversed: bool
 
@@ -82,7 +82,7 @@ class GridOrientation:
 
         Fractions and positions outside of the grid are allowed.
         """
-        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
+        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
     def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +90,7 @@ class GridOrientation:
 
         New memory for many points would cost more time than the arithmetic.
         """
-        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
+        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
         for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
             if turned:
                 np.subtract(last, index, out=index)
@@ -98,28 +98,28 @@ class GridOrientation:
 
     def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Convert rows and columns of the turned grid to those of the grid (``rows``, ``cols``): the inverse of ``to_turned``."""
-        n, m = (cols, rows) if self.swapped else (rows, cols)
+        n, m = (cols, rows) if self.axes_swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
-        return (j, i) if self.swapped else (i, j)
+        return (j, i) if self.axes_swapped else (i, j)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
-        return (values.T if self.swapped else values)[self._order]
+        return (values.T if self.axes_swapped else values)[self._index_slices]
 
     def restored(self, values: np.ndarray) -> np.ndarray:
         """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
-        values = values[self._order]
-        return values.T if self.swapped else values
+        values = values[self._index_slices]
+        return values.T if self.axes_swapped else values
 
     def restored_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
         """Return a contiguous copy of a window of ``restored``."""
         view = self.restored(values)[window]
         out = np.empty(view.shape, view.dtype)
-        copy_into(view, out)
+        copy_in_blocks(view, out)
         return out
 
     @property
-    def _order(self) -> tuple[slice, slice]:
+    def _index_slices(self) -> tuple[slice, slice]:
         return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
 
 
@@ -170,14 +170,14 @@ class LineState:
     first_cell: int
     line_max: np.ndarray
 
-    def resampled(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
+    def resampled(self, first_cell: int, cells: int, lines: int, coarser_cell_ratio: float) -> LineState:
         """Return the state for the lines of a finer grid, interpolated between the lines of this one.
 
-        The finer grid has ``lines`` lines per cell. It starts at cell ``first_cell`` and has ``cells`` cells, each ``factor`` times
-        smaller than a cell of this grid.
+        The finer grid has ``lines`` lines per cell. It starts at cell ``first_cell`` and has ``cells`` cells, each
+        ``coarser_cell_ratio`` times smaller than a cell of this grid.
         """
         flat_max = self.line_max.T.ravel()
-        position = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.line_max.shape[0]
+        position = ((first_cell + np.arange(cells * lines) / lines) / coarser_cell_ratio - self.first_cell) * self.line_max.shape[0]
         left = np.clip(np.floor(position).astype(np.int64), 0, flat_max.size - 2)
         share = np.clip(position - left, 0.0, 1.0)
         line_max = ((1.0 - share) * flat_max[left] + share * flat_max[left + 1]).astype(np.float32)
@@ -205,7 +205,7 @@ def position_cubics(
         raise bent_rays_error(crs_name)
     columns = np.broadcast_to(j, t.shape)
     column_of_t, t_of_column = (
-        make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
+        make_interp_spline(i, fit_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
     )
     checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE_SIZE).round()).astype(int)
     columns = np.linspace(0, cols - 1, 4 * LATTICE_SIZE)
@@ -217,7 +217,7 @@ def position_cubics(
     return column_of_t, t_of_column
 
 
-def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def fit_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Fit a least-squares cubic to each row of ``y`` (m, n) as a function of the same row of ``x``.
 
     Returns the coefficients (m, 4), constant term first.
@@ -268,12 +268,12 @@ def sweep_nodes(
     turned_grid: TurnedGrid,
     lines: int,
     t_range: tuple[float, float],
-    entry: LineState | None = None,
-    factor: float = 2.0,
-    rows: tuple[int, int] = (0, 0),
-    cols: tuple[int, int] | None = None,
+    entry_state: LineState | None = None,
+    coarser_cell_ratio: float = 2.0,
+    row_range: tuple[int, int] = (0, 0),
+    col_range: tuple[int, int] | None = None,
     points: SweepPoints | None = None,
-    shade: np.ndarray = NO_RAY_HEIGHTS,
+    shadow_ray_heights: np.ndarray = NO_RAY_HEIGHTS,
     cores: int = 1,
     first_ground_row: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -289,17 +289,17 @@ def sweep_nodes(
         Lines per column.
     t_range
         Range of t to sweep, in cells.
-    entry
+    entry_state
         Maximum ray heights along the lines at the end of a coarser grid, which lies towards the sun; ``None``: no such grid.
-    factor
+    coarser_cell_ratio
         Cell size of the coarser grid, in cells of this one.
-    rows
+    row_range
         Nodes to evaluate: the turned rows [rows[0], rows[1]); none by default.
-    cols
+    col_range
         Nodes to evaluate: the columns [cols[0], cols[1]), not counting the border; all by default.
     points
         Other points to evaluate.
-    shade
+    shadow_ray_heights
         Output array float32 (n, m + 2), if not empty: the ray height in metres above which each evaluated node sees the sun.
     cores
         Number of threads.
@@ -309,44 +309,44 @@ def sweep_nodes(
     Returns
     -------
     lit
-        bool (n, m): whether nodes see the sun; undefined for nodes that are not evaluated, empty without ``rows``.
+        bool (n, m): whether nodes see the sun; undefined for nodes that are not evaluated, empty without ``row_range``.
     points_lit
         bool (k,): whether the points see the sun.
     points_above_m
         float32 (k,): metres by which the highest ray height between a point and the sun exceeds the point's own.
     """
     n, columns = turned_grid.ray_height.shape
-    first, last = rows
+    first, last = row_range
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
-    first_col, last_col = (0, columns - 2) if cols is None else cols
+    first_col, last_col = (0, columns - 2) if col_range is None else col_range
     lit[first:last, first_col + 1 : last_col + 1] = True  # a grid may be many times as large as the window
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     interval = np.empty(len(points.row), np.int32)
-    run_in_chunks(len(interval), intervals_of, points.row, n, interval)
+    run_in_chunks(len(interval), write_row_intervals, points.row, n, interval)
     end = max(last - 1, int(interval.max(initial=-1)) + 1)
     low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
 
-    def strip(start: int) -> None:
+    def sweep_strip(start: int) -> None:
         stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
         line_max = (
             np.full((lines, cells), NO_GROUND_RAY_HEIGHT, np.float32)
-            if entry is None
-            else entry.resampled(start - 1, cells, lines, factor).line_max
+            if entry_state is None
+            else entry_state.resampled(start - 1, cells, lines, coarser_cell_ratio).line_max
         )
         number, row_starts, row, col, t, ray_height = select_strip_points(
             points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
         )
         strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
         strip_points = StripPoints(row_starts, row, col, t, ray_height, points.rounding, *strip_results)
-        strip_state = Strip(lines, start - 1, line_max, initial_peaks(lines, cells))
+        strip_state = LineStrip(lines, start - 1, line_max, initial_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(first_ground_row, int(interval.min(initial=n))), end)
         sweep_rows(turned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
-        sweep_rows(turned_grid, strip_state, before, end, shade, lit, strip_points)
+        sweep_rows(turned_grid, strip_state, before, end, shadow_ray_heights, lit, strip_points)
         scatter_results(number, *strip_results, points_lit, points_above_m)
 
-    map_on_cores(strip, range(low, high, STRIP_CELLS), cores)
+    map_on_cores(sweep_strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
 
 
@@ -361,26 +361,26 @@ def sweep_to_state(
     turned_grid: TurnedGrid,
     lines: int,
     t_range: tuple[float, float],
-    entry: LineState | None = None,
-    factor: float = 2.0,
+    entry_state: LineState | None = None,
+    coarser_cell_ratio: float = 2.0,
     first_ground_row: int = 0,
 ) -> LineState:
     """Sweep all rows of a turned grid, and return the highest ray height along each line.
 
-    ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry`` and
-    ``factor`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
+    ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry_state``
+    and ``coarser_cell_ratio`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
     """
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
-    if entry is not None:
-        state = entry.resampled(low, high - low, lines, factor)
+    if entry_state is not None:
+        state = entry_state.resampled(low, high - low, lines, coarser_cell_ratio)
     rows = len(turned_grid.ray_height)
-    strip = Strip(lines, low, state.line_max, initial_peaks(lines, high - low))
-    sweep_rows(turned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, no_points(rows))
+    strip = LineStrip(lines, low, state.line_max, initial_peaks(lines, high - low))
+    sweep_rows(turned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, empty_strip_points(rows))
     return state
 
 
-def sunlit(
+def sunlit_nodes(
     height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
 ) -> np.ndarray:
     """Return which nodes of a heightfield in a flat world see the sun.
@@ -409,18 +409,18 @@ def sunlit(
         bool (rows, cols): True where the sun is visible.
     """
     height_m = np.pad(height_m, 1, mode="edge")
-    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     ray_height = turned_linear_values(
         height_m, orientation, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores
     )
     n, m = ray_height.shape
     turned_grid = TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
-    lit, _, _ = sweep_nodes(turned_grid, lines, (t_of_column[:, 0].min(), m), rows=(0, n), cores=cores)
+    lit, _, _ = sweep_nodes(turned_grid, lines, (t_of_column[:, 0].min(), m), row_range=(0, n), cores=cores)
     return orientation.restored(lit)[1:-1, 1:-1]
 
 
-def flat_grid(
+def flat_world_grid(
     shape: tuple[int, int], cell_m: CellSize, azimuth_deg: float
 ) -> tuple[GridOrientation, float, float, np.ndarray, np.ndarray]:
     """Return how a flat world's grid is turned towards the sun's azimuth, and the positions of its lines.
@@ -431,8 +431,8 @@ def flat_grid(
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
     orientation = orientation_towards(*towards)
-    main, cross = towards[::-1] if orientation.swapped else towards
-    n = shape[1] if orientation.swapped else shape[0]
+    main, cross = towards[::-1] if orientation.axes_swapped else towards
+    n = shape[1] if orientation.axes_swapped else shape[0]
     shift, ones, zeros = np.arange(n) * abs(cross / main) + 1.0, np.ones(n), np.zeros(n)
     column_of_t, t_of_column = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
     return orientation, row_m, col_m, column_of_t, t_of_column
@@ -447,14 +447,14 @@ def turned_linear_values(
     column of the grid before turning.
     """
     rows, cols = height.shape
-    with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.swapped else (rows, cols)))
+    with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.axes_swapped else (rows, cols)))
     target = orientation.restored(inside)  # the same memory, in the grid's own order
 
-    def band(first: int) -> None:
+    def write_band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
         _write_linear_values(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
-    map_on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
+    map_on_cores(write_band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 
@@ -469,7 +469,7 @@ def _write_linear_values(height, per_height, start, per_row, per_col, out):
 
 
 @compiled
-def copy_into(values, out):
+def copy_in_blocks(values, out):
     """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
 
     This matters if one array is stored by rows and the other by columns.

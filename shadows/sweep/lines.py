@@ -74,7 +74,7 @@ class TurnedGrid(NamedTuple):
     is_cut_nw_se: np.ndarray
 
 
-class Strip(NamedTuple):
+class LineStrip(NamedTuple):
     """A strip of adjacent sweep lines, and the maximum ray heights along them as far as one row of the grid.
 
     A strip evaluates nodes and points from the start of its second cell to the end of its last cell but two.
@@ -99,26 +99,28 @@ class Strip(NamedTuple):
 
 
 @compiled
-def sweep_rows(turned_grid, strip, first, last, shade, lit, points):
+def sweep_rows(turned_grid, strip, first, last, shadow_ray_heights, lit, points):
     """Advance a strip of lines over the rows [``first``, ``last``) of a grid, and evaluate nodes and points.
 
-    The nodes of the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty. ``shade`` (n, m)
-    float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool receives whether it does.
-    ``points`` are the strip's other points (``StripPoints``).
+    The nodes of the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty.
+    ``shadow_ray_heights`` (n, m) float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool
+    receives whether it does. ``points`` are the strip's other points (``StripPoints``).
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
     lines, first_cell, line_max, peaks = strip
     row_starts = points.row_starts
-    nodes = shade.size > 0 or lit.size > 0
+    nodes = shadow_ray_heights.size > 0 or lit.size > 0
     for i in range(first, last):
         cuts = is_cut_nw_se[i] if is_cut_nw_se.size else NO_CUTS
         if nodes:
-            _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i)
+            _evaluate_nodes(
+                ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shadow_ray_heights, lit, i
+            )
             _update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i)
         if row_starts[i] < row_starts[i + 1]:
             evaluate_points(turned_grid, strip, i, points)
         for k in range(lines):
-            _advance(
+            _advance_lines(
                 ray_height[i],
                 ray_height[i + 1],
                 row_cubic(column_of_t, i),
@@ -159,7 +161,7 @@ def _crossing_class(cubic_above, cubic_below, t, j):
 
 
 @internal
-def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, line_max, k):
+def _advance_lines(above, below, cubic_above, cubic_below, lines, cuts, first_cell, line_max, k):
     """Raise the maxima of the lines of number ``k`` to the ground from a row to just before the next row.
 
     ``above`` and ``below`` (m,) are the ray heights of the two rows. ``cubic_above`` and ``cubic_below`` give a line's column on
@@ -195,12 +197,12 @@ def _advance(above, below, cubic_above, cubic_below, lines, cuts, first_cell, li
                 snap_to_column(evaluate_cubic(cubic_below, t0)) - (begin + shift) - f0,
                 snap_to_column(evaluate_cubic(cubic_below, t1)) - (last - 1 + shift) - f1,
             )
-            _raise_run(above, below, cuts, begin + shift, line_max, begin, last - begin, f0, f1, s0, s1, crosses)
+            _raise_line_maxima(above, below, cuts, begin + shift, line_max, begin, last - begin, f0, f1, s0, s1, crosses)
         start = end
 
 
 @internal
-def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
+def _raise_line_maxima(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
     """Raise the maxima of ``count`` adjacent lines to the ground on a row, and between it and the next row.
 
     The first line lies between ``column`` of the row and the next column. Its maximum is ``line_max[cell]``, which is changed in
@@ -353,8 +355,8 @@ def _raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
 
 
 @internal
-def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shade, lit, i):
-    """Compute the shadow heights of the nodes of row ``i + 1``, and write them to ``shade`` and ``lit``.
+def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell, line_max, peaks, shadow_ray_heights, lit, i):
+    """Compute the shadow heights of the nodes of row ``i + 1``, and write them to ``shadow_ray_heights`` and ``lit``.
 
     Ground between row ``i`` and the nodes is compared exactly, on each node's own ray. The maxima over the ground on the sun's side
     of row ``i`` are interpolated between the two lines beside a node.
@@ -368,7 +370,7 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
     first = _first_column_at(column_of_t_below, t_of_column_below, first_cell + 1, cols)
     last = _first_column_at(column_of_t_below, t_of_column_below, first_cell + cells - 2, cols)
     run = _max_run_length(t_of_column_below, first, last, lines)
-    above, below, shade_heights = ray_height[i], ray_height[i + 1], np.empty(MAX_RUN_LINES, np.float32)
+    above, below, node_shadow_heights = ray_height[i], ray_height[i + 1], np.empty(MAX_RUN_LINES, np.float32)
     while first < last:
         end, number = _run_end(t_of_column_below, first, min(first + run, last), lines)
         count = end - first
@@ -378,7 +380,7 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
             _line_position(t_of_column_below, first, lines) - number,
             _line_position(t_of_column_below, end - 1, lines) - number - lines * (count - 1),
         )
-        _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, (e0, e1), count, shade_heights)
+        _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, (e0, e1), count, node_shadow_heights)
         _raise_to_near_ground(
             above,
             below,
@@ -389,12 +391,12 @@ def _evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cel
                 _column_shift(column_of_t_above, t_of_column_below, end - 1),
             ),
             count,
-            shade_heights,
+            node_shadow_heights,
         )
-        if shade.size:
-            _write_shade(shade_heights, shade, i + 1, first, count)
+        if shadow_ray_heights.size:
+            _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i + 1, first, count)
         if lit.size:
-            _write_lit(shade_heights, below, lit, i + 1, first, count)
+            _write_lit(node_shadow_heights, below, lit, i + 1, first, count)
         first = end
 
 
@@ -436,18 +438,18 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
 
 
 @internal
-def _write_shade(shade_heights, shade, i, first, count):
+def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first, count):
     i = np.uintp(i)
     for n in range(count):
-        shade[i, np.uintp(first + n)] = shade_heights[n]
+        shadow_ray_heights[i, np.uintp(first + n)] = node_shadow_heights[n]
 
 
 @internal
-def _write_lit(shade_heights, row, lit, i, first, count):
+def _write_lit(node_shadow_heights, row, lit, i, first, count):
     i = np.uintp(i)
     for n in range(count):
         column = np.uintp(first + n)
-        lit[i, column] = not shade_heights[n] > row[column]
+        lit[i, column] = not node_shadow_heights[n] > row[column]
 
 
 @internal

@@ -49,14 +49,14 @@ class StripPoints(NamedTuple):
     above_m: np.ndarray
 
 
-def no_points(rows: int) -> StripPoints:
+def empty_strip_points(rows: int) -> StripPoints:
     """Return an empty set of points, for a grid with ``rows`` rows."""
     none = np.zeros(0)
     return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
 
 
 @compiled
-def intervals_of(first, last, row, rows, out):
+def write_row_intervals(first, last, row, rows, out):
     """Write to ``out`` (n,) the grid row i of each point such that the point lies in the rows (i, i + 1].
 
     Only the points from index ``first`` to before ``last`` are written. The grid has ``rows`` rows.
@@ -136,14 +136,14 @@ def evaluate_points(turned_grid, strip, i, points):
             point_ray_height = ground_at(above, below, c, f + s * end, end, is_cut_nw_se, i)
         if 0 <= c and c + 1 < cols:
             highest = _max_with_segment(highest, above[c], above[c + 1], f)
-            if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            if is_cut_along(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
                 highest = _max_with_segment(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
             if f + s <= 1.0:
-                if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
+                if is_cut_along(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
                     highest = _max_with_segment(highest, above[c], below[c + 1], f / (1.0 - s))
             elif (1.0 - f) / s < end:
                 highest = _max_with_segment(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
-                if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                if c + 2 < cols and is_cut_along(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
                     highest = _max_with_segment(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
         above_m[n] = highest - point_ray_height
         lit[n] = not highest > point_ray_height + rounding
@@ -181,12 +181,12 @@ def _max_with_segment(highest, a, b, share):
 
 
 @internal
-def is_cut(is_cut_nw_se, i, c, falling):
+def is_cut_along(is_cut_nw_se, i, c, is_falling):
     """Return whether quad (i, c) may be cut into triangles along its falling (or rising) diagonal.
 
     If ``is_cut_nw_se`` is empty, the diagonal is unknown and both are possible.
     """
-    return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == falling
+    return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == is_falling
 
 
 @internal

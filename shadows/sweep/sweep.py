@@ -68,7 +68,7 @@ RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 SUN_DISC_STRIPS = 16
 """Number of horizontal strips into which the sun's disc is cut for penumbrae."""
 
-MIN_LINES = 2
+MIN_LINES_PER_COLUMN = 2
 """Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
 
 
@@ -116,31 +116,31 @@ def fill_visibility(
             return np.ones(buffer.valid.shape, np.float32)
         soft_edges = settings.filter == "sun"
         if buffer.columns is not None:
-            return _fill_columns(
-                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
+            return _visibility_over_columns(
+                buffer, scene, light, casters, sun_strip_angles_rad(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
             )
-        rays, grounds = _grounds(buffer, scene, casters, soft_edges)
+        rays, grounds = _grounds_of_view(buffer, scene, casters, soft_edges)
         targets = targets_of_buffer(rays, grounds[-1], buffer)
         log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges))
+        record.bytes = max(record.bytes, _byte_size(grounds, targets, soft_edges))
         if not soft_edges:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in sun_strip_angles(SUN_DISC_STRIPS):
+        for angle in sun_strip_angles_rad(SUN_DISC_STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(SUN_DISC_STRIPS)
 
 
-def _fill_columns(
-    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
+def _visibility_over_columns(
+    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles_rad: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
     """Return the visibility as ``fill_visibility`` does, for a map whose ground is upright columns with flat tops.
 
-    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles``, radians.
+    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles_rad``, radians.
     """
     sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
-    for angle in angles:
+    for angle in angles_rad:
         visibility += sweep.obstruction_height_m(angle, False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
@@ -148,7 +148,7 @@ def _fill_columns(
 
     log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
-    return visibility / np.float32(len(angles))
+    return visibility / np.float32(len(angles_rad))
 
 
 def find_lit_nodes(
@@ -169,13 +169,13 @@ def find_lit_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, needs_sunward=False, culled=casters.culled)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
-        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES)
+        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES_PER_COLUMN)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges=False))
-        return rays.orientation.restored_copy(lit, targets.window)
+        record.bytes = max(record.bytes, _byte_size(grounds, targets, has_soft_edges=False))
+        return rays.orientation.restored_copy(lit, targets.grid_window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +183,8 @@ class NodeClearance:
     """The ray heights that decide whether nodes see the sun, in the order of the turned grid.
 
     The turned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate at
-    right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while ``ray_height_m - shade_m`` is at
-    least 0.
+    right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while
+    ``ray_height_m - shadow_ray_height_m`` is at least 0.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ class NodeClearance:
         How the turned grid was made from the map's grid.
     ray_height_m
         float32 (n, m), metres: the nodes' ray heights.
-    shade_m
+    shadow_ray_height_m
         float32 (n, m), metres: the ray heights above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where no ground lies
         between the node and the sun.
     ray_height_per_metre
@@ -201,7 +201,7 @@ class NodeClearance:
 
     orientation: GridOrientation
     ray_height_m: np.ndarray
-    shade_m: np.ndarray
+    shadow_ray_height_m: np.ndarray
     ray_height_per_metre: float
 
 
@@ -212,23 +212,27 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches, soft_edges=False)
+    grounds = grounds_of_block(rays, nodes.surface, patches, needs_sunward=False)
     ground = grounds[-1]
     targets = targets_of_nodes(rays, ground, nodes)
-    (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
+    (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
-    shade = np.empty(ground.turned_grid.ray_height.shape, np.float32)  # only the window is written: the rest takes no memory
-    shade[window] = NO_GROUND_RAY_HEIGHT
-    _sweep_grounds(grounds, targets, lines, 0.0, shade)
-    return NodeClearance(rays.orientation, ground.turned_grid.ray_height[window], shade[window], rays.ray_height_per_metre)
+    shadow_ray_heights = np.empty(
+        ground.turned_grid.ray_height.shape, np.float32
+    )  # only the window is written: the rest takes no memory
+    shadow_ray_heights[window] = NO_GROUND_RAY_HEIGHT
+    _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    return NodeClearance(
+        rays.orientation, ground.turned_grid.ray_height[window], shadow_ray_heights[window], rays.ray_height_per_metre
+    )
 
 
-def _bytes(grounds: list[GroundWindow], targets: SweepTargets, soft_edges: bool) -> int:
-    sheets = sum((1 + soft_edges) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
+def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
+    sheets = sum((1 + has_soft_edges) * ground.turned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
 
 
-def sun_strip_angles(count: int) -> np.ndarray:
+def sun_strip_angles_rad(count: int) -> np.ndarray:
     """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
 
     The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
@@ -239,15 +243,17 @@ def sun_strip_angles(count: int) -> np.ndarray:
     return np.radians(SUN_RADIUS_DEG) * np.interp((np.arange(count) + 0.5) / count, share, x)
 
 
-def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft_edges: bool) -> tuple[SunRays, list[GroundWindow]]:
+def _grounds_of_view(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, has_soft_edges: bool
+) -> tuple[SunRays, list[GroundWindow]]:
     """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, has_soft_edges, casters.culled)
     assert buffer.ground is not None
-    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft_edges)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, has_soft_edges)
     return rays, [ground]
 
 
@@ -268,23 +274,25 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
 
 
 def _sweep_grounds(
-    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float, shade: np.ndarray
+    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float, shadow_ray_heights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
-    The sun is higher than the scene's sun by ``angle``, radians. ``shade`` is the output array of ``sweep_nodes``.
+    The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
     """
     *coarser, ground = grounds
-    entry, detail = None, 0
+    entry, lod = None, 0
     for coarse in coarser:
-        level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
+        level_t_range = targets.t_range[0] / 2**coarse.lod, targets.t_range[1] / 2**coarse.lod
         entry = sweep_to_state(
-            coarse.with_raised_sun(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
+            coarse.with_raised_sun(angle_rad), lines, level_t_range, entry, 2.0 ** (lod - coarse.lod), coarse.first_ground_row
         )
-        detail = coarse.detail
-    turned_grid = ground.with_raised_sun(angle)
+        lod = coarse.lod
+    turned_grid = ground.with_raised_sun(angle_rad)
     points_ray_height_m = (
-        targets.ray_height_m if angle == 0.0 else np.cos(angle) * targets.ray_height_m - np.sin(angle) * targets.towards_m
+        targets.ray_height_m
+        if angle_rad == 0.0
+        else np.cos(angle_rad) * targets.ray_height_m - np.sin(angle_rad) * targets.sunward_m
     )
     points = SweepPoints(
         targets.row,
@@ -294,18 +302,18 @@ def _sweep_grounds(
         RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(turned_grid.ray_height, targets),
     )
     return sweep_nodes(
-        turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES,
-        ground.first_ground_row,
+        turned_grid, lines, targets.t_range, entry, 2.0**lod, targets.row_range, targets.col_range, points, shadow_ray_heights,
+        CORES, ground.first_ground_row,
     )  # fmt: skip
 
 
-def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float) -> np.ndarray:
-    """Return which of a buffer's points see a sun that is higher than the scene's sun by ``angle``, radians: bool (rows, cols)."""
-    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
-    sunlit = np.ones(targets.nodes.shape, np.bool_)
-    if targets.nodes.any():
-        sunlit[:] = rays.orientation.restored(lit_nodes)[targets.window]
-    sunlit[targets.off_nodes] = lit_points
+def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float) -> np.ndarray:
+    """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols)."""
+    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
+    sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
+    if targets.on_node_mask.any():
+        sunlit[:] = rays.orientation.restored(lit_nodes)[targets.grid_window]
+    sunlit[targets.off_node_mask] = lit_points
     return sunlit
 
 
@@ -314,13 +322,15 @@ def _shadow_height_m(
 ) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
     ray_height = grounds[-1].turned_grid.ray_height
-    shade = np.full(ray_height.shape if targets.nodes.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
-    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shade)
-    above_m = np.zeros(targets.nodes.shape, np.float32)
-    if targets.nodes.any():
-        shadow_height, node_height = (rays.orientation.restored(values[:, 1:-1])[targets.window] for values in (shade, ray_height))
+    shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
+    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    above_m = np.zeros(targets.on_node_mask.shape, np.float32)
+    if targets.on_node_mask.any():
+        shadow_height, node_height = (
+            rays.orientation.restored(values[:, 1:-1])[targets.grid_window] for values in (shadow_ray_heights, ray_height)
+        )
         above_m[:] = shadow_height - node_height
-    above_m[targets.off_nodes] = points_above_m
+    above_m[targets.off_node_mask] = points_above_m
     return height_m + np.fmax(above_m, 0.0) / np.float32(
         rays.ray_height_per_metre
     )  # NaN: rounding may put a point outside of the ground

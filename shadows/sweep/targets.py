@@ -27,43 +27,45 @@ class SweepTargets:
     ----------
     t_range
         Minimum and maximum t (the position across the sweep lines, in cells) of all nodes and points.
-    nodes
+    on_node_mask
         bool (rows, cols): pixels that show a node of the grid.
-    rows, cols
+    row_range, col_range
         First row of the nodes on the turned grid, and the one after the last; columns likewise.
-    window
+    grid_window
         The same window on the grid before turning.
-    off_nodes
+    off_node_mask
         bool (rows, cols): pixels that show a point between nodes or above the ground.
     row, col, t
-        (n,): positions of the points of ``off_nodes`` on the turned grid, and across the lines.
+        (n,): positions of the points of ``off_node_mask`` on the turned grid, and across the lines.
     ray_height_m
-        (n,), metres: ray heights of the points of ``off_nodes``; NaN for points of the ground.
-    towards_m
-        (n,), metres: coordinates of the points of ``off_nodes`` along the axis towards the sun.
+        (n,), metres: ray heights of the points of ``off_node_mask``; NaN for points of the ground.
+    sunward_m
+        (n,), metres: coordinates of the points of ``off_node_mask`` along the axis towards the sun.
     """
 
     t_range: tuple[float, float]
-    nodes: np.ndarray
-    rows: tuple[int, int]
-    cols: tuple[int, int]
-    window: tuple[slice, slice]
-    off_nodes: np.ndarray
+    on_node_mask: np.ndarray
+    row_range: tuple[int, int]
+    col_range: tuple[int, int]
+    grid_window: tuple[slice, slice]
+    off_node_mask: np.ndarray
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
     ray_height_m: np.ndarray
-    towards_m: np.ndarray
+    sunward_m: np.ndarray
 
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     """Return the minimum and maximum t (the position across the sweep lines, in cells) of receivers, extended by one cell."""
     low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
-    ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
+    ends = sorted((float(right) - rays.right_origin_m) / rays.right_m_per_cell for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
 
-def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
+def _node_windows(
+    rays: SunRays, ground: GroundWindow, view: MapView
+) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
     """Return where a view's nodes lie on the turned grid, and their window of the ground's grid as slices.
 
     On the turned grid these are the first row and the one after the last, and the same of columns.
@@ -80,7 +82,7 @@ def targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> S
     none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
     all_nodes, no_pixels = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
     return SweepTargets(
-        _t_range(rays, nodes), all_nodes, *_window_of(rays, ground, nodes.view), no_pixels, none, none, none, none, none
+        _t_range(rays, nodes), all_nodes, *_node_windows(rays, ground, nodes.view), no_pixels, none, none, none, none, none
     )
 
 
@@ -93,10 +95,10 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     pixels = np.flatnonzero(off_nodes)
-    t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
+    t, ray_height_m, sunward_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
     if isinstance(view, MapView):
         if nodes.any():
-            rows, cols, window = _window_of(rays, ground, view)
+            rows, cols, window = _node_windows(rays, ground, view)
         pixel_row_col = np.divmod(pixels, view.cols)
         row, col = view.row0 + pixel_row_col[0] * view.row_step, view.col0 + pixel_row_col[1] * view.col_step
     else:
@@ -106,7 +108,7 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
     turned_row, turned_col = rays.orientation.to_turned_in_place(row, col, *ground.shape)
     run_in_chunks(len(pixels), _set_nan, ray_height_m, on_triangles.reshape(-1), pixels)
     return SweepTargets(
-        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, ray_height_m, towards_m
+        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, ray_height_m, sunward_m
     )
 
 

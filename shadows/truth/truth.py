@@ -18,7 +18,7 @@ from pydantic import Field
 
 from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, CostInputs, ResolvedSettings, SettingsRequest
 from skugga.shadows.area_light import disc_points, sun_disc_directions
-from skugga.shadows.attached import attached_shadow_mask, faces_away
+from skugga.shadows.attached_shadow import attached_shadow_mask, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached

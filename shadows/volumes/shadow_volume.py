@@ -17,7 +17,7 @@ from skugga.shadows.algorithm import (
     SettingsSearch,
 )
 from skugga.shadows.area_light import mean_visibility_of_area_light
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes

@@ -23,7 +23,7 @@ import trimesh
 
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS

@@ -12,7 +12,7 @@ from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
 from skugga.shadows.algorithm import AlgorithmSettings
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.scene import Scene

@@ -117,7 +117,7 @@ def _one_diagonal() -> None:
 
 def _first_facet() -> None:
     """Let a point that several facets share use the first facet, whatever the light."""
-    from skugga.shadows import attached
+    from skugga.shadows import attached_shadow
     from skugga.shadows.truth import truth
     from skugga.terrain.gbuffer.light_facing import FacingNormals
 
@@ -129,7 +129,7 @@ def _first_facet() -> None:
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
         return FacingNormals(normal, buffer.crease, normal, no_pixels, no_pixels)
 
-    attached.facing_normals = truth.facing_normals = facing_normals
+    attached_shadow.facing_normals = truth.facing_normals = facing_normals
 
 
 def _facets_at_the_terminator() -> None:

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.perspective_shadow_map import perspective_maps
 from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import MIN_DISC_TAPS

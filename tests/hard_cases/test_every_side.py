@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SYMMETRIES, invert_grid, transform_azimuth, transform_grid
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Step
 from skugga.shadows.visibility import fill_steps

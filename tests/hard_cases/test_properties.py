@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.perspective_shadow_map import perspective_maps
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.terrain.errors import UnsupportedError

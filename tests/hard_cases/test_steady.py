@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.drawing import draw_map
 from skugga.shadows.maps.lookup import look_up

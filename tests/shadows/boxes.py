@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import receivers_of

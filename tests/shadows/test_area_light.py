@@ -10,7 +10,7 @@ import pytest
 
 from skugga.api.catalogue import find_level
 from skugga.shadows.area_light import ball_points, disc_points
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.penumbra import MAX_LIGHT_POINTS
 from skugga.shadows.render import render_frame

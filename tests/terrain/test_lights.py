@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from skugga.api.compute import product_of_frame
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.lamps import apply_lamps
 from skugga.terrain.errors import InputError, LevelError

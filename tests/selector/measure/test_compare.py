@@ -13,7 +13,7 @@ from skugga.api.catalogue import find_level
 from skugga.selector.candidates import MAX_CANDIDATES, candidates, name_of
 from skugga.selector.measure.compare import COUNTERS, Comparison, compare, measure_plan, picture_blocks, run_light
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.texels import texel_on_level_ground_m
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import InputError

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.maps.resolve import MAX_AUTOMATIC_MAP_SIZE, MAX_CASCADE_TEXEL_PX
 from skugga.shadows.passes import PassLog

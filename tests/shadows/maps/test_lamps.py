@@ -10,7 +10,7 @@ import pytest
 import shapely
 import trimesh
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.render import Frame
 from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics
 from skugga.shadows.truth.truth import trace_truth

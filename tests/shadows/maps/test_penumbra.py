@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc_directions
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError

@@ -12,7 +12,7 @@ import shapely
 import trimesh
 
 from skugga.selector.measure.compare import measure_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.post_perspective import UNIFORM_MAP_CONE_DEG
 from skugga.shadows.maps.settings import PerspectiveMapSettings

@@ -118,7 +118,7 @@ def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch)
     (day,) = window_suns(scene.world, [window_of(scene, SPRING)])
     view = raster_cell_view(scene)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
-    hours, _, _ = ray_truth(scene, view, row, col, day, step_minutes=0.5)
+    hours, _, _ = ray_truth(scene, view, row, col, day, step_min=0.5)
 
     def mean_error_min() -> float:
         result = sun_hours(scene, view, [day], SunRules(step_minutes=15.0), forbid_plan)

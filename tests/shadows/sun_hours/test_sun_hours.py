@@ -232,7 +232,7 @@ def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
     view, window = raster_cell_view(scene), window_of(scene, SPRING)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
     (day,) = window_suns(scene.world, [window])
-    hours, first, last = ray_truth(scene, view, row, col, day, step_minutes=0.5)
+    hours, first, last = ray_truth(scene, view, row, col, day, step_min=0.5)
     result = compute_sun_hours(scene, window, step_minutes=2.0)
     error_minutes = 60.0 * np.abs(result.hours[row, col] - hours)
     assert error_minutes.mean() < 0.5 and np.percentile(error_minutes, 99) < 3.0

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep import rays
-from skugga.shadows.sweep.grid import allocate_bordered_grid, fitted_cubics
+from skugga.shadows.sweep.grid import allocate_bordered_grid, fit_cubics
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill_visibility, find_lit_nodes
@@ -38,9 +38,9 @@ def test_fitted_cubics_reproduce_cubics():
     x = np.sort(np.random.default_rng(5).uniform(900.0, 3000.0, (6, 17)), axis=1)
     coefficients = np.random.default_rng(6).normal(size=(6, 4)) * (1.0, 1e-1, 1e-5, 1e-9)
     y = np.stack([np.polynomial.polynomial.polyval(*pair) for pair in zip(x, coefficients, strict=True)])
-    fitted = fitted_cubics(x, y)
+    fitted = fit_cubics(x, y)
     assert np.allclose(fitted, coefficients, rtol=1e-6, atol=1e-12)
-    assert np.allclose(fitted_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
+    assert np.allclose(fit_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 100.0, 190.0, 280.0])

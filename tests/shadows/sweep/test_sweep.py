@@ -7,7 +7,7 @@ import pytest
 from pyproj import Transformer
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.bent_rays import MAX_STRAIGHT_RAYS_EXTENT_M
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
@@ -222,7 +222,7 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
 
 
 def test_strips_of_sun_have_equal_areas():
-    angles = sweep.sun_strip_angles(16)
+    angles = sweep.sun_strip_angles_rad(16)
     assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
     rng = np.random.default_rng(0)
     disc = rng.uniform(-1.0, 1.0, (200_000, 2))

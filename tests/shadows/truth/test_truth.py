@@ -10,7 +10,7 @@ import pytest
 from skugga.selector.candidates import candidates
 from skugga.selector.measure.compare import Comparison, compare, false_colours
 from skugga.shadows.area_light import sun_disc_directions
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from skugga.shadows.algorithm import SettingsRequest
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid import hybrid
 from skugga.shadows.hybrid.settings import resolve_hybrid
 from skugga.shadows.passes import PassLog

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from skugga.shadows.attached import attached_shadow_mask
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
