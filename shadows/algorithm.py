@@ -350,6 +350,7 @@ class AccuracyInputs:
 
 
 MarkerColour = Literal["blue", "vermilion", "green", "purple", "orange", "sky", "gray", "black"]
+"""Names of colours that stay distinct for colour-blind readers (``skugga.api.report.page.marks``)."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,10 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 NO_OUTSIDE_CASTERS_NOTE = "nothing outside of the block casts a shadow into it"
+"""Note of the pass that searches casters beside a block, where it finds none."""
+
 NO_CASTERS_NOTE = "no ground casts a shadow in the block"
+"""Note of the passes of a step that a block leaves out, since no ground casts."""
 
 
 def caster_search_pass(plan: Plan) -> str:

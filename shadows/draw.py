@@ -23,7 +23,10 @@ from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.scene import Scene
 
 SHADING_NEEDS: Needs = frozenset({"color", "opacity", "reach"})
+"""Fields of ``Picture`` that can be drawn from heights alone where these determine the shading."""
+
 VISIBILITY_NEEDS: Needs = frozenset({"visibility", "reach"})
+"""Fields of ``Picture`` that can be drawn from heights alone where these determine the sun's visibility."""
 
 
 def draw(

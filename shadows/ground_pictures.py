@@ -32,6 +32,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import shaded_ground, slope_sky_view_factor
 
 SKY_VIEW_PASS = "sky_view"
+"""Name of the effect that darkens ground with little visible sky, and of its pass."""
 
 SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, REFRACTION_PASS})
 """Effects that this path supports."""

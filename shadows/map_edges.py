@@ -35,6 +35,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 NamedArrays = dict[str, np.ndarray]
+"""Arrays by name: visibilities by light, or arrays of a geometry buffer by field."""
 
 MIN_EDGE_VISIBILITY_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
@@ -43,6 +44,7 @@ SAMPLED_PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
 """Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
 SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
+"""Number of samples of a pixel that an edge crosses."""
 
 SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
 """NamedArrays of a geometry buffer that shading reads."""

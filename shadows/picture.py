@@ -17,6 +17,7 @@ Need = Literal["color", "opacity", "visibility", "reach", "frame"]
 """A field of ``Picture`` that a caller may need. ``frame`` stands for all arrays that a geometry buffer gives."""
 
 Needs = frozenset[Need]
+"""The fields of ``Picture`` that a caller needs."""
 
 
 @dataclass(frozen=True, eq=False)

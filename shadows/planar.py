@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer
 
 PASSES = ("receivers", "projected casters")
+"""Names of the passes that the algorithm runs, in order."""
 
 NO_GROUND_VALUE, LIT_VALUE, SHADED_VALUE = 0, 1, 2
 """Values of the stencil."""

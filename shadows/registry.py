@@ -19,6 +19,7 @@ MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sw
 """The modules of the algorithms that come with Skugga."""
 
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in MODULES}
+"""The registered algorithms by name."""
 
 
 def register_algorithm(algorithm: Algorithm) -> None:
@@ -42,6 +43,7 @@ FALLBACK_ALGORITHM: AlgorithmName = shadow_map.ALGORITHM.name
 """The algorithm that serves every view, light and kind of casters. It is used where no other algorithm is preferred."""
 
 NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
+"""The algorithm that casts no shadows."""
 
 
 def selectable_algorithms() -> list[Algorithm]:

@@ -37,7 +37,10 @@ RENDERER_VERSION = 5
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"
+"""Name of the pass that shades the surface and the sky."""
+
 REFRACTION_PASS = "refraction"
+"""Name of the effect that uses the sun's apparent position, and of its pass."""
 
 MAX_FRAME_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""

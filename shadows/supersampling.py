@@ -46,6 +46,7 @@ MAX_BUFFER_NODES_PER_PART = 5 * BLOCK_PX**2 // 4
 """Upper bound of the nodes in one part with a geometry buffer: about as many as in a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
+"""Visibility (rows, cols) by light."""
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
+"""Names of the passes that the algorithm runs, in order."""
 
 
 def fill_visibility(

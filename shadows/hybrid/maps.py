@@ -82,6 +82,7 @@ class _Window:
 
 
 _map_cache: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
+"""Cache of conservative maps, by window and casters."""
 
 
 def classify_pixels(

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
+"""Settings of any kind of depth map."""
 
 AnyMap = TypeVar("AnyMap")
+"""Type of the maps that ``draw_ahead`` yields."""
 
 TEXTURE_SIZE_STEP = 512
 """Textures with a side above this number of texels have sides that are multiples of it."""

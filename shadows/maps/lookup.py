@@ -34,6 +34,7 @@ MAX_GATHERED_SHARE = 0.5
 """Share of a map view's pixels with a surface below which only these pixels are gathered and looked up."""
 
 CREASE_EPSILON = np.float32(1e-9)
+"""Amount by which the negative crease of a lifted point differs from 0, so that a crease of 0 is marked as well."""
 
 DEPTH_MAP_TEXTURE_UNIT = 5
 """Texture unit of the depth map."""

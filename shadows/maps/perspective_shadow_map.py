@@ -54,6 +54,7 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
+"""Names of the passes that the algorithm runs, in order."""
 
 RECEIVER_SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""

@@ -42,6 +42,7 @@ MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
 """Rotations of the map about its centre that are tried. The receivers fill the chosen one best."""
 
 NO_POINTS = np.zeros((0, 3))
+"""An empty array of points (0, 3)."""
 
 OUTLINE_DIRECTIONS = 64
 """Number of directions whose farthest receivers form the outline, for the choice of the map's rotation."""

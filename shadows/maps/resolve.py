@@ -44,6 +44,7 @@ TUNED_MAP_SIZES = (1024, 2048, 512, 4096)
 """Map sizes that policies try, in this order."""
 
 CALIBRATED_MAP_SIZES = (512, 1024, 2048, 4096)
+"""Map sizes that a calibration measures, in texels along a side."""
 
 PERSPECTIVE_MAP_SIZE = 1024
 """Default number of texels along a side of a perspective map.

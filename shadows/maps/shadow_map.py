@@ -38,6 +38,7 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
+"""Names of the passes that the algorithm runs, in order."""
 
 
 def fill_visibility(
@@ -91,8 +92,11 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 CALIBRATED_CASCADES: tuple[dict[str, Any], ...] = (
     {"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4},
 )  # fmt: skip
+"""Overrides with several cascades that a calibration measures."""
 
 BASELINE_OVERRIDES = {"map_size": 1024, "filter": 1}
+"""Overrides of the map from which ``REPORT_VARIANTS`` differ."""
+
 REPORT_VARIANTS: tuple[dict[str, Any], ...] = tuple(BASELINE_OVERRIDES | change for change in (
     {"cascades": 1}, {"cascades": 2}, {"cascades": 4}, {"filter": "sun"}, {"filter": 5}, {"depth_bits": 16}, {"depth_bits": 24},
     {"depth_bits": 32}, {"bias": "normal_offset"}, {"bias": "polygon_offset"}, {"fit": "tight"}, {"culling": "front"},

@@ -28,6 +28,7 @@ The sign of the gain in ``soft_error`` changes there, in measured views.
 """
 
 Taps = Literal[1, 3]
+"""Taps along a side of the filter that an automatic choice allows."""
 
 
 def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps, str]:

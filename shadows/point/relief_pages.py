@@ -28,6 +28,7 @@ TILE_QUADS = 16
 """Quads per side of a tile, the part of a page whose maximum height is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
+"""Tiles along a side of a page."""
 
 MAX_PAGES = 1024
 """Number of pages, 0.26 MB each, above which the next request empties the cache. One request may read more."""

@@ -17,8 +17,13 @@ from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
 
 STEP_S = 60.0
+"""Seconds between two samples of a day's sun."""
+
 FINE_STEP_S = 2.0
+"""Seconds between two samples around a change between sun and shade."""
+
 SUN_HOURS_STEP_S = 300.0
+"""Seconds between two samples of ``sampled_sun_hours``."""
 
 
 @dataclass(frozen=True)

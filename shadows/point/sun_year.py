@@ -18,7 +18,10 @@ from skugga.shadows.point.sun_angles import sun_angles_at, sun_directions
 from skugga.terrain.geo.clock import day_bounds, has_day
 
 YEAR_STEP_S = 300.0
+"""Seconds between two samples of a year's sun."""
+
 HORIZON_STEP_DEG = 0.1
+"""Degrees of azimuth between two exact positions of the horizon by ground."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,7 @@ Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 t
 """
 
 IDENTITY_ORIENTATION = GridOrientation(axes_swapped=False, rows_reversed=False, cols_reversed=False)
+"""The orientation that leaves a grid unchanged."""
 
 
 def sampling_step_minutes(scene: Scene, nodes: BareNodes, day: WindowSun, min_altitude_deg: float, height_m: float) -> float:

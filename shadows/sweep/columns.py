@@ -42,8 +42,10 @@ HEIGHT_TOLERANCE_M = 1e-6
 """Metres by which a column must be higher than a ray to block it. The tolerance covers the float64 rounding of equal heights."""
 
 NO_COLUMN = np.float32(-1e30)
+"""Height of a cell without a column, metres: lower than any ray."""
 
 POINTS_PER_CHUNK = 2**15
+"""Number of points that a thread processes at a time."""
 
 
 class TurnedColumns(NamedTuple):

@@ -29,6 +29,7 @@ MAX_BEND_CELLS = 0.1
 """Tolerance in cells for the distance of the lines from their fitted cubics."""
 
 RAYS_BEND_REASON = "the sun's rays bend across the view; shadow_map can draw it"
+"""The reason with which the sweep refuses rays that are not straight in the view's CRS."""
 
 
 def bent_rays_error(crs_name: str) -> UnsupportedError:
@@ -46,7 +47,10 @@ CellSize = float | tuple[float, float]
 """Size of a cell in metres: one number, or its sides along a column and along a row."""
 
 NO_RAY_HEIGHTS = np.zeros((0, 0), np.float32)
+"""An empty grid of ray heights, for an output that is not needed."""
+
 NO_MASK = np.zeros((0, 0), np.bool_)
+"""An empty mask, for an output that is not needed."""
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
 """Value of ``TurnedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""

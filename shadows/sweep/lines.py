@@ -38,6 +38,7 @@ NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
 """Ray height of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
 
 NO_CUTS = np.zeros(0, np.bool_)
+"""Diagonals of a row of quads that are all cut along the higher one."""
 
 MAX_RUN_LINES = 512
 """Maximum number of lines in a run (lines of one number in adjacent cells, which are processed at once)."""

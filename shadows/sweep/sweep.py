@@ -61,6 +61,7 @@ from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
 PASSES = ("sweep",)
+"""Names of the passes that the algorithm runs, in order."""
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 """float32 rounding of a ray height, as a share of the largest one. Ground that exceeds a ray by less casts no shadow."""
@@ -362,6 +363,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 
 
 DIVERGING_RAYS_REASON = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
+"""The reason with which the sweep refuses lamps."""
 
 REFUSALS: dict[Requirement, str] = {
     "spot": DIVERGING_RAYS_REASON,
@@ -370,6 +372,7 @@ REFUSALS: dict[Requirement, str] = {
     "forest": "trees are not a heightfield: light passes under crowns and between leaves",
     "bent rays": RAYS_BEND_REASON,
 }
+"""The requirements that the sweep cannot serve, each with the reason."""
 
 FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 """Groups of views with separate constants of the error model: those that draw all nodes of the ground, and all others."""

@@ -31,7 +31,10 @@ MIN_COVERED_SHARE = 0.2
 """Minimum share of the cast shadow that a metric must cover. Below it, the metric does not test the picture."""
 
 _FOUR_NEIGHBOURS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
+"""Structuring element of a pixel and its four nearest neighbours."""
+
 _EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
+"""Structuring element of a pixel and its eight neighbours."""
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,13 @@ UNLIMITED_TRIANGLES = 2**31
 """Triangle limit that no ground reaches: its mesh is not decimated."""
 
 PASSES = ("rays",)
+"""Names of the passes that the algorithm runs, in order."""
 
 AREA_LIGHT_SAMPLES = 64
 """Samples of an area light."""
 
 ALL_CASTER_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
+"""All kinds of casters."""
 
 
 class TruthSettings(AlgorithmSettings):

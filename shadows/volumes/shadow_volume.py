@@ -30,6 +30,7 @@ from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "stencil")
+"""Names of the passes that the algorithm runs, in order."""
 
 
 def fill_visibility(
@@ -72,6 +73,7 @@ GROUND_EXCLUSION_REASON = (
     f"not tried: the ground has more than {MAX_GROUND_TRIANGLES:,} triangles, and its volumes would take ten to twenty times as "
     "long as a sweep (docs/accuracy.md)"
 )
+"""The reason why the selector does not try volumes of large ground."""
 
 
 def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:

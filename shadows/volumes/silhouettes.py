@@ -40,11 +40,13 @@ from skugga.terrain.ground.columns import ColumnMesh
 from skugga.terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
+"""Rule that selects the casting triangles of a mesh by the direction in which they face (see above)."""
 
 FACING_CODE, TURNED_AWAY_CODE, ALL_CODE = 1, 2, 3
 """The rules as numbers, one for each triangle. Bit 0: triangles that face the light cast. Bit 1: the others cast."""
 
 FACING_RULE_CODES: dict[FacingRule, int] = {"facing": FACING_CODE, "turned_away": TURNED_AWAY_CODE, "all": ALL_CODE}
+"""The number of each rule."""
 
 
 @dataclass(frozen=True, eq=False)

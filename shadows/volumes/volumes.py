@@ -91,6 +91,7 @@ class Volumes:
 
 
 _volume_cache: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
+"""Cache of the volumes of meshes, by mesh, light and rule."""
 
 
 def volumes_of(
