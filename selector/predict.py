@@ -21,7 +21,7 @@ from skugga.selector.options import LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.planner import Planner, planner_of
 from skugga.selector.ranking import RankingResult
-from skugga.shadows.algorithm import NamedReason
+from skugga.shadows.algorithm_settings import NamedReason
 from skugga.shadows.plan import Plan, Predicted, Target
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor

@@ -11,233 +11,23 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.shadows.bent_rays import rays_bend
+from skugga.shadows.algorithm_settings import AlgorithmSettings, Overrides, ResolvedSettings, SettingsRequest
 from skugga.shadows.passes import PassLayer
-from skugga.shadows.penumbra import MAX_LIGHT_POINTS, MIN_LIGHT_POINTS, light_point_count
+from skugga.shadows.requirements import Requirement
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import caches
-from skugga.terrain.facts.descriptor import Descriptor, LightKind
+from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.level.level import SUN, CasterKind, Shadows
+from skugga.terrain.level.level import CasterKind, Shadows
 from skugga.terrain.scene import Scene
-
-ViewKind = Literal["map", "bent map", "perspective"]
-"""``bent map``: a map that no affine camera fits, because the earth's curvature and the projection bend it."""
-
-GroundKind = Literal["level", "uneven"]
-"""``level``: the ground is one plane, in a flat world without relief. ``uneven``: any other ground."""
-
-RayKind = Literal["bent rays"]
-"""``bent rays``: the sun's rays are no straight lines in the area drawn at once, which is too wide or lies near a pole."""
-
-ExtentKind = Literal["area light"]
-"""``area light``: the light is shown as a disc or a ball, with penumbrae."""
-
-Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind | ExtentKind
-"""One requirement of an algorithm: a kind of view, light, casters, ground or rays, or the extent of a light."""
-
-FALLBACK_REQUIREMENT: Requirement = "bent rays"
-"""The requirement for which an algorithm that is requested by name falls back to ``shadow_map`` without an error.
-
-The requirement depends on the zoom, and a level that requests a sweep has all zooms.
-"""
-
-MAX_BEND_PX = 0.25
-"""Upper bound, in pixels, of the error of an affine camera that stands for a part of a map.
-
-Algorithms that draw casters in the view itself need such cameras. Above the bound the map is a ``bent map``.
-"""
-
-BENT_MAP_REASON = "the map is not affine: at this scale no affine camera fits it within a quarter of a pixel"
-"""The reason with which an algorithm that draws casters in the view itself refuses a ``bent map``."""
-
 
 MAP_SIZES_FOR_OTHER_CASTERS = (1024, 2048, 4096)
 """Sizes, in texels a side, of shadow maps that are tried where an algorithm without maps serves the other kinds of casters.
 
 A short list limits the number of candidates.
 """
-
-
-def is_area_light(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
-    """Return whether a light is shown as an area light.
-
-    The sun is shown as its disc if ``filter`` is ``sun``. A lamp is shown as its ball if it has a radius and either ``filter`` is
-    ``sun``, or ``filter`` is ``auto`` and its penumbrae are wider than a pixel.
-
-    Parameters
-    ----------
-    descriptor
-        The facts of a view.
-    light
-        The name of the light.
-    shadows
-        The requested shadow settings.
-
-    Returns
-    -------
-    bool
-        Whether the light is shown with penumbrae.
-    """
-    if light == SUN:
-        return shadows.filter == "sun"
-    radius_m = next((lamp.radius_m for lamp in descriptor.lamps if lamp.name == light), 0.0)
-    return radius_m > 0.0 and (shadows.filter == "sun" or (shadows.filter == "auto" and light_point_count(descriptor, light) > 1))
-
-
-def requirements_of(
-    descriptor: Descriptor, light_kind: LightKind, caster_kind: CasterKind, is_area_light: bool = False
-) -> tuple[Requirement, ...]:
-    """Return the requirements that an algorithm has to serve for a light and a kind of casters.
-
-    Parameters
-    ----------
-    descriptor
-        The facts of a view.
-    light_kind
-        The kind of the light.
-    caster_kind
-        The kind of casters.
-    is_area_light
-        Whether the light is shown as an area light.
-
-    Returns
-    -------
-    tuple of Requirement
-        The kinds of view, light, casters and ground; then ``bent rays`` and ``area light`` where they apply.
-    """
-    level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
-    view: tuple[Requirement, ...] = (
-        (descriptor.view_kind, "bent map") if descriptor.bend_px > MAX_BEND_PX else (descriptor.view_kind,)
-    )
-    rays: tuple[Requirement, ...] = ("bent rays",) if light_kind == "sun" and rays_bend(descriptor) else ()
-    extent: tuple[Requirement, ...] = ("area light",) if is_area_light else ()
-    return (*view, light_kind, caster_kind, "level" if level_ground else "uneven", *rays, *extent)
-
-
-class NamedReason(BaseModel):
-    """A setting, algorithm or layer by name, with the reason for it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str
-    reason: str
-
-
-class AlgorithmSettings(BaseModel):
-    """Resolved settings of an algorithm, without any automatic values. A subclass declares the fields."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @property
-    def as_overrides(self) -> dict[str, Any]:
-        """The settings as keys and values of a level's ``shadows``, without fields that are no such keys."""
-        return {key: getattr(self, key) for key in Shadows.model_fields if hasattr(self, key)}
-
-    @property
-    def label_parts(self) -> list[str]:
-        """The values that distinguish these settings from others, as text: a part of a candidate's name.
-
-        They are the values of all required fields, then those that differ from their defaults.
-        """
-        required = [str(getattr(self, name)) for name, field in type(self).model_fields.items() if field.is_required()]
-        return [*required, *self.changed_values()]
-
-    def changed_values(self, *excluded: str) -> list[str]:
-        """Return the values that differ from their defaults, as text.
-
-        Parameters
-        ----------
-        *excluded
-            Names of fields that are left out. Fields that are no keys of a level's ``shadows`` are always left out.
-        """
-        defaults = {
-            name: field_info.default for name, field_info in type(self).model_fields.items() if not field_info.is_required()
-        }
-        names = [name for name in defaults if name in Shadows.model_fields and name not in excluded]
-        return [str(getattr(self, name)) for name in names if getattr(self, name) != defaults[name]]
-
-
-class AreaLightSettings(AlgorithmSettings):
-    """Settings of an algorithm that draws an area light as the mean over ``light_points`` point lights."""
-
-    light_points: int = Field(default=MAX_LIGHT_POINTS, ge=1)
-
-
-@dataclass(frozen=True)
-class SettingsRequest:
-    """The input from which an algorithm resolves its settings.
-
-    Attributes
-    ----------
-    descriptor
-        The facts of a view.
-    light
-        The name of the light.
-    shadows
-        The shadow settings that level and request ask for.
-    hard_edges_reason
-        The reason why the sun's shadows need hard edges; ``None`` if they do not.
-    """
-
-    descriptor: Descriptor
-    light: str
-    shadows: Shadows
-    hard_edges_reason: str | None = None
-
-    @property
-    def effective_shadows(self) -> Shadows:
-        """The requested shadow settings, with one tap if the sun's shadows need hard edges."""
-        return self.shadows.model_copy(update={"filter": 1}) if self._forces_hard_edges else self.shadows
-
-    @property
-    def hard_edges_reasons(self) -> list[NamedReason]:
-        """The reason for hard edges; empty if the requested filter is not changed."""
-        return [NamedReason(name="filter 1", reason=f"hard edges: {self.hard_edges_reason}")] if self._forces_hard_edges else []
-
-    @property
-    def is_area_light(self) -> bool:
-        """Whether the light is shown as an area light."""
-        return is_area_light(self.descriptor, self.light, self.effective_shadows)
-
-    @property
-    def light_point_count(self) -> int:
-        """The number of point lights that an area light is averaged over."""
-        return max(light_point_count(self.descriptor, self.light), MIN_LIGHT_POINTS) if self.is_area_light else MAX_LIGHT_POINTS
-
-    def ignored_filter_reasons(self, algorithm_name: str, *filters: int | str) -> list[NamedReason]:
-        """Return the reason why a requested filter has no effect, for an algorithm that ignores it.
-
-        Parameters
-        ----------
-        algorithm_name
-            The name of the algorithm.
-        *filters
-            Filters that the algorithm has, besides ``auto`` and 1.
-
-        Returns
-        -------
-        list of NamedReason
-            One entry; empty if the algorithm has the requested filter.
-        """
-        requested_filter = self.effective_shadows.filter
-        if requested_filter in ("auto", 1, *filters):
-            return []
-        return [NamedReason(name=f"filter {requested_filter}", reason=f"no effect: {algorithm_name} has hard edges only")]
-
-    @property
-    def _forces_hard_edges(self) -> bool:
-        return self.light == SUN and self.hard_edges_reason is not None and self.shadows.filter != 1
-
-
-ResolvedSettings = tuple[AlgorithmSettings | None, list[NamedReason]]
-"""The settings, if the algorithm has any, and the reasons for automatic values."""
-
-Overrides = Mapping[str, Any]
-"""Fields of ``Shadows`` with values, as in a request."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import AreaLightSettings, FillVisibility
+from skugga.shadows.algorithm import FillVisibility
+from skugga.shadows.algorithm_settings import AreaLightSettings
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
-from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind

@@ -30,16 +30,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    MAP_SIZES_FOR_OTHER_CASTERS,
-    AccuracyInputs,
-    Algorithm,
-    CostInputs,
-    PlotMarker,
-    ResolvedSettings,
-    SettingsRequest,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.work import Work, Workload

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from skugga.shadows import none, planar
-from skugga.shadows.algorithm import Algorithm, Requirement, is_area_light, requirements_of
+from skugga.shadows.algorithm import Algorithm
 from skugga.shadows.hybrid import hybrid
 from skugga.shadows.maps import perspective_shadow_map, shadow_map
+from skugga.shadows.requirements import Requirement, is_area_light, requirements_of
 from skugga.shadows.sweep import sweep
 from skugga.shadows.truth import truth
 from skugga.shadows.volumes import shadow_volume

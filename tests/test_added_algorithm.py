@@ -28,18 +28,8 @@ from skugga.selector.measure.probe import probed_plan
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.predict import predicted_plan
 from skugga.selector.select import select
-from skugga.shadows.algorithm import (
-    AccuracyInputs,
-    Algorithm,
-    AlgorithmSettings,
-    CostInputs,
-    ErrorConstants,
-    NamedReason,
-    PlotMarker,
-    ResolvedSettings,
-    SettingsRequest,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, ErrorConstants, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
 from skugga.shadows.render import render_frame

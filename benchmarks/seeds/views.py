@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from skugga.api.catalogue import find_level
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan

@@ -27,7 +27,13 @@ from skugga.shadows.registry import ALGORITHMS, MODULES
 ROOT = Path(__file__).resolve().parents[2]
 ACCEPTED = Path(__file__).with_name("code_digests.json")
 
-DECLARATIONS = {"skugga.shadows.algorithm", "skugga.shadows.plan", "skugga.shadows.registry"}
+DECLARATIONS = {
+    "skugga.shadows.algorithm",
+    "skugga.shadows.algorithm_settings",
+    "skugga.shadows.requirements",
+    "skugga.shadows.plan",
+    "skugga.shadows.registry",
+}
 
 METHODS = frozenset(name for kind in (np.ndarray, dict, list, set, str) for name in dir(kind))
 """Methods that keep their text in digests, whatever value they belong to."""

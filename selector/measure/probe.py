@@ -20,7 +20,7 @@ from skugga.selector.measure.view_truth import View
 from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.predict import PlanOptions, plan_from_options, plan_options
-from skugga.shadows.algorithm import NamedReason
+from skugga.shadows.algorithm_settings import NamedReason
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene

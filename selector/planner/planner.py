@@ -17,19 +17,12 @@ from skugga.selector.choices import Choice, PlanRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.shadow_request import ShadowRequest, resolve_shadow_request
-from skugga.shadows.algorithm import (
-    FALLBACK_REQUIREMENT,
-    AlgorithmSettings,
-    NamedReason,
-    Requirement,
-    SettingsRequest,
-    is_area_light,
-    requirements_of,
-)
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, SettingsRequest
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan, Step, Target, plan_steps
 from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, NO_SHADOWS, algorithms_serving
 from skugga.shadows.render import passes_of
+from skugga.shadows.requirements import FALLBACK_REQUIREMENT, Requirement, is_area_light, requirements_of
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.cast_shadows import sun_caster_verdict, sun_verdict
 from skugga.terrain.errors import InputError, UnsupportedError

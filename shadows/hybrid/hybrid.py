@@ -19,15 +19,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    MAP_SIZES_FOR_OTHER_CASTERS,
-    Algorithm,
-    AlgorithmSettings,
-    CostInputs,
-    PlotMarker,
-    SettingsRequest,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
 from skugga.shadows.hybrid.maps import classify_pixels, maps_as_picture

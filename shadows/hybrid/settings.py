@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.volumes.settings import StencilSettings, stencil_settings

@@ -13,15 +13,8 @@ from itertools import product
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    AccuracyInputs,
-    Algorithm,
-    AlgorithmSettings,
-    CostInputs,
-    PlotMarker,
-    SettingsRequest,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.filling import visibility_by_maps

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
@@ -325,8 +325,7 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
     A band is an interval of distances from the eye. Range (i, j) consists of the bands i to j, of n bands in all.
 
     - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_ROUNDING_FACTOR``;
-    NaN where j <
-      i.
+      NaN where j < i.
     - Near distances (n,): where each band starts, metres from the eye.
     - Sums (n, n): over the range's bands, each band's share of the visible surfaces divided by its near distance.
     """

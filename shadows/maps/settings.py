@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.shadows.algorithm import AlgorithmSettings, AreaLightSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings, AreaLightSettings
 
 MapFit = Literal["stable", "tight"]
 """Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""

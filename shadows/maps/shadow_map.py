@@ -12,15 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    AccuracyInputs,
-    Algorithm,
-    AlgorithmSettings,
-    CostInputs,
-    PlotMarker,
-    SettingsRequest,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_shadow_map

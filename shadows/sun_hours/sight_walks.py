@@ -16,8 +16,8 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic, quadratic_fit
 from skugga.shadows.sun_hours.suns import WindowSun, block_sample_positions
-from skugga.shadows.sweep.grid import GridOrientation
-from skugga.shadows.sweep.rays import patch_windows
+from skugga.shadows.sweep.ground_windows import patch_windows
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.casters.reach import Patch
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes

@@ -26,7 +26,7 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
-from skugga.shadows.sweep.grid import GridOrientation, copy_in_blocks
+from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_OCCLUDER_CLEARANCE = np.float32(1e6)

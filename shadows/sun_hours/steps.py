@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent, sun_track, walked_ground
 from skugga.shadows.sun_hours.suns import WindowSun, sun_spans
-from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.scene import Scene

@@ -38,7 +38,7 @@ from skugga.shadows.sun_hours.spells import (
 )
 from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
-from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.reach import Patch, find_sun_casters
 from skugga.terrain.compiled import CORES

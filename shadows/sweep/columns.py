@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.points import evaluate_cubic
+from skugga.shadows.sweep.position_cubics import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters
 from skugga.terrain.compiled import compiled, internal, map_on_cores

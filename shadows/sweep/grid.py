@@ -6,41 +6,21 @@ Their position across the rays is *t*, in cells. A cubic polynomial per row conv
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT, LineStrip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.lines import LineStrip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.orientation import GridOrientation, orientation_towards
 from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
+from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
-from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that the strip's state and two rows of the grid fit into a core's cache."""
 
 TURN_BAND_ROWS = 64
 """Rows of a grid that a thread copies to the turned grid at a time."""
-
-LATTICE_SIZE = 17
-"""Maximum number of rows, and of columns, at which the positions of lines are computed by PROJ. Others are interpolated."""
-
-MAX_BEND_CELLS = 0.1
-"""Tolerance in cells for the distance of the lines from their fitted cubics."""
-
-RAYS_BEND_REASON = "the sun's rays bend across the view; shadow_map can draw it"
-"""The reason with which the sweep refuses rays that are not straight in the view's CRS."""
-
-
-def bent_rays_error(crs_name: str) -> UnsupportedError:
-    """Return the error for a view across which the sun's rays bend. The message names the CRS."""
-    return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
-
-
-def beyond_crs_error(crs_name: str) -> UnsupportedError:
-    """Return the error for a view that reaches beyond the area where its CRS is defined. The message names the CRS."""
-    reason = f"the view reaches beyond the area of its CRS '{crs_name}'; shadow_map can draw it"
-    return UnsupportedError("algorithm", "sweep", reason)
 
 
 CellSize = float | tuple[float, float]
@@ -54,84 +34,6 @@ NO_MASK = np.zeros((0, 0), np.bool_)
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
 """Value of ``TurnedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
-
-
-@dataclass(frozen=True)
-class GridOrientation:
-    """How a grid is turned so that the sun stands before row 0.
-
-    Attributes
-    ----------
-    axes_swapped
-        Whether rows and columns are swapped first.
-    rows_reversed
-        Whether the order of the rows is reversed then.
-    cols_reversed
-        Whether the order of the columns is reversed then.
-    """
-
-    axes_swapped: bool
-    rows_reversed: bool
-    cols_reversed: bool
-
-    def turned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
-        """Return which quads of the turned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
-
-        ``is_cut_nw_se`` is the same mask for the grid before turning.
-        """
-        return self.turned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
-
-    def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the turned grid.
-
-        Fractions and positions outside of the grid are allowed.
-        """
-        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
-        return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
-
-    def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert as ``to_turned`` does, but overwrite ``row`` and ``col``, and return them in the order of the turned grid.
-
-        New memory for many points would cost more time than the arithmetic.
-        """
-        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
-        for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
-            if turned:
-                np.subtract(last, index, out=index)
-        return i, j
-
-    def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of the turned grid to those of the grid (``rows``, ``cols``): the inverse of ``to_turned``."""
-        n, m = (cols, rows) if self.axes_swapped else (rows, cols)
-        i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
-        return (j, i) if self.axes_swapped else (i, j)
-
-    def turned(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
-        return (values.T if self.axes_swapped else values)[self._index_slices]
-
-    def restored(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
-        values = values[self._index_slices]
-        return values.T if self.axes_swapped else values
-
-    def restored_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-        """Return a contiguous copy of a window of ``restored``."""
-        view = self.restored(values)[window]
-        out = np.empty(view.shape, view.dtype)
-        copy_in_blocks(view, out)
-        return out
-
-    @property
-    def _index_slices(self) -> tuple[slice, slice]:
-        return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
-
-
-def orientation_towards(rows: float, cols: float) -> GridOrientation:
-    """Return the orientation for a sun in the direction of ``rows`` rows down and ``cols`` columns to the right on a grid."""
-    swapped = abs(cols) > abs(rows)
-    main, cross = (cols, rows) if swapped else (rows, cols)
-    return GridOrientation(swapped, main > 0, cross > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,54 +88,6 @@ class LineState:
         share = np.clip(position - left, 0.0, 1.0)
         line_max = ((1.0 - share) * flat_max[left] + share * flat_max[left + 1]).astype(np.float32)
         return LineState(first_cell, np.ascontiguousarray(line_max.reshape(cells, lines).T))
-
-
-def position_cubics(
-    t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fit cubics to each row of a turned grid that convert t to columns and columns to t: (rows, 4) each.
-
-    t is the position across the sun's rays, in cells. ``t_of`` is a smooth function that returns t at turned rows and columns. The
-    columns of the cubics count the left border column. Raises ``UnsupportedError`` if cubics cannot approximate ``t_of``. The
-    message names the CRS ``crs_name``.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE_SIZE)).round())
-    j = np.linspace(0, cols - 1, min(cols, LATTICE_SIZE))
-    t = t_of(*np.meshgrid(i, j, indexing="ij"))
-    j = j + 1.0  # behind the left border
-    if not np.isfinite(t).all():
-        raise beyond_crs_error(crs_name)
-    if not (np.diff(t, axis=1) > 0.0).all():  # for example a view that spans half the earth
-        raise bent_rays_error(crs_name)
-    columns = np.broadcast_to(j, t.shape)
-    column_of_t, t_of_column = (
-        make_interp_spline(i, fit_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
-    )
-    checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE_SIZE).round()).astype(int)
-    columns = np.linspace(0, cols - 1, 4 * LATTICE_SIZE)
-    exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
-    c0, c1, c2, c3 = column_of_t[checked_rows].T[..., None]
-    fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
-    if not np.abs(fitted - columns - 1.0).max() <= MAX_BEND_CELLS:  # also raises for NaN
-        raise bent_rays_error(crs_name)
-    return column_of_t, t_of_column
-
-
-def fit_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Fit a least-squares cubic to each row of ``y`` (m, n) as a function of the same row of ``x``.
-
-    Returns the coefficients (m, 4), constant term first.
-    """
-    middle, half = (x[:, :1] + x[:, -1:]) / 2, (x[:, -1:] - x[:, :1]) / 2
-    half[half == 0.0] = 1.0  # cubics are fitted between -1 and 1
-    powers = ((x - middle) / half)[..., None] ** np.arange(min(4, x.shape[1]))
-    a = np.zeros((len(x), 4))
-    a[:, : powers.shape[2]] = (np.linalg.pinv(powers) @ y[..., None])[..., 0]
-    a /= half ** np.arange(4)
-    (a0, a1, a2, a3), h = a.T, -middle[:, 0]
-    return np.stack([a0 + h * (a1 + h * (a2 + h * a3)), a1 + h * (2.0 * a2 + h * 3.0 * a3), a2 + h * 3.0 * a3, a3], axis=1)
 
 
 ALL_ROWS = slice(None)
@@ -470,17 +324,3 @@ def _write_linear_values(height, per_height, start, per_row, per_col, out):
             row_offset = start + r * per_row
             for c in range(c0, min(c0 + 64, cols)):
                 out[r, c] = height[r, c] * per_height + (row_offset + np.int32(c) * per_col)
-
-
-@compiled
-def copy_in_blocks(values, out):
-    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
-
-    This matters if one array is stored by rows and the other by columns.
-    """
-    rows, cols = values.shape
-    for r0 in range(0, rows, 64):
-        for c0 in range(0, cols, 64):
-            for r in range(r0, min(r0 + 64, rows)):
-                for c in range(c0, min(c0 + 64, cols)):
-                    out[r, c] = values[r, c]

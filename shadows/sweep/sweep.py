@@ -33,20 +33,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    AccuracyInputs,
-    Algorithm,
-    AlgorithmSettings,
-    CostInputs,
-    PlotMarker,
-    Requirement,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.requirements import Requirement
 from skugga.shadows.sweep.columns import column_sweep
-from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, sweep_nodes, sweep_to_state
-from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT
-from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, grounds_of_block, rays_at
+from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, SweepPoints, sweep_nodes, sweep_to_state
+from skugga.shadows.sweep.ground_windows import GroundWindow, ground_of_view, grounds_of_block
+from skugga.shadows.sweep.orientation import GridOrientation
+from skugga.shadows.sweep.position_cubics import RAYS_BEND_REASON
+from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
+from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.sweep.targets import SweepTargets, max_abs_ray_height_m, targets_of_buffer, targets_of_nodes
 from skugga.shadows.work import Work, Workload, is_decimated
@@ -390,7 +387,7 @@ ALGORITHM = Algorithm(
     needs_opengl=False,
     settings_types=(SweepSettings,),
     resolve_settings=resolve_sweep,
-    cache_names=("skugga.shadows.sweep.rays.ground_of_view",),
+    cache_names=("skugga.shadows.sweep.ground_windows.ground_of_view",),
     search=SettingsSearch(other_variants=({"filter": "sun"},)),
     cost=CostInputs(_work, calibration_settings=_calibration_settings),
     accuracy=AccuracyInputs(

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.rays import GroundWindow, SunRays
+from skugga.shadows.sweep.ground_windows import GroundWindow
+from skugga.shadows.sweep.rays import SunRays
 from skugga.terrain.casters.reach import Receivers
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.bare_nodes import BareNodes

@@ -16,7 +16,8 @@ from typing import get_args
 import numpy as np
 from pydantic import Field
 
-from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, CostInputs, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import Algorithm, CostInputs
+from skugga.shadows.algorithm_settings import AlgorithmSettings, ResolvedSettings, SettingsRequest
 from skugga.shadows.area_light import disc_points, sun_disc_directions
 from skugga.shadows.attached_shadow import attached_shadow_mask, faces_away
 from skugga.shadows.passes import PassLog

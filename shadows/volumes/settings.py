@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import AlgorithmSettings, AreaLightSettings, NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import AlgorithmSettings, AreaLightSettings, NamedReason, ResolvedSettings, SettingsRequest
 from skugga.terrain.level.level import Shadows
 
 

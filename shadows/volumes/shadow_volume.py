@@ -7,18 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.algorithm import (
-    BENT_MAP_REASON,
-    MAP_SIZES_FOR_OTHER_CASTERS,
-    Algorithm,
-    CostInputs,
-    PlotMarker,
-    Requirement,
-    SettingsSearch,
-)
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
+from skugga.shadows.requirements import BENT_MAP_REASON, Requirement
 from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of

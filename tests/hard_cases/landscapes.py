@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
-from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import fill_steps

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.maps.drawing import draw_map
 from skugga.shadows.maps.resolve import MAX_DEPTH_SHIFT_PX
 from skugga.shadows.maps.settings import ShadowMapSettings

@@ -21,9 +21,9 @@ from skugga.api.raster_view import raster_view
 from skugga.api.settings import Settings
 from skugga.selector.candidates import MAX_CANDIDATES, candidates
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
 from skugga.shadows.registry import ALGORITHMS, algorithms_serving
 from skugga.shadows.render import render_frame
+from skugga.shadows.requirements import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import LightKind

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skugga.shadows import algorithm, penumbra
-from skugga.shadows.algorithm import is_area_light
 from skugga.shadows.penumbra import MAX_LIGHT_POINTS, light_point_count, penumbra_px
+from skugga.shadows.requirements import is_area_light
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, Casting, LampFacts, LightFacts
 from skugga.terrain.level.level import Shadows

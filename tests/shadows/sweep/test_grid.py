@@ -17,7 +17,6 @@ from skugga.shadows.sweep.grid import (
     LineState,
     flat_world_grid,
     initial_peaks,
-    position_cubics,
     sunlit_nodes,
     sweep_nodes,
     sweep_to_state,
@@ -26,6 +25,7 @@ from skugga.shadows.sweep.grid import (
 from skugga.shadows.sweep.horizon import horizon_deg
 from skugga.shadows.sweep.lines import LineStrip, TurnedGrid, sweep_rows
 from skugga.shadows.sweep.points import empty_strip_points
+from skugga.shadows.sweep.position_cubics import position_cubics
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_of

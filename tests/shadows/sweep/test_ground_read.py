@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.passes import PassLog
-from skugga.shadows.sweep import rays
-from skugga.shadows.sweep.grid import allocate_bordered_grid, fit_cubics
-from skugga.shadows.sweep.rays import patch_windows
+from skugga.shadows.sweep import ground_windows
+from skugga.shadows.sweep.grid import allocate_bordered_grid
+from skugga.shadows.sweep.ground_windows import patch_windows
+from skugga.shadows.sweep.position_cubics import fit_cubics
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill_visibility, find_lit_nodes
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
@@ -76,7 +77,7 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
         return with_border, inside
 
     before = sweep_results()
-    monkeypatch.setattr(rays, "allocate_bordered_grid", with_high_ground)
+    monkeypatch.setattr(ground_windows, "allocate_bordered_grid", with_high_ground)
     after = sweep_results()
     assert all(0.02 < (visibility == 0.0).mean() < 0.98 for visibility in before) and min(empty_row_counts) > 0
     assert all(np.array_equal(original, patched) for original, patched in zip(before, after, strict=True))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from skugga.shadows.algorithm import SettingsRequest
+from skugga.shadows.algorithm_settings import SettingsRequest
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid import hybrid
 from skugga.shadows.hybrid.settings import resolve_hybrid
