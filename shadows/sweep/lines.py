@@ -1,7 +1,7 @@
 """The line sweep: compute the shadow height at every node of a grid, in time linear in its nodes.
 
-**Space.** ``skugga.shadows.sweep.orientation`` turns and mirrors the grid: the sun stands before row 0, and a ray that leaves the sun
-moves by 0 to 1 columns to the right per row. The *ray height* of a node is its coordinate along light space's up axis: at right
+**Space.** ``skugga.shadows.sweep.orientation`` turns and mirrors the grid: the sun stands before row 0, and a ray that leaves the
+sun moves by 0 to 1 columns to the right per row. The *ray height* of a node is its coordinate along light space's up axis: at right
 angles to the rays, in the vertical plane of the sun. It is constant along a ray. The *shadow height* of a node is the ray height
 above which it would see the sun. So a point sees the sun exactly if nothing between it and the sun has a higher ray height. No
 slopes and no distances are needed. On the round earth rays remain straight, and the ray heights of the nodes follow the curvature.
