@@ -272,7 +272,11 @@ class Algorithm:
         """
         if self.cost.work is not None:
             return self.cost.work(workload, settings)
-        return {self.name: {"blocks": 1.0, "pixels": workload.pixels, "triangles": workload.all_triangles}} if self.passes else {}
+        return (
+            {self.name: {"blocks": 1.0, "pixels": workload.pixel_count, "triangles": workload.all_triangle_count}}
+            if self.passes
+            else {}
+        )
 
     def calibration_settings(
         self, descriptor: Descriptor, light: str, calibration_extent: str

@@ -47,21 +47,21 @@ def faces_away(normal: np.ndarray, leaf_mask: np.ndarray, to_light: np.ndarray) 
 
 
 @compiled
-def _write_facing_away_mask(first, last, normal, leaves, to_light, out):
+def _write_facing_away_mask(first, last, normal, leaf_mask, to_light, out):
     for i in range(first, last):
         for j in range(normal.shape[1]):
             n = normal[i, j]
             facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE
+            out[i, j] = not (abs(facing) if leaf_mask[i, j] else facing) > MIN_LIGHT_SINE
 
 
 @compiled
-def _write_lamp_shadow_mask(first, last, point, normal, leaves, position, axis, cosine, out):
+def _write_lamp_shadow_mask(first, last, point, normal, leaf_mask, lamp_position, lamp_axis, cutoff_cosine, out):
     for i in range(first, last):
         for j in range(normal.shape[1]):
-            x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
+            x, y, z = lamp_position[0] - point[i, j, 0], lamp_position[1] - point[i, j, 1], lamp_position[2] - point[i, j, 2]
             facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
-            along_axis = -(axis[0] * x + axis[1] * y + axis[2] * z)
+            along_axis = -(lamp_axis[0] * x + lamp_axis[1] * y + lamp_axis[2] * z)
             length = np.sqrt(x * x + y * y + z * z)
-            inside = along_axis >= cosine * length
-            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE * length and inside)
+            inside = along_axis >= cutoff_cosine * length
+            out[i, j] = not ((abs(facing) if leaf_mask[i, j] else facing) > MIN_LIGHT_SINE * length and inside)

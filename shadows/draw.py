@@ -15,7 +15,7 @@ from skugga.shadows.ground_pictures import ground_picture, heights_determine_sha
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import Frame, apply_refraction, check_pixels, render_block, render_frame, worse_reach
+from skugga.shadows.render import Frame, apply_refraction, check_pixel_count, render_block, render_frame, worse_reach
 from skugga.shadows.sunlit_ground import heights_determine_visibility, sunlit_picture
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.geo.camera import PerspectiveView
@@ -57,7 +57,7 @@ def draw(
     """
     if not (isinstance(view, MapView) and can_draw_from_heights(scene, view, plan, needs)):
         return picture_of(render_frame(scene, view, plan, on_block), needs)
-    check_pixels(view)
+    check_pixel_count(view)
     log = PassLog()
     scene = apply_refraction(scene, plan, log)
     blocks, picture = blocks_of(view), None

@@ -69,7 +69,9 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         if not ground.valid.any():
             zeros = np.zeros(ground.valid.shape, np.uint8)
             return Picture(ground.valid, (), np.zeros((*zeros.shape, 3), np.uint8), zeros, reach=NO_CASTERS.reach)
-        reach = find_reach_of_nodes(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
+        reach = (
+            find_reach_of_nodes(scene, bare_nodes(scene, _nodes_around_pixels(ground.window_view), 1)) if "reach" in needs else None
+        )
     lit = _sunlit_shares(scene, ground, plan, log)
     if lit is None:
         return None
@@ -104,7 +106,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
     )
 
 
-def _nodes_under(view: MapView) -> MapView:
+def _nodes_around_pixels(view: MapView) -> MapView:
     """Return the nodes of a map's grid between which its pixels lie, as a map view with one node in each pixel."""
     if view.on_nodes:
         return view

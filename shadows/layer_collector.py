@@ -24,7 +24,7 @@ class LayerCollector:
         self._pixel_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
         self._sized_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
 
-    def add(
+    def add_block(
         self, layers: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
         """Add the layers of a block: its pixels in ``block_window`` become the frame's pixels in ``frame_window``.
@@ -47,7 +47,7 @@ class LayerCollector:
 
     @property
     def pictures(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
-        """The pictures by layer and light, in the form that ``add`` of another collector takes."""
+        """The pictures by layer and light, in the form that ``add_block`` of another collector takes."""
         return {**self._pixel_layers, **self._sized_layers}
 
     @property

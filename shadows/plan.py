@@ -91,7 +91,7 @@ class Plan(_FrozenModel):
             light: {
                 kind: kind_settings
                 if isinstance(kind_settings, AlgorithmSettings)
-                else _read_settings(algorithm.get(light, {}).get(kind), kind_settings)
+                else _validated_settings(algorithm.get(light, {}).get(kind), kind_settings)
                 for kind, kind_settings in per_kind.items()
             }
             for light, per_kind in value.items()
@@ -159,5 +159,5 @@ def plan_steps(
     return steps
 
 
-def _read_settings(name: AlgorithmName | None, value: Any) -> Any:
+def _validated_settings(name: AlgorithmName | None, value: Any) -> Any:
     return value if name is None else TypeAdapter(settings_type(name)).validate_python(value)

@@ -223,10 +223,10 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
 
 def _work(workload: Workload, settings: None) -> Work:
     caster_counts = {
-        "triangles": workload.picture_count * workload.triangles("meshes"),
+        "triangles": workload.picture_count * workload.triangle_count("meshes"),
         "trees": workload.picture_count * workload.tree_count,
     }
-    return {"planar": {"blocks": 1.0, "pixels": workload.picture_pixels, **caster_counts}}
+    return {"planar": {"blocks": 1.0, "pixels": workload.picture_pixel_count, **caster_counts}}
 
 
 def _wrong_share(casting: Casting) -> float:

@@ -16,10 +16,10 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
-MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
+ALGORITHM_MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
 """The modules of the algorithms that come with Skugga."""
 
-ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in MODULES}
+ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in ALGORITHM_MODULES}
 """The registered algorithms by name."""
 
 
@@ -76,13 +76,17 @@ def algorithms_serving(requirements: Iterable[Requirement]) -> list[AlgorithmNam
 
 
 def can_serve(
-    name: AlgorithmName, descriptor: Descriptor, light: str, caster_kind: CasterKind, requested_shadows: Shadows | None = None
+    algorithm_name: AlgorithmName,
+    descriptor: Descriptor,
+    light: str,
+    caster_kind: CasterKind,
+    requested_shadows: Shadows | None = None,
 ) -> bool:
     """Return whether an algorithm can serve a kind of casters under a light of a view.
 
     Parameters
     ----------
-    name
+    algorithm_name
         The name of the algorithm.
     descriptor
         The facts of the view.
@@ -104,4 +108,7 @@ def can_serve(
         The name is not registered, or the view has no such light.
     """
     area = is_area_light(descriptor, light, requested_shadows or Shadows())
-    return ALGORITHMS[name].refusal_reason(requirements_of(descriptor, descriptor.light_kinds[light], caster_kind, area)) is None
+    return (
+        ALGORITHMS[algorithm_name].refusal_reason(requirements_of(descriptor, descriptor.light_kinds[light], caster_kind, area))
+        is None
+    )

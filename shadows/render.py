@@ -140,13 +140,13 @@ class Frame:
         return replace(self, visibilities=visibilities, shown_visibilities=shown_visibilities)
 
 
-def check_pixels(view: MapView | PerspectiveView) -> None:
+def check_pixel_count(view: MapView | PerspectiveView) -> None:
     """Raise ``InputError`` for a view with more pixels than a frame may have."""
     if view.rows * view.cols > MAX_FRAME_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_FRAME_PIXELS} pixels")
 
 
-def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
+def pass_names_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
 
     def effect_names(stage: Stage) -> list[str]:
@@ -207,7 +207,7 @@ def render_frame(
         The work fails, or other passes ran than the plan lists.
     """
     _check_layers(plan, layers)
-    check_pixels(view)
+    check_pixel_count(view)
     size = view.rows, view.cols
     log, reach, collector = PassLog(requested_layers=layers), Reach(0.0, 0.0, False), LayerCollector(size)
     scene = apply_refraction(scene, plan, log)
@@ -226,7 +226,7 @@ def render_frame(
                 frame.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
             if frame.position_frame_m is not None and block.position_frame_m is not None:
                 frame.position_frame_m[frame_window] = block.position_frame_m[block_window]
-        collector.add(log.take_layers(), frame_window, block_window)
+        collector.add_block(log.take_layers(), frame_window, block_window)
         if on_block is not None:
             on_block(completed, len(parts))
     if log.names != plan.passes:

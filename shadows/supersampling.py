@@ -148,7 +148,7 @@ def mean_visibilities(sampling: Supersampling, block_buffer: GeometryBuffer | Ba
             key: [_values_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
             for key, pictures in log.take_layers().items()
         }
-        layers.add(block_layers, window, (slice(None), slice(None)))
+        layers.add_block(block_layers, window, (slice(None), slice(None)))
     log.layers = layers.pictures
     return visibilities
 

@@ -71,7 +71,7 @@ class Workload:
         return self.descriptor.view_kind == "map"
 
     @property
-    def pixels(self) -> float:
+    def pixel_count(self) -> float:
         """Number of pixels, and of their further samples at edges."""
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
@@ -81,19 +81,19 @@ class Workload:
         return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
 
     @property
-    def picture_pixels(self) -> float:
+    def picture_pixel_count(self) -> float:
         """Number of pixels in all ``picture_count``."""
         return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
-    def visible_pixels(self) -> float:
+    def visible_pixel_count(self) -> float:
         """Number of pixels and samples that show a surface."""
-        return self.pixels * self.descriptor.seen_share
+        return self.pixel_count * self.descriptor.seen_share
 
     @property
-    def facing_pixels(self) -> float:
+    def facing_pixel_count(self) -> float:
         """Number of pixels and samples that show a surface that faces the light."""
-        return self.visible_pixels * self.facts.facing_share
+        return self.visible_pixel_count * self.facts.facing_share
 
     @cached_property
     def ground_casting_share(self) -> float:
@@ -116,12 +116,12 @@ class Workload:
         """Return the facts of a kind of casters; ``None`` if the step does not serve it, or the level has none."""
         return next((facts for facts in self.descriptor.stands if facts.kind == kind and kind in self.kinds), None)
 
-    def triangles(self, kind: CasterKind) -> float:
+    def triangle_count(self, kind: CasterKind) -> float:
         facts = self.caster_facts(kind)
         return 0.0 if facts is None else float(facts.triangles)
 
     @property
-    def outside_triangles(self) -> float:
+    def outside_triangle_count(self) -> float:
         facts = self.caster_facts("relief")
         return 0.0 if facts is None else float(facts.outside_triangles)
 
@@ -131,18 +131,18 @@ class Workload:
         return is_decimated(self.descriptor)
 
     @property
-    def ground_triangles(self) -> float:
+    def ground_triangle_count(self) -> float:
         """Number of triangles of the casting ground."""
-        return self.triangles("relief") + self.outside_triangles
+        return self.triangle_count("relief") + self.outside_triangle_count
 
     @property
-    def all_triangles(self) -> float:
-        return self.ground_triangles + self.triangles("meshes") + self.triangles("forest")
+    def all_triangle_count(self) -> float:
+        return self.ground_triangle_count + self.triangle_count("meshes") + self.triangle_count("forest")
 
     @property
     def node_count(self) -> float:
         """Number of nodes of the ground under a map's block."""
-        return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
+        return self.pixel_count * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
 
     @property
     def visible_ground_projected_m2(self) -> float:

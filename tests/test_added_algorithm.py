@@ -87,7 +87,13 @@ def resolve(request: SettingsRequest) -> ResolvedSettings:
 
 
 def estimate_work(task: Workload, settings: CoarseRaysSettings) -> Work:
-    return {"coarse rays": {"blocks": 1.0, "rays": task.visible_pixels / settings.square_px**2, "triangles": task.all_triangles}}
+    return {
+        "coarse rays": {
+            "blocks": 1.0,
+            "rays": task.visible_pixel_count / settings.square_px**2,
+            "triangles": task.all_triangle_count,
+        }
+    }
 
 
 ACCURATE_CONSTANTS = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, interior_spread=0.05)

@@ -179,7 +179,10 @@ def _measure_shadowed_eye() -> dict[str, float]:
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     engine_volumes = _engine_volumes(truth_view, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
-    by_pass = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
+    by_pass = [
+        replace(volume, caster_low_m=volume.caster_low_m - beyond_m, caster_high_m=volume.caster_high_m - beyond_m)
+        for volume in engine_volumes
+    ]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (by_pass, "auto"),
         "z_fail": (engine_volumes, "z_fail"),

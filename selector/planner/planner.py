@@ -21,7 +21,7 @@ from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, Se
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan, Step, Target, plan_steps
 from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, NO_SHADOWS, algorithms_serving
-from skugga.shadows.render import passes_of
+from skugga.shadows.render import pass_names_of
 from skugga.shadows.requirements import FALLBACK_REQUIREMENT, Requirement, is_area_light, requirements_of
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.cast_shadows import sun_caster_verdict, sun_verdict
@@ -207,7 +207,7 @@ class Planner:
         passes = [
             name for step in plan.steps for name in PassLog.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)
         ]
-        return plan.model_copy(update={"passes": passes_of(plan.effect_names, passes)})
+        return plan.model_copy(update={"passes": pass_names_of(plan.effect_names, passes)})
 
     @cached_property
     def _left_out_reasons(self) -> dict[str, str]:

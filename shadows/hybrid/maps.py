@@ -29,7 +29,7 @@ from skugga.terrain.scene import Scene
 HYBRID_BORDER_TEXELS = 1
 """Border of texels round the points, so that no point lies at the edge of the map."""
 
-NEAR_PLANE_SHARE = 1e-6
+NEAR_PLANE_DISTANCE_SHARE = 1e-6
 """Near plane of a lamp, as a share of the nearest point's distance along the map's axis. Nearer casters are ignored."""
 
 MIN_TEXEL_ROUNDING_ERRORS = 256.0
@@ -37,7 +37,7 @@ MIN_TEXEL_ROUNDING_ERRORS = 256.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Window:
+class _MapWindow:
     """A face of a light's map, and the points in it.
 
     Attributes
@@ -75,7 +75,7 @@ class _Window:
     size: tuple[int, int]
 
     @property
-    def key(self) -> Hashable:
+    def cache_key(self) -> Hashable:
         """Cache key of the map's content, apart from the casters."""
         arrays = (self.rotation, self.translation, self.map_origin, self.texel_size)
         return self.is_lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
@@ -149,20 +149,20 @@ def maps_as_picture(
     return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
 
 
-def _cached_map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
+def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """Return the map of a window, and whether it comes from the cache."""
-    conservative = _map_cache.get(window.key, *volumes)
+    conservative = _map_cache.get(window.cache_key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
     corners = [_transform_to_texels(window, part.vertices[part.caps], clipped_triangles) for part in volumes]
     edges = [_transform_to_texels(window, part.vertices[part.silhouette_edges], clipped_edges) for part in volumes]
     empty = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
     conservative = conservative_map(window.size, np.concatenate([empty[0], *corners]), np.concatenate([empty[1], *edges]))
-    _map_cache.put(window.key, *volumes, value=conservative)
+    _map_cache.put(window.cache_key, *volumes, value=conservative)
     return conservative, False
 
 
-def _transform_to_texels(window: _Window, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+def _transform_to_texels(window: _MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
     light_points = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.is_lamp:
@@ -175,7 +175,7 @@ def _project_to_tangents(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
-def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_Window]:
+def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_MapWindow]:
     """Yield the faces of a light's map that contain any points."""
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
@@ -204,7 +204,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
         near_m, slack, error = 0.0, np.float64(4.0 * error_m), np.full(2, error_m)
         if light != SUN:
             min_distance_m = -1.0 / low[2]
-            near_m, slack = NEAR_PLANE_SHARE * min_distance_m, 4.0 * error_m * depth**2
+            near_m, slack = NEAR_PLANE_DISTANCE_SHARE * min_distance_m, 4.0 * error_m * depth**2
             error = error_m / min_distance_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
         low, high = low[:2], high[:2]
         texel = np.maximum((high - low) / max(map_size - 2 * HYBRID_BORDER_TEXELS - 1, 1), MIN_TEXEL_ROUNDING_ERRORS * error)
@@ -212,7 +212,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
         width, height = (int(n) for n in np.ceil((high - map_origin) / texel) + HYBRID_BORDER_TEXELS)
         _to_texels(u, map_origin[0], texel[0])
         _to_texels(v, map_origin[1], texel[1])
-        yield _Window(
+        yield _MapWindow(
             face_pixels, u, v, depth, slack, rotation, translation, light != SUN, near_m, map_origin, texel, (width, height),
         )  # fmt: skip
 

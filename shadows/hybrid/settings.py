@@ -32,7 +32,7 @@ class HybridSettings(StencilSettings):
         return super().as_overrides | {key: map_overrides[key] for key in ("map_size", "depth_bits") if key in map_overrides}
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels a side, the mask, and the settings that differ from their defaults."""
         return [str(self.map.map_size), self.mask, *self.changed_values("mask")]
 

@@ -34,10 +34,10 @@ def hybrid_work(workload: Workload, settings: HybridSettings) -> Work:
     faces = 6.0 if workload.light_kind == "omni" else 1.0
     texels = faces * size**2
     map_counts = {
-        "blocks": 1.0, "texels": texels, "texels of ground": texels if workload.caster_facts("relief") else 0.0,
-        "texels in shadow": texels * workload.facts.cast_share, "caps": caps, "ground": ground, "facing": workload.facing_pixels,
+        "blocks": 1.0, "texels": texels, "texels of ground": texels if workload.caster_facts("relief") else 0.0, "texels in shadow":
+        texels * workload.facts.cast_share, "caps": caps, "ground": ground, "facing": workload.facing_pixel_count,
     }  # fmt: skip
-    mask = {"blocks": 1.0, "facing": workload.facing_pixels, "pixels": workload.pixels, "texels": texels}
+    mask = {"blocks": 1.0, "facing": workload.facing_pixel_count, "pixels": workload.pixel_count, "texels": texels}
     return counting | {workload.part_name_in_view("conservative map"): map_counts, "mask": mask}
 
 

@@ -114,11 +114,11 @@ def look_up_points(
     drawn_map: SunMap, comparison: DepthComparison, points: LookupPoints, point_indices: np.ndarray, visibility: np.ndarray
 ) -> None:
     """Write the share of lit texels around the points at the indices ``point_indices`` to ``visibility`` (n,) float32."""
-    run_in_chunks(len(point_indices), _look_up, drawn_map, comparison, points, point_indices, visibility)
+    run_in_chunks(len(point_indices), _look_up_chunk, drawn_map, comparison, points, point_indices, visibility)
 
 
 @compiled
-def _look_up(first, last, drawn_map, comparison, points, point_indices, visibility):
+def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, visibility):
     uses_triangles, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
         i = point_indices[m]
@@ -208,12 +208,12 @@ def _is_free_of_casters(drawn_map, point_m, side_taps):
 
 
 @internal
-def _is_lit(drawn_map, rounding, row, col, depth_m):
+def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
     rows, cols = drawn_map.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True
     return (
-        min(depth_m / drawn_map.depth_range_m - rounding, np.float32(1.0))
+        min(depth_m / drawn_map.depth_range_m - depth_rounding, np.float32(1.0))
         <= np.float32(drawn_map.depths[row, col]) / drawn_map.depth_step_count
     )
 

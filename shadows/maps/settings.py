@@ -59,7 +59,7 @@ class ShadowMapSettings(AlgorithmSettings):
         return super().as_overrides | {"cascades": len(self.cascades)}
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, the number of cascades, and other values that differ from their defaults."""
         several = [f"{len(self.cascades)}cascades"] if len(self.cascades) > 1 else []
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed_values()]
@@ -80,7 +80,7 @@ class LampMapSettings(AreaLightSettings):
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, and other values that differ from their defaults."""
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values()]
 
@@ -101,6 +101,6 @@ class PerspectiveMapSettings(AreaLightSettings):
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, and other values that differ from their defaults."""
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values()]

@@ -21,12 +21,14 @@ def shadow_map_work(workload: Workload, settings: ShadowMapSettings | LampMapSet
     """Return the work of the sun's maps, or of a lamp's."""
     if isinstance(settings, ShadowMapSettings):
         windows = sun_windows(workload.descriptor, settings)
-        return {workload.part_name_in_view("shadow_map"): _map_counts(workload, windows, settings.filter, workload.facing_pixels)}
+        return {
+            workload.part_name_in_view("shadow_map"): _map_counts(workload, windows, settings.filter, workload.facing_pixel_count)
+        }
     if settings.filter == "sun":
         return scale_work(shadow_map_work(workload, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if workload.light_kind == "omni" else 1
     windows = [(float(settings.map_size**2), workload.level_ground_projected_m2)] * faces
-    return {f"shadow_map, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.visible_pixels)}
+    return {f"shadow_map, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.visible_pixel_count)}
 
 
 def perspective_map_work(workload: Workload, settings: PerspectiveMapSettings) -> Work:
@@ -35,7 +37,9 @@ def perspective_map_work(workload: Workload, settings: PerspectiveMapSettings) -
         return scale_work(perspective_map_work(workload, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), workload.visible_ground_projected_m2)]
     return {
-        f"perspective_shadow_map, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.facing_pixels)
+        f"perspective_shadow_map, {workload.light_kind}": _map_counts(
+            workload, windows, settings.filter, workload.facing_pixel_count
+        )
     }
 
 
@@ -50,17 +54,17 @@ def _map_counts(workload: Workload, windows: MapWindows, filter: int | str, look
         leaves += window_texels * workload.tree_layers if workload.tree_count else 0.0
         trees += workload.trees_within(window_m2) if workload.light == SUN else workload.tree_count
     counts = {
-        "blocks": 1.0, "maps": count, "fitted pixels": workload.pixels * count, f"look-ups, filter {filter}": lookup_count,
+        "blocks": 1.0, "maps": count, "fitted pixels": workload.pixel_count * count, f"look-ups, filter {filter}": lookup_count,
         # A processor's cache holds a smaller share of a larger map.
         "look-ups by texels": lookup_count * texels / max(count, 1.0) / 2.0**20,
         "texels": texels, "texels of ground": texels if workload.caster_facts("relief") else 0.0, "texels of leaves": leaves,
         # The share of a map that casters cover. It is unknown for a lamp.
         "texels in shadow": texels * workload.facts.cast_share if workload.light == SUN else 0.0,
-        "triangles": count * workload.triangles("meshes"), "trees": count * workload.tree_count,
+        "triangles": count * workload.triangle_count("meshes"), "trees": count * workload.tree_count,
     }  # fmt: skip
-    ground = {"ground": count * workload.ground_triangles}
+    ground = {"ground": count * workload.ground_triangle_count}
     if workload.is_map_view:  # the nodes of the block are read whatever casts
-        ground |= {"pixels": workload.pixels, "nodes": workload.node_count}
+        ground |= {"pixels": workload.pixel_count, "nodes": workload.node_count}
     else:
         ground["trees drawn"] = trees
     return counts | ground

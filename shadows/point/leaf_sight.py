@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.point.directions import Directions, direction_range
-from skugga.shadows.point.solid_sight import MIN_DISTANCE_M, Sighting, azimuth_of
+from skugga.shadows.point.solid_sight import MIN_DISTANCE_M, Sighting, azimuth_deg_of
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
@@ -87,7 +87,7 @@ def _trees_above_eye(base, shape, enu_rotation, origin):
         low, high, steepest = 0.0, 360.0, np.inf
         if distance > half:
             spread = np.degrees(np.arcsin(half / distance))
-            low = (azimuth_of(foot) - spread) % 360.0
+            low = (azimuth_deg_of(foot) - spread) % 360.0
             high, steepest = low + 2.0 * spread, top / (distance - half)
         number[count], bounds[0, count], bounds[1, count], bounds[2, count] = m, low, high, steepest
         count += 1

@@ -71,7 +71,7 @@ def _update_with_triangles(point, triangles, directions, tangent, seeks_highest,
         if _is_overhead(a, b, c):
             low, high = 0.0, 360.0
         else:
-            azimuth[0], azimuth[1], azimuth[2] = azimuth_of(a), azimuth_of(b), azimuth_of(c)
+            azimuth[0], azimuth[1], azimuth[2] = azimuth_deg_of(a), azimuth_deg_of(b), azimuth_deg_of(c)
             low, high = azimuth[0], azimuth[0]
             for k in range(1, 3):
                 unwrapped = azimuth[0] + (azimuth[k] - azimuth[0] + 540.0) % 360.0 - 180.0
@@ -87,9 +87,9 @@ def _update_with_triangles(point, triangles, directions, tangent, seeks_highest,
 
 
 @internal
-def azimuth_of(p):
+def azimuth_deg_of(point):
     """Return the azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
-    angle = np.degrees(np.arctan2(p[0], p[1])) % 360.0
+    angle = np.degrees(np.arctan2(point[0], point[1])) % 360.0
     return angle if angle < 360.0 else 0.0
 
 

@@ -69,11 +69,11 @@ class SunDay:
         Start of the first and end of the last interval of direct sun; ``None`` without any.
     daylight_h
         Hours with the sun up.
-    direct_h
+    direct_sun_h
         Hours of direct sun.
-    masked_h
+    hidden_sun_h
         Hours with the sun up, but hidden.
-    sunlit
+    sunlit_intervals
         The intervals of direct sun.
     remark
         Explanation of values of ``None``, such as polar night; ``None`` if there is nothing to explain.
@@ -87,9 +87,9 @@ class SunDay:
     first_sun: datetime | None
     last_sun: datetime | None
     daylight_h: float
-    direct_h: float
-    masked_h: float
-    sunlit: tuple[SunlitInterval, ...]
+    direct_sun_h: float
+    hidden_sun_h: float
+    sunlit_intervals: tuple[SunlitInterval, ...]
     remark: str | None
 
 
@@ -129,9 +129,9 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
         first_sun=sunlit[0].begin if sunlit else None,
         last_sun=sunlit[-1].end if sunlit else None,
         daylight_h=daylight / 3600.0,
-        direct_h=direct / 3600.0,
-        masked_h=max(daylight - direct, 0.0) / 3600.0,
-        sunlit=sunlit,
+        direct_sun_h=direct / 3600.0,
+        hidden_sun_h=max(daylight - direct, 0.0) / 3600.0,
+        sunlit_intervals=sunlit,
         remark=_remark(up, bool(sunlit), len(rises), len(sets)),
     )
 

@@ -34,13 +34,13 @@ class SunYear:
         The n dates.
     daylight_h
         (n,): hours with the sun up.
-    direct_h
+    direct_sun_h
         (n,): hours of direct sun on the point.
     """
 
     days: tuple[date, ...]
     daylight_h: np.ndarray
-    direct_h: np.ndarray
+    direct_sun_h: np.ndarray
 
 
 def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:

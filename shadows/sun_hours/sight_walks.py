@@ -67,7 +67,7 @@ class WalkedGround(NamedTuple):
 class SunTrack(NamedTuple):
     """The direction to the sun over a block of cells between two moments.
 
-    The cells are in the order of a turned grid, which is rotated and mirrored so that the sun stands before row 0.
+    The cells are in the order of a sun-aligned grid, which is rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
@@ -76,17 +76,17 @@ class SunTrack(NamedTuple):
     direction_coefficients
         (3, TRACK_TIMES, 6): coefficients of quadratics over the cells, at the two moments and midway between them. They give rows
         per metre towards the sun, columns per metre towards the sun, and the tangent of the sun's altitude.
-    grid_from_turned
-        int64 (2, 3): affine map from turned positions to rows and to columns of the grid. Each row holds an offset, a step per
-        turned row and a step per turned column.
+    grid_from_sun_aligned
+        int64 (2, 3): affine map from sun-aligned positions to rows and to columns of the grid. Each row holds an offset, a step per
+        sun-aligned row and a step per sun-aligned column.
     last_index
-        (2,): index of the last turned row and of the last turned column, at least 1.
+        (2,): index of the last sun-aligned row and of the last sun-aligned column, at least 1.
     """
 
     begin_minutes: float
     end_minutes: float
     direction_coefficients: np.ndarray
-    grid_from_turned: np.ndarray
+    grid_from_sun_aligned: np.ndarray
     last_index: np.ndarray
 
 
@@ -134,7 +134,7 @@ def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
 def sun_track(
     day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, time_range_minutes: tuple[float, float]
 ) -> SunTrack:
-    """Return the direction to the sun over a block's cells, in the order of a turned grid, between two moments.
+    """Return the direction to the sun over a block's cells, in the order of a sun-aligned grid, between two moments.
 
     ``time_range_minutes`` holds the moments, minutes after the start of the day's window of time.
     """
@@ -155,17 +155,17 @@ def sun_track(
         on_down, on_right = (np.sum(flat * axis, axis=1) / length for axis in (down, right))
         square = a * c - b * b
         towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
-    i, j = orientation.to_turned(row, col, view.rows, view.cols)
+    i, j = orientation.to_sun_aligned(row, col, view.rows, view.cols)
     shape = (view.cols, view.rows) if orientation.axes_swapped else (view.rows, view.cols)
-    turned = np.array([0, 1, 0]), np.array([0, 0, 1])
-    first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
-    grid_from_turned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
+    sun_aligned = np.array([0, 1, 0]), np.array([0, 0, 1])
+    first, after_row, after_col = np.stack(orientation.from_sun_aligned(*sun_aligned, view.rows, view.cols), axis=1)
+    grid_from_sun_aligned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
     last_index = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
     return SunTrack(
         float(time_range_minutes[0]),
         float(time_range_minutes[1]),
         towards @ quadratic_fit(i, j, shape).T,
-        grid_from_turned,
+        grid_from_sun_aligned,
         last_index,
     )
 
@@ -175,9 +175,9 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     """Return the tangent of the sun's altitude less that of the horizon, and the change per minute of the sun's tangent.
 
     They hold at the moment ``minutes``, for an eye ``eye_height_m`` metres above the node at row ``i`` and column ``j`` of the
-    turned grid.
+    sun-aligned grid.
     """
-    affine, a = track.grid_from_turned, track.direction_coefficients
+    affine, a = track.grid_from_sun_aligned, track.direction_coefficients
     row, col = affine[0, 0] + i * affine[0, 1] + j * affine[0, 2], affine[1, 0] + i * affine[1, 1] + j * affine[1, 2]
     y, x = i / track.last_index[0], j / track.last_index[1]
     span = track.end_minutes - track.begin_minutes

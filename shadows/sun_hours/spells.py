@@ -142,14 +142,14 @@ def empty_spells(shape: tuple[int, int]) -> SunSpells:
     return SunSpells(initial[0], zeros[0], initial[1], initial[2], zeros[1], zeros[2], zeros[3])
 
 
-def turned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
+def sun_aligned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
     """Return spells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
-    return SunSpells(*(turned_copy(values, before, after) for values in spells))
+    return SunSpells(*(sun_aligned_copy(values, before, after) for values in spells))
 
 
-def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
+def sun_aligned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
     """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
-    view = after.turned(before.restored(values))
+    view = after.sun_aligned(before.restored(values))
     out = np.empty(view.shape, view.dtype)
     copy_in_blocks(view, out)
     return out

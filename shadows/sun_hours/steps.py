@@ -70,15 +70,15 @@ def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, min_altitude_d
     return np.concatenate(parts, axis=1)
 
 
-def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
-    """Return the absolute errors of a day's minutes of sun at n cells, if only every ``step``-th minute is sampled: (n,).
+def missed_minutes(lit: np.ndarray, step_minutes: int) -> np.ndarray:
+    """Return the absolute errors of a day's minutes of sun at n cells, if only every ``step_minutes``-th minute is sampled: (n,).
 
     ``lit`` bool (n, minutes) is the truth. If two successive samples differ, the first change between them is assumed to be located
     exactly. If they are equal, all changes between them are missed.
     """
     error_minutes = np.zeros(len(lit))
-    for begin in range(0, lit.shape[1] - 1, step):
-        end = min(begin + step, lit.shape[1] - 1)
+    for begin in range(0, lit.shape[1] - 1, step_minutes):
+        end = min(begin + step_minutes, lit.shape[1] - 1)
         inside = lit[:, begin:end]
         before, after = lit[:, begin], lit[:, end]
         first_change = np.where((inside != before[:, None]).any(axis=1), (inside != before[:, None]).argmax(axis=1), end - begin)

@@ -7,8 +7,9 @@ margin by which each cell sees the sun. The times at which clearances change the
 times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it
 is visible.
 
-The sweep uses a turned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the turned grid
-from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis of the grid.
+The sweep uses a sun-aligned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the
+sun-aligned grid from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis
+of the grid.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from skugga.shadows.sun_hours.spells import (
     empty_spells,
     end_day,
     end_spells,
-    turned_copy,
-    turned_spells,
+    sun_aligned_copy,
+    sun_aligned_spells,
 )
 from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
@@ -175,7 +176,7 @@ def sun_hours(
             end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
-    spells = turned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
+    spells = sun_aligned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
 
     def mask_invalid(values: np.ndarray) -> np.ndarray:
         return np.where(valid, values, np.float32(np.nan))
@@ -192,16 +193,16 @@ def sun_hours(
 
 @dataclass(frozen=True, eq=False)
 class _BlockSpells:
-    """The sun at a block's cells up to a moment, in the order of a turned grid.
+    """The sun at a block's cells up to a moment, in the order of a sun-aligned grid.
 
     Attributes
     ----------
     view
         The block.
     orientation
-        How the grid is turned.
+        How the grid is sun_aligned.
     spells
-        The intervals of sun so far, (n, m) in the order of the turned grid.
+        The intervals of sun so far, (n, m) in the order of the sun-aligned grid.
     """
 
     view: MapView
@@ -212,14 +213,14 @@ class _BlockSpells:
         return (
             self
             if orientation == self.orientation
-            else _BlockSpells(self.view, orientation, turned_spells(self.spells, self.orientation, orientation))
+            else _BlockSpells(self.view, orientation, sun_aligned_spells(self.spells, self.orientation, orientation))
         )
 
     @property
     def fit_matrix(self) -> np.ndarray:
-        """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the turned grid."""
+        """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the sun-aligned grid."""
         row, col = block_sample_positions(self.view)
-        i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
+        i, j = self.orientation.to_sun_aligned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day_minutes.shape)
 
 
@@ -230,13 +231,13 @@ def _add_span(
     moments: list[ClearanceSample] = []
     is_first_step = True
 
-    def add_step(four: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
-        walk_input = block.walk_input(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
-        add_sun_between(block_spells.spells, four, clock, block_spells.fit_matrix, is_first_step, walk_input, CORES)
+    def add_step(four_moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
+        walk_input = block.walk_input(day, (four_moments[1].minutes, four_moments[2].minutes), block_spells.orientation)
+        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, CORES)
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
         if orientation != block_spells.orientation:
-            moments = [replace(m, clearance=turned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
+            moments = [replace(m, clearance=sun_aligned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
             block_spells = block_spells.reoriented(orientation)
         moments.append(ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel()))
         if number >= 2:
@@ -273,7 +274,7 @@ class _TerrainBlock:
         An array is overwritten four moments later.
         """
         arrays: list[np.ndarray] = []
-        for minutes, patches in self._casters(day, span):
+        for minutes, patches in self._casters_by_moment(day, span):
             self._recent_patches.append(patches)
             node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES_PER_COLUMN)
             spare = arrays.pop(0) if len(arrays) == 4 else None
@@ -293,8 +294,8 @@ class _TerrainBlock:
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
 
-        ``time_range_minutes`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells' turned
-        grid.
+        ``time_range_minutes`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells'
+        sun-aligned grid.
         """
         if time_range_minutes[1] - time_range_minutes[0] <= MIN_WALK_STEP_MINUTES:
             return None
@@ -309,7 +310,7 @@ class _TerrainBlock:
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun_at(minutes, self._scene.world))
 
-    def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
+    def _casters_by_moment(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
         """Yield each moment of a span in minutes, with the patches of ground that may cast shadows on the block at that moment."""
         first, last = span.sample_minutes(0), span.sample_minutes(len(span.samples_minutes) - 1)
         end = -np.inf

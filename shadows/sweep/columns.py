@@ -1,7 +1,7 @@
 """The sun's shadows of upright columns (``skugga.terrain.ground.columns``), by one ray per column.
 
 Over smooth ground the shadow between two rays can be interpolated. At walls it cannot: a ray either meets a column or passes beside
-it. So each column has its own ray, from the middle of its top. The ray is followed towards the sun over the turned grid
+it. So each column has its own ray, from the middle of its top. The ray is followed towards the sun over the sun-aligned grid
 (``skugga.shadows.sweep.lines``), row by row. Over a cell the ray is lowest where it enters. There its height is compared with the
 cell's flat top. A ray that touches a corner or runs along a border meets the cell.
 
@@ -48,8 +48,8 @@ POINTS_PER_CHUNK = 2**15
 """Number of points that a thread processes at a time."""
 
 
-class TurnedColumns(NamedTuple):
-    """Upright columns (n, m) on a turned grid (rotated and mirrored so that the sun stands before row 0).
+class SunAlignedColumns(NamedTuple):
+    """Upright columns (n, m) on a sun-aligned grid (rotated and mirrored so that the sun stands before row 0).
 
     The cubics (n + 1, 4) are functions of t, the position across the sun's rays. One holds along the border before each row, and
     the last one along the border after the last row.
@@ -100,7 +100,7 @@ class ColumnGround:
     shape
         Rows and columns before turning.
     columns
-        The turned columns.
+        The sun-aligned columns.
     sunward_at_zero
         (n + 1, 4), metres: cubics in t of the distance towards the sun, at height 0.
     sunward_per_metre
@@ -111,11 +111,11 @@ class ColumnGround:
     row0: int
     col0: int
     shape: tuple[int, int]
-    columns: TurnedColumns
+    columns: SunAlignedColumns
     sunward_at_zero: np.ndarray
     sunward_per_metre: np.ndarray
 
-    def with_raised_sun(self, angle_rad: float) -> TurnedColumns:
+    def with_raised_sun(self, angle_rad: float) -> SunAlignedColumns:
         """Return the columns with the ray heights for a sun that is higher by ``angle_rad``."""
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         return self.columns._replace(
@@ -139,7 +139,7 @@ class ColumnSweep:
     point_index
         int (rows, cols): the point that each pixel shows; -1 without one.
     row
-        (n,): rows of the points on the turned grid of the finest ground.
+        (n,): rows of the points on the sun-aligned grid of the finest ground.
     t
         (n,): positions of the points across the sun's rays, in cells.
     height_m
@@ -179,24 +179,24 @@ class ColumnSweep:
 
         def sweep_chunk(first: int) -> None:
             part = slice(first, first + POINTS_PER_CHUNK)
-            for ground, turned in zip(self.grounds, grounds, strict=True):
-                row = self._turned_rows_on(ground, self.row[part])
-                _follow_rays(turned, row, self.t[part] / turned.cell_size, ray_heights[part], needs_height, above[part])
+            for ground, sun_aligned in zip(self.grounds, grounds, strict=True):
+                row = self._sun_aligned_rows_on(ground, self.row[part])
+                _follow_rays(sun_aligned, row, self.t[part] / sun_aligned.cell_size, ray_heights[part], needs_height, above[part])
 
         map_on_cores(sweep_chunk, range(0, len(above), POINTS_PER_CHUNK), cores)
         return np.append(above, 0.0)[self.point_index]
 
-    def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
-        """Convert rows (n,) on the turned grid of the finest ground to those of another level of detail."""
+    def _sun_aligned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
+        """Convert rows (n,) on the sun-aligned grid of the finest ground to those of another level of detail."""
         finest, orientation = self.grounds[0], self.rays.orientation
         if ground is finest:
             return row
         ends = np.array([0.0, 1.0])
-        end_row, end_col = orientation.from_turned(ends, ends, *finest.shape)
+        end_row, end_col = orientation.from_sun_aligned(ends, ends, *finest.shape)
         side = 2.0**ground.lod
         coarse_row, coarse_col = ((end_row + finest.row0 + 0.5) / side - 0.5, (end_col + finest.col0 + 0.5) / side - 0.5)
-        turned_ends, _ = orientation.to_turned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
-        return turned_ends[0] + row * (turned_ends[1] - turned_ends[0])
+        sun_aligned_ends, _ = orientation.to_sun_aligned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
+        return sun_aligned_ends[0] + row * (sun_aligned_ends[1] - sun_aligned_ends[0])
 
 
 def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> ColumnSweep:
@@ -221,9 +221,9 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
-    turned_row, _ = rays.orientation.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
+    sun_aligned_row, _ = rays.orientation.to_sun_aligned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
-    return ColumnSweep(rays, grounds, point_index, turned_row, t, height_m, ray_height_m, sunward_m)
+    return ColumnSweep(rays, grounds, point_index, sun_aligned_row, t, height_m, ray_height_m, sunward_m)
 
 
 def _number_points(buffer: GeometryBuffer, column_indices: ColumnIndices, column_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -260,11 +260,11 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
     for row, col, height_m in windows:
         window = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
         heights[window] = np.where(np.isfinite(height_m), height_m, NO_COLUMN)
-    turned = np.ascontiguousarray(rays.orientation.turned(heights))
+    sun_aligned = np.ascontiguousarray(rays.orientation.sun_aligned(heights))
     grid, side = columns.coarser(lod).grid, 2.0**lod
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        row, col = rays.orientation.from_turned(i, j, rows, cols)
+        row, col = rays.orientation.from_sun_aligned(i, j, rows, cols)
         point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
         light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (
@@ -277,13 +277,13 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
         ])  # fmt: skip
 
     column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, sunward_at_zero, sunward_per_metre = _border_cubics(
-        along_rays, turned.shape[0], turned.shape[1], grid.crs.name
+        along_rays, sun_aligned.shape[0], sun_aligned.shape[1], grid.crs.name
     )
-    padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
+    padded = np.pad(sun_aligned, [(0, -size % BAND_CELLS) for size in sun_aligned.shape], constant_values=NO_COLUMN)
     block_max = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
-    max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
-    turned_columns = TurnedColumns(
-        turned,
+    max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(sun_aligned.max(axis=1))]).astype(np.float32)
+    sun_aligned_columns = SunAlignedColumns(
+        sun_aligned,
         block_max,
         max_ahead,
         column_of_t,
@@ -293,17 +293,17 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
         rays.mean_height_m,
         side,
     )
-    return ColumnGround(lod, row0, col0, (rows, cols), turned_columns, sunward_at_zero, sunward_per_metre)
+    return ColumnGround(lod, row0, col0, (rows, cols), sun_aligned_columns, sunward_at_zero, sunward_per_metre)
 
 
 def _border_cubics(
     along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> Iterator[np.ndarray]:
-    """Fit cubics in t along each border between rows of a turned grid: (rows + 1, 4) for each of six quantities.
+    """Fit cubics in t along each border between rows of a sun-aligned grid: (rows + 1, 4) for each of six quantities.
 
-    t is the position across the sun's rays, in cells. At turned rows and columns, ``along_rays`` returns t, its change per metre of
-    height, and four more values. The six quantities are the column, its shift per metre of height, and the four values. Raises
-    ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
+    t is the position across the sun's rays, in cells. At sun-aligned rows and columns, ``along_rays`` returns t, its change per
+    metre of height, and four more values. The six quantities are the column, its shift per metre of height, and the four values.
+    Raises ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -341,7 +341,7 @@ def _fitted_coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.n
 
 @compiled
 def _ray_heights(columns, row, t, height):
-    """Return the ray heights (n,), metres, of points at turned rows, positions t across the rays, and heights in metres."""
+    """Return the ray heights (n,), metres, of points at sun-aligned rows, positions t across the rays, and heights in metres."""
     out = np.empty(row.size)
     borders = len(columns.ray_height_at_zero)
     for n in range(row.size):
@@ -379,7 +379,7 @@ def _border_crossing(columns, b, t, ray_height):
 
 @internal
 def _highest_above(columns, row, t, ray_height, needs_height, above_m):
-    """Return the maximum of ``above_m`` and of the heights in metres of columns above a ray from a turned row to the sun.
+    """Return the maximum of ``above_m`` and of the heights in metres of columns above a ray from a sun-aligned row to the sun.
 
     Unless ``needs_height``, the search ends at the first column that exceeds ``above_m``.
     """

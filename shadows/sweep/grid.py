@@ -1,7 +1,8 @@
 """Grids for the line sweep, and the sweep itself, which runs on several cores, each with a strip of lines.
 
-The *turned grid* is a grid that is rotated and mirrored so that the sun stands before row 0. Lines are sun rays seen from above.
-Their position across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one converts back.
+The *sun-aligned grid* is a grid that is rotated and mirrored so that the sun stands before row 0. Lines are sun rays seen from
+above. Their position across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one
+converts back.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.lines import LineStrip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.lines import LineStrip, SunAlignedGrid, sweep_rows
 from skugga.shadows.sweep.orientation import GridOrientation, orientation_towards
 from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
 from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
@@ -20,7 +21,7 @@ STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that the strip's state and two rows of the grid fit into a core's cache."""
 
 TURN_BAND_ROWS = 64
-"""Rows of a grid that a thread copies to the turned grid at a time."""
+"""Rows of a grid that a thread copies to the sun-aligned grid at a time."""
 
 
 CellSize = float | tuple[float, float]
@@ -33,7 +34,7 @@ NO_MASK = np.zeros((0, 0), np.bool_)
 """An empty mask, for an output that is not needed."""
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
-"""Value of ``TurnedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
+"""Value of ``SunAlignedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +44,12 @@ class SweepPoints:
     Attributes
     ----------
     row, col
-        float64 (n,): positions on the turned grid; columns do not count the border.
+        float64 (n,): positions on the sun-aligned grid; columns do not count the border.
     t
         float64 (n,): coordinates across the lines, in cells.
     ray_height
         float64 (n,), metres: ray heights; NaN for points on the ground, which have the ground's.
-    rounding
+    ray_height_rounding_m
         Metres by which the ground's ray height must exceed a point's to shade it.
     """
 
@@ -56,7 +57,7 @@ class SweepPoints:
     col: np.ndarray
     t: np.ndarray
     ray_height: np.ndarray
-    rounding: float
+    ray_height_rounding_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +94,12 @@ class LineState:
 ALL_ROWS = slice(None)
 """All rows of a grid."""
 
-Window = tuple[tuple[int, int], tuple[int, int]]
+GridWindow = tuple[tuple[int, int], tuple[int, int]]
 """A window of a grid: its first row and the row after its last one, and the same of its columns."""
 
 
 def allocate_bordered_grid(
-    n: int, m: int, filled_rows: slice = ALL_ROWS, window_to_fill: Window = ((0, 0), (0, 0))
+    n: int, m: int, filled_rows: slice = ALL_ROWS, window_to_fill: GridWindow = ((0, 0), (0, 0))
 ) -> tuple[np.ndarray, np.ndarray]:
     """Allocate a float32 grid (n, m + 2) with border columns, and return it and its view (n, m) without them.
 
@@ -123,7 +124,7 @@ def close_border(with_border: np.ndarray, filled_rows: slice = ALL_ROWS) -> np.n
 
 
 def sweep_nodes(
-    turned_grid: TurnedGrid,
+    sun_aligned_grid: SunAlignedGrid,
     lines: int,
     t_range: tuple[float, float],
     entry_state: LineState | None = None,
@@ -135,14 +136,14 @@ def sweep_nodes(
     cores: int = 1,
     first_ground_row: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sweep a turned grid, and compute which of its nodes and of other points see the sun.
+    """Sweep a sun-aligned grid, and compute which of its nodes and of other points see the sun.
 
     Only nodes and points whose t (position across the lines) lies in ``t_range`` are evaluated.
 
     Parameters
     ----------
-    turned_grid
-        The turned grid (n, m + 2), borders included.
+    sun_aligned_grid
+        The sun-aligned grid (n, m + 2), borders included.
     lines
         Lines per column.
     t_range
@@ -152,7 +153,7 @@ def sweep_nodes(
     coarser_cell_ratio
         Cell size of the coarser grid, in cells of this one.
     row_range
-        Nodes to evaluate: the turned rows [rows[0], rows[1]); none by default.
+        Nodes to evaluate: the sun-aligned rows [rows[0], rows[1]); none by default.
     col_range
         Nodes to evaluate: the columns [cols[0], cols[1]), not counting the border; all by default.
     points
@@ -173,7 +174,7 @@ def sweep_nodes(
     points_above_m
         float32 (k,): metres by which the highest ray height between a point and the sun exceeds the point's own.
     """
-    n, columns = turned_grid.ray_height.shape
+    n, columns = sun_aligned_grid.ray_height.shape
     first, last = row_range
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
     first_col, last_col = (0, columns - 2) if col_range is None else col_range
@@ -197,11 +198,11 @@ def sweep_nodes(
             points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
         )
         strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.rounding, *strip_results)
+        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.ray_height_rounding_m, *strip_results)
         strip_state = LineStrip(lines, start - 1, line_max, initial_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(first_ground_row, int(interval.min(initial=n))), end)
-        sweep_rows(turned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
-        sweep_rows(turned_grid, strip_state, before, end, shadow_ray_heights, lit, strip_points)
+        sweep_rows(sun_aligned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
+        sweep_rows(sun_aligned_grid, strip_state, before, end, shadow_ray_heights, lit, strip_points)
         scatter_results(number, *strip_results, points_lit, points_above_m)
 
     map_on_cores(sweep_strip, range(low, high, STRIP_CELLS), cores)
@@ -216,14 +217,14 @@ def initial_peaks(lines: int, cells: int) -> np.ndarray:
 
 
 def sweep_to_state(
-    turned_grid: TurnedGrid,
+    sun_aligned_grid: SunAlignedGrid,
     lines: int,
     t_range: tuple[float, float],
     entry_state: LineState | None = None,
     coarser_cell_ratio: float = 2.0,
     first_ground_row: int = 0,
 ) -> LineState:
-    """Sweep all rows of a turned grid, and return the highest ray height along each line.
+    """Sweep all rows of a sun-aligned grid, and return the highest ray height along each line.
 
     ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry_state``
     and ``coarser_cell_ratio`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
@@ -232,9 +233,11 @@ def sweep_to_state(
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
     if entry_state is not None:
         state = entry_state.resampled(low, high - low, lines, coarser_cell_ratio)
-    rows = len(turned_grid.ray_height)
+    rows = len(sun_aligned_grid.ray_height)
     strip = LineStrip(lines, low, state.line_max, initial_peaks(lines, high - low))
-    sweep_rows(turned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, empty_strip_points(rows))
+    sweep_rows(
+        sun_aligned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, empty_strip_points(rows)
+    )
     return state
 
 
@@ -269,12 +272,12 @@ def sunlit_nodes(
     height_m = np.pad(height_m, 1, mode="edge")
     orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
-    ray_height = turned_linear_values(
+    ray_height = sun_aligned_linear_values(
         height_m, orientation, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores
     )
     n, m = ray_height.shape
-    turned_grid = TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
-    lit, _, _ = sweep_nodes(turned_grid, lines, (t_of_column[:, 0].min(), m), row_range=(0, n), cores=cores)
+    sun_aligned_grid = SunAlignedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
+    lit, _, _ = sweep_nodes(sun_aligned_grid, lines, (t_of_column[:, 0].min(), m), row_range=(0, n), cores=cores)
     return orientation.restored(lit)[1:-1, 1:-1]
 
 
@@ -296,10 +299,10 @@ def flat_world_grid(
     return orientation, row_m, col_m, column_of_t, t_of_column
 
 
-def turned_linear_values(
+def sun_aligned_linear_values(
     height: np.ndarray, orientation: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
 ) -> np.ndarray:
-    """Return values that are linear in the heights, rows and columns of a grid, as a turned grid with borders, float32.
+    """Return values that are linear in the heights, rows and columns of a grid, as a sun-aligned grid with borders, float32.
 
     ``height`` (rows, cols) is in metres. The values grow by ``per_height`` per metre, ``per_row`` per row and ``per_col`` per
     column of the grid before turning.

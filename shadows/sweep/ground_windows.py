@@ -1,4 +1,4 @@
-"""The ground between the sun and a view, as windows of a turned grid: one for each level of detail."""
+"""The ground between the sun and a view, as windows of a sun-aligned grid: one for each level of detail."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, NO_RAY_HEIGHTS, allocate_bordered_grid, close_border
-from skugga.shadows.sweep.lines import TurnedGrid
+from skugga.shadows.sweep.lines import SunAlignedGrid
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import PATCH_QUADS, Patch
@@ -37,28 +37,30 @@ class GroundWindow:
         Row and column of the window's first node, on the grid at this level of detail.
     shape
         Rows and columns of the window before turning.
-    turned_grid
-        The ray heights on the turned grid, and the positions of its lines.
+    sun_aligned_grid
+        The ray heights on the sun-aligned grid, and the positions of its lines.
     sunward_m
-        float32, turned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
+        float32, sun-aligned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
     first_ground_row
-        First turned row that may hold ground.
+        First sun-aligned row that may hold ground.
     """
 
     lod: int
     row0: int
     col0: int
     shape: tuple[int, int]
-    turned_grid: TurnedGrid
+    sun_aligned_grid: SunAlignedGrid
     sunward_m: np.ndarray
     first_ground_row: int = 0
 
-    def with_raised_sun(self, angle_rad: float) -> TurnedGrid:
-        """Return the turned grid for a sun that is higher by ``angle_rad``. Angles other than 0 need ``sunward_m``."""
+    def with_raised_sun(self, angle_rad: float) -> SunAlignedGrid:
+        """Return the sun-aligned grid for a sun that is higher by ``angle_rad``. Angles other than 0 need ``sunward_m``."""
         if angle_rad == 0.0:
-            return self.turned_grid
-        ray_height = np.float32(np.cos(angle_rad)) * self.turned_grid.ray_height - np.float32(np.sin(angle_rad)) * self.sunward_m
-        return self.turned_grid._replace(ray_height=ray_height)
+            return self.sun_aligned_grid
+        ray_height = (
+            np.float32(np.cos(angle_rad)) * self.sun_aligned_grid.ray_height - np.float32(np.sin(angle_rad)) * self.sunward_m
+        )
+        return self.sun_aligned_grid._replace(ray_height=ray_height)
 
 
 def grounds_of_block(
@@ -110,20 +112,24 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
 def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     """Return whether a patch lies behind a block, as seen from the sun, and casts no shadow on it.
 
-    On the turned grid the rays lead down and to the right. If they lead almost straight down, some may lead to the left. This is
-    considered for patches at full detail only: a coarser patch takes part only if it lies towards the sun.
+    On the sun-aligned grid the rays lead down and to the right. If they lead almost straight down, some may lead to the left. This
+    is considered for patches at full detail only: a coarser patch takes part only if it lies towards the sun.
     """
     side = PATCH_QUADS * 2**patch.lod
     rows, cols = block.shape
-    i, j = rays.orientation.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
-    block_i, block_j = rays.orientation.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
+    i, j = rays.orientation.to_sun_aligned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
+    block_i, block_j = rays.orientation.to_sun_aligned(
+        np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0
+    )
     lean = patch.lod == 0 and rays.columns_per_row < RAY_DIRECTION_TOLERANCE
     return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 
 @cached("light", 1024 * MIB)
 def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, needs_sunward: bool) -> tuple[SunRays, GroundWindow]:
-    """Return the sun's rays over the ground of a perspective view, and this ground as a turned grid. The last result is cached.
+    """Return the sun's rays over the ground of a perspective view, and this ground as a sun-aligned grid.
+
+    The last result is cached.
 
     If the drawn ground is decimated (drawn with fewer nodes), all other nodes get values on the drawn triangles. Quads are then cut
     along the sides of these triangles.
@@ -143,21 +149,23 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     _, ray_height_m, sunward_m = rays.ray_coordinates(
         ground_mesh.position_frame_m, frame, np.arange(len(ground_mesh.position_frame_m))
     )
-    ray_heights = rays.turned(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
+    ray_heights = rays.sun_aligned(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
     towards = (
-        rays.turned(_interpolate_on_triangles(corner, sunward_m, ground_mesh.triangles, rows, cols))
+        rays.sun_aligned(_interpolate_on_triangles(corner, sunward_m, ground_mesh.triangles, rows, cols))
         if needs_sunward
         else NO_RAY_HEIGHTS
     )
-    is_cut_nw_se = np.pad(rays.orientation.turned_cuts(_falling_quads(corner, ground_mesh.triangles, rows, cols)), ((0, 0), (1, 1)))
-    turned_grid = TurnedGrid(ray_heights, *rays.window_cubics(0, nodes.row0, nodes.col0, rows, cols), is_cut_nw_se)
-    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), turned_grid, towards)
+    is_cut_nw_se = np.pad(
+        rays.orientation.sun_aligned_cuts(_falling_quads(corner, ground_mesh.triangles, rows, cols)), ((0, 0), (1, 1))
+    )
+    sun_aligned_grid = SunAlignedGrid(ray_heights, *rays.window_cubics(0, nodes.row0, nodes.col0, rows, cols), is_cut_nw_se)
+    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sun_aligned_grid, towards)
 
 
 def _ground_window(
     rays: SunRays, lod: int, windows: list[NodeHeights], needs_sunward: bool, patches: Iterable[Patch] = ()
 ) -> GroundWindow:
-    """Return the ground of windows of heights as one turned grid.
+    """Return the ground of windows of heights as one sun-aligned grid.
 
     The grid also covers ``patches`` without heights, because the fitted positions of its lines depend on its size. Outside of the
     windows it holds no ground. ``needs_sunward`` tells whether to compute ``GroundWindow.sunward_m``.
@@ -168,12 +176,12 @@ def _ground_window(
     row0, col0 = (min(axis) for axis in zip(*starts, strict=True))
     rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
-    spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
+    spans = [rays.sun_aligned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
     first_ground_row = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
     # no row beside ``filled_rows`` is read
     filled_rows = (0, None) if needs_sunward or lod else (first_ground_row, max(end for (_, end), _ in spans))
 
-    def turned_ground(write: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
+    def sun_aligned_ground(write: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
         with_border, inside = allocate_bordered_grid(
             *((cols, rows) if rays.orientation.axes_swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
         )
@@ -182,11 +190,11 @@ def _ground_window(
             write(lod, windows, [grid_view[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
         return close_border(with_border, slice(*filled_rows))
 
-    turned_grid = TurnedGrid(
-        turned_ground(rays.write_ray_heights), *rays.window_cubics(lod, row0, col0, rows, cols), HIGHER_DIAGONALS
+    sun_aligned_grid = SunAlignedGrid(
+        sun_aligned_ground(rays.write_ray_heights), *rays.window_cubics(lod, row0, col0, rows, cols), HIGHER_DIAGONALS
     )
-    sunward_m = turned_ground(rays.write_sunward_distances) if needs_sunward else NO_RAY_HEIGHTS
-    return GroundWindow(lod, row0, col0, (rows, cols), turned_grid, sunward_m, first_ground_row)
+    sunward_m = sun_aligned_ground(rays.write_sunward_distances) if needs_sunward else NO_RAY_HEIGHTS
+    return GroundWindow(lod, row0, col0, (rows, cols), sun_aligned_grid, sunward_m, first_ground_row)
 
 
 @compiled

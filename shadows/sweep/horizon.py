@@ -6,7 +6,7 @@ pushed. Each vertex is pushed and popped at most once, so the work is linear in 
 
 A position has two coordinates in the vertical plane of the sun, relative to a reference direction. Its *ray height* is measured at
 right angles to this direction, its distance *towards* the sun along it. The horizon is the angle above the reference direction.
-Lines, positions and turned grids are those of ``skugga.shadows.sweep.lines``. Ground near a point is treated exactly, on the
+Lines, positions and sun-aligned grids are those of ``skugga.shadows.sweep.lines``. Ground near a point is treated exactly, on the
 point's own line. The horizon by all other ground is interpolated between the two lines beside the point.
 """
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_world_grid, turned_linear_values
+from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_world_grid, sun_aligned_linear_values
 from skugga.shadows.sweep.points import evaluate_cubic, ground_at, is_cut_along
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
@@ -31,7 +31,7 @@ STRIP_NODES = 2**21
 
 
 class HorizonGrid(NamedTuple):
-    """A turned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
+    """A sun-aligned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class HorizonGrid(NamedTuple):
     column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t, the position across the lines in cells.
     is_cut_nw_se
-        The diagonals along which quads are cut into triangles, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
+        The diagonals along which quads are cut into triangles, as in ``skugga.shadows.sweep.lines.SunAlignedGrid``.
     """
 
     ray_height: np.ndarray
@@ -100,8 +100,8 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     """
     orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
-    ray_height = turned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
-    sunward_m = turned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
+    ray_height = sun_aligned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
+    sunward_m = sun_aligned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
     section = HorizonGrid(ray_height, sunward_m, column_of_t, HIGHER_DIAGONALS)
     n, m = ray_height.shape
     out = np.full((n, m), NO_HORIZON_TANGENT)
@@ -124,7 +124,7 @@ def horizon_tangents(
 ) -> np.ndarray:
     """Return the tangent of the horizon angle above the reference direction, seen from points: (k,).
 
-    ``row`` and ``t`` (k,) are the points' positions on the turned grid and across its lines. ``point_ray_height`` and
+    ``row`` and ``t`` (k,) are the points' positions on the sun-aligned grid and across its lines. ``point_ray_height`` and
     ``point_sunward_m`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
     on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_TANGENT`` if no ground lies towards the sun.
     """
@@ -170,7 +170,7 @@ def _counting_sort(key, count):
 
 @compiled
 def _nodes_between(column_of_t, t_of_column, low, high, cols):
-    """Return turned rows, turned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
+    """Return sun-aligned rows, sun-aligned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
 
     t is the position across the lines, in cells. Border columns are left out.
     """

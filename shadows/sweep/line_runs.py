@@ -14,13 +14,13 @@ LINEARITY_TOLERANCE = 0.01
 
 
 @internal
-def max_run_length(p, low, high, times):
+def max_run_length(cubic, low, high, position_factor):
     """Return the maximum number of adjacent lines or nodes whose positions a straight line interpolates between both ends.
 
-    The positions are ``times`` the cubic ``p`` (4,) on the interval from ``low`` to ``high``. The tolerance is
+    The positions are ``position_factor`` the cubic ``cubic`` (4,) on the interval from ``low`` to ``high``. The tolerance is
     ``LINEARITY_TOLERANCE``.
     """
-    bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
+    bend = position_factor * max(abs(2.0 * cubic[2] + 6.0 * cubic[3] * low), abs(2.0 * cubic[2] + 6.0 * cubic[3] * high))
     return (
         MAX_RUN_LINES
         if bend * MAX_RUN_LINES * MAX_RUN_LINES <= 8.0 * LINEARITY_TOLERANCE

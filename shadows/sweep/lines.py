@@ -41,11 +41,11 @@ NO_CUTS = np.zeros(0, np.bool_)
 """Diagonals of a row of quads that are all cut along the higher one."""
 
 
-class TurnedGrid(NamedTuple):
-    """A turned grid (n, m) including two border columns (``skugga.shadows.sweep.grid.allocate_bordered_grid``), with the positions
-    of its lines.
+class SunAlignedGrid(NamedTuple):
+    """A sun-aligned grid (n, m) with the positions of its lines.
 
-    The grid is rotated and mirrored so that the sun stands before row 0. A position across the lines is t, in cells.
+    It includes two border columns (``skugga.shadows.sweep.grid.allocate_bordered_grid``). The grid is rotated and mirrored so that
+    the sun stands before row 0. A position across the lines is t, in cells.
 
     Attributes
     ----------
@@ -91,14 +91,14 @@ class LineStrip(NamedTuple):
 
 
 @compiled
-def sweep_rows(turned_grid, strip, first, last, shadow_ray_heights, lit, points):
+def sweep_rows(sun_aligned_grid, strip, first, last, shadow_ray_heights, lit, points):
     """Advance a strip of lines over the rows [``first``, ``last``) of a grid, and evaluate nodes and points.
 
     The nodes of the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty.
     ``shadow_ray_heights`` (n, m) float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool
     receives whether it does. ``points`` are the strip's other points (``StripPoints``).
     """
-    ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
+    ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, peaks = strip
     row_starts = points.row_starts
     nodes = shadow_ray_heights.size > 0 or lit.size > 0
@@ -110,7 +110,7 @@ def sweep_rows(turned_grid, strip, first, last, shadow_ray_heights, lit, points)
             )
             update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i)
         if row_starts[i] < row_starts[i + 1]:
-            evaluate_points(turned_grid, strip, i, points)
+            evaluate_points(sun_aligned_grid, strip, i, points)
         for k in range(lines):
             _advance_lines(
                 ray_height[i],

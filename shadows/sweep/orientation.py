@@ -27,44 +27,49 @@ class GridOrientation:
     rows_reversed: bool
     cols_reversed: bool
 
-    def turned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
-        """Return which quads of the turned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
+    def sun_aligned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
+        """Return which quads of the sun-aligned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
 
         ``is_cut_nw_se`` is the same mask for the grid before turning.
         """
-        return self.turned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
+        return self.sun_aligned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
 
-    def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the turned grid.
+    def to_sun_aligned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the sun-aligned grid.
 
         Fractions and positions outside of the grid are allowed.
         """
         i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
-    def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert as ``to_turned`` does, but overwrite ``row`` and ``col``, and return them in the order of the turned grid.
+    def to_sun_aligned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert as ``to_sun_aligned`` does, but overwrite ``row`` and ``col``.
+
+        They are returned in the order of the sun-aligned grid.
 
         New memory for many points would cost more time than the arithmetic.
         """
         i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
-        for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
-            if turned:
+        for is_reversed, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
+            if is_reversed:
                 np.subtract(last, index, out=index)
         return i, j
 
-    def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of the turned grid to those of the grid (``rows``, ``cols``): the inverse of ``to_turned``."""
+    def from_sun_aligned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert rows and columns of the sun-aligned grid to those of the grid (``rows``, ``cols``).
+
+        This is the inverse of ``to_sun_aligned``.
+        """
         n, m = (cols, rows) if self.axes_swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
         return (j, i) if self.axes_swapped else (i, j)
 
-    def turned(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
+    def sun_aligned(self, values: np.ndarray) -> np.ndarray:
+        """Return a view of a grid's values (rows, cols) in the order of the sun-aligned grid."""
         return (values.T if self.axes_swapped else values)[self._index_slices]
 
     def restored(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
+        """Return a view of the sun-aligned grid's values (n, m) in the order of the grid, the inverse of ``sun_aligned``."""
         values = values[self._index_slices]
         return values.T if self.axes_swapped else values
 

@@ -28,13 +28,14 @@ class StripPoints(NamedTuple):
     row_starts
         int64 (rows + 1,): the index of the first point in the rows (i, i + 1], for each row i.
     row, col, t
-        float64 (n,): positions on the turned grid, and across the lines in cells; columns count the left border.
+        float64 (n,): positions on the sun-aligned grid, and across the lines in cells; columns count the left border.
     ray_height
         float64 (n,), metres: the points' ray heights; NaN for points on the ground, which have the ground's.
-    rounding
+    ray_height_rounding_m
         Metres by which the ground's ray height must exceed a point's to shade it.
     lit
-        bool (n,), output: False if the highest ray height towards the sun exceeds the point's by more than ``rounding``.
+        bool (n,), output: False if the highest ray height towards the sun exceeds the point's by more than
+        ``ray_height_rounding_m``.
     above_m
         float32 (n,), output: metres by which the highest ray height towards the sun exceeds the point's.
     """
@@ -44,7 +45,7 @@ class StripPoints(NamedTuple):
     col: np.ndarray
     t: np.ndarray
     ray_height: np.ndarray
-    rounding: float
+    ray_height_rounding_m: float
     lit: np.ndarray
     above_m: np.ndarray
 
@@ -91,20 +92,20 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
 
 
 @compiled
-def scatter_results(number, strip_lit, strip_above_m, lit, above_m):
-    """Copy a strip's results to the arrays of all points: result k to index ``number[k]``."""
-    for k in range(number.size):
-        lit[number[k]], above_m[number[k]] = strip_lit[k], strip_above_m[k]
+def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
+    """Copy a strip's results to the arrays of all points: result k to index ``point_indices[k]``."""
+    for k in range(point_indices.size):
+        lit[point_indices[k]], above_m[point_indices[k]] = strip_lit[k], strip_above_m[k]
 
 
 @internal
-def evaluate_points(turned_grid, strip, i, points):
-    """Compute whether the points in the rows (``i``, ``i + 1``] of a ``TurnedGrid`` see the sun.
+def evaluate_points(sun_aligned_grid, strip, i, points):
+    """Compute whether the points in the rows (``i``, ``i + 1``] of a ``SunAlignedGrid`` see the sun.
 
     The maxima of the ``Strip`` must include all ground before row ``i``, and none after it. The results go to ``points.lit`` and
     ``points.above_m``.
     """
-    ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
+    ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, _ = strip
     row_starts, row, col, t, points_ray_height, rounding, lit, above_m = points
     first, last = row_starts[i], row_starts[i + 1]
@@ -150,15 +151,15 @@ def evaluate_points(turned_grid, strip, i, points):
 
 
 @internal
-def row_cubic(rows, i):
+def row_cubic(cubics, i):
     """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
-    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+    return cubics[i, 0], cubics[i, 1], cubics[i, 2], cubics[i, 3]
 
 
 @internal
-def evaluate_cubic(p, x):
+def evaluate_cubic(coefficients, x):
     """Return the value of a cubic (4,), constant term first, at ``x``."""
-    return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
+    return coefficients[0] + x * (coefficients[1] + x * (coefficients[2] + x * coefficients[3]))
 
 
 @internal

@@ -1,4 +1,4 @@
-"""Cubics that give the positions of sweep lines on a turned grid, and the errors for rays that bend too much for them.
+"""Cubics that give the positions of sweep lines on a sun-aligned grid, and the errors for rays that bend too much for them.
 
 The position of a line across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one
 converts back.
@@ -36,10 +36,10 @@ def beyond_crs_error(crs_name: str) -> UnsupportedError:
 def position_cubics(
     t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit cubics to each row of a turned grid that convert t to columns and columns to t: (rows, 4) each.
+    """Fit cubics to each row of a sun-aligned grid that convert t to columns and columns to t: (rows, 4) each.
 
-    t is the position across the sun's rays, in cells. ``t_of`` is a smooth function that returns t at turned rows and columns. The
-    columns of the cubics count the left border column. Raises ``UnsupportedError`` if cubics cannot approximate ``t_of``. The
+    t is the position across the sun's rays, in cells. ``t_of`` is a smooth function that returns t at sun-aligned rows and columns.
+    The columns of the cubics count the left border column. Raises ``UnsupportedError`` if cubics cannot approximate ``t_of``. The
     message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline

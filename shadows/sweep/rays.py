@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import Window, allocate_bordered_grid, close_border
+from skugga.shadows.sweep.grid import GridWindow, allocate_bordered_grid, close_border
 from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks, orientation_towards
 from skugga.shadows.sweep.position_cubics import position_cubics
 from skugga.terrain.compiled import compiled, run_in_chunks
@@ -31,7 +31,7 @@ class SunRays:
     """The sun's rays over a grid, and the coordinates in which a sweep uses them.
 
     t is the position across the rays, in cells. The ray height is the coordinate at right angles to the rays, in the vertical plane
-    of the sun. The turned grid is rotated and mirrored so that the sun stands before row 0.
+    of the sun. The sun-aligned grid is rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
@@ -42,19 +42,19 @@ class SunRays:
     grid
         The map grid at full detail.
     orientation
-        How the grid is turned.
+        How the grid is sun_aligned.
     mean_height_m
         Metres: the mean height of the ground, for which the rays' positions on the grid are computed.
     right_origin_m
         Metres: light space's right coordinate at t = 0.
     right_m_per_cell
-        Metres of light space's right axis per unit of t; negative where columns of the turned grid run to the left.
+        Metres of light space's right axis per unit of t; negative where columns of the sun-aligned grid run to the left.
     up_origin_m
         Metres: light space's up coordinate at ray height 0.
     ray_height_per_metre
         Change of the ray height per metre of height.
     columns_per_row
-        Columns of the turned grid by which rays shift to the right per row, at the reference position.
+        Columns of the sun-aligned grid by which rays shift to the right per row, at the reference position.
     """
 
     scene: Scene
@@ -107,18 +107,18 @@ class SunRays:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return self.grid.row(y), self.grid.col(x)
 
-    def turned(self, values: np.ndarray) -> np.ndarray:
-        """Return values (rows, cols) float32 of the grid's nodes as a turned grid with border columns."""
+    def sun_aligned(self, values: np.ndarray) -> np.ndarray:
+        """Return values (rows, cols) float32 of the grid's nodes as a sun-aligned grid with border columns."""
         with_border, inside = allocate_bordered_grid(*(values.shape[::-1] if self.orientation.axes_swapped else values.shape))
         copy_in_blocks(values, self.orientation.restored(inside))
         return close_border(with_border)
 
-    def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
-        """Return the rows and columns of the turned grid that a window of a grid becomes.
+    def sun_aligned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> GridWindow:
+        """Return the rows and columns of the sun-aligned grid that a window of a grid becomes.
 
         The window starts at ``row`` and ``col`` of a grid with ``rows`` rows and ``cols`` columns, and has the given shape.
         """
-        ends = self.orientation.to_turned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
+        ends = self.orientation.to_sun_aligned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
         (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
         return (top, bottom), (left, right)
 
@@ -130,7 +130,7 @@ class SunRays:
         grid = self.grid.coarser(lod)
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-            row, col = self.orientation.from_turned(i, j, rows, cols)
+            row, col = self.orientation.from_sun_aligned(i, j, rows, cols)
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.from_earth(point + self.mean_height_m * up)[..., 0] - self.right_origin_m) / (
                 self.right_m_per_cell * 2**lod

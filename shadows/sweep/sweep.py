@@ -178,16 +178,16 @@ def find_lit_nodes(
 
 @dataclass(frozen=True, eq=False)
 class NodeClearance:
-    """The ray heights that decide whether nodes see the sun, in the order of the turned grid.
+    """The ray heights that decide whether nodes see the sun, in the order of the sun-aligned grid.
 
-    The turned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate at
-    right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while
+    The sun-aligned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate
+    at right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while
     ``ray_height_m - shadow_ray_height_m`` is at least 0.
 
     Attributes
     ----------
     orientation
-        How the turned grid was made from the map's grid.
+        How the sun-aligned grid was made from the map's grid.
     ray_height_m
         float32 (n, m), metres: the nodes' ray heights.
     shadow_ray_height_m
@@ -216,18 +216,18 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
     shadow_ray_heights = np.empty(
-        ground.turned_grid.ray_height.shape, np.float32
+        ground.sun_aligned_grid.ray_height.shape, np.float32
     )  # only the window is written: the rest takes no memory
     shadow_ray_heights[window] = NO_GROUND_RAY_HEIGHT
     _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
     return NodeClearance(
-        rays.orientation, ground.turned_grid.ray_height[window], shadow_ray_heights[window], rays.ray_height_per_metre
+        rays.orientation, ground.sun_aligned_grid.ray_height[window], shadow_ray_heights[window], rays.ray_height_per_metre
     )
 
 
 def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
-    sheets = sum((1 + has_soft_edges) * ground.turned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
-    return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
+    sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
+    return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
 
 def sun_strip_angles_rad(count: int) -> np.ndarray:
@@ -286,7 +286,7 @@ def _sweep_grounds(
             coarse.with_raised_sun(angle_rad), lines, level_t_range, entry, 2.0 ** (lod - coarse.lod), coarse.first_ground_row
         )
         lod = coarse.lod
-    turned_grid = ground.with_raised_sun(angle_rad)
+    sun_aligned_grid = ground.with_raised_sun(angle_rad)
     points_ray_height_m = (
         targets.ray_height_m
         if angle_rad == 0.0
@@ -297,10 +297,10 @@ def _sweep_grounds(
         targets.col,
         targets.t,
         points_ray_height_m,
-        RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(turned_grid.ray_height, targets),
+        RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(sun_aligned_grid.ray_height, targets),
     )
     return sweep_nodes(
-        turned_grid, lines, targets.t_range, entry, 2.0**lod, targets.row_range, targets.col_range, points, shadow_ray_heights,
+        sun_aligned_grid, lines, targets.t_range, entry, 2.0**lod, targets.row_range, targets.col_range, points, shadow_ray_heights,
         CORES, ground.first_ground_row,
     )  # fmt: skip
 
@@ -319,7 +319,7 @@ def _shadow_height_m(
     rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, height_m: np.ndarray
 ) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
-    ray_height = grounds[-1].turned_grid.ray_height
+    ray_height = grounds[-1].sun_aligned_grid.ray_height
     shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
     _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
     above_m = np.zeros(targets.on_node_mask.shape, np.float32)
@@ -335,13 +335,13 @@ def _shadow_height_m(
 
 
 def _work(workload: Workload, settings: SweepSettings) -> Work:
-    nodes = workload.node_count + workload.outside_triangles / 2.0 if workload.is_map_view else _ground_nodes(workload)
+    nodes = workload.node_count + workload.outside_triangle_count / 2.0 if workload.is_map_view else _ground_nodes(workload)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
-    rasterised = workload.triangles("relief") * workload.has_decimated_ground
+    rasterised = workload.triangle_count("relief") * workload.has_decimated_ground
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": workload.pixels,
-        "points": workload.visible_pixels,
-        "answers": workload.visible_pixels * strips, "decimated": rasterised, "outside": workload.outside_triangles / 2.0,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": workload.pixel_count,
+        "points": workload.visible_pixel_count,
+        "answers": workload.visible_pixel_count * strips, "decimated": rasterised, "outside": workload.outside_triangle_count / 2.0,
     }  # fmt: skip
     return {workload.part_name_in_view("sweep"): counts}
 
@@ -349,7 +349,7 @@ def _work(workload: Workload, settings: SweepSettings) -> Work:
 def _ground_nodes(workload: Workload) -> float:
     """Return the number of nodes of a perspective view's whole ground; half the number of its triangles if it is unknown."""
     relief = workload.caster_facts("relief")
-    return workload.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
+    return workload.triangle_count("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:

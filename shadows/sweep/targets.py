@@ -1,4 +1,4 @@
-"""The nodes and points of a picture that a sweep evaluates, with their positions on the turned grid.
+"""The nodes and points of a picture that a sweep evaluates, with their positions on the sun-aligned grid.
 
 ``skugga.shadows.sweep.sweep`` sweeps the ground and evaluates them.
 """
@@ -31,13 +31,13 @@ class SweepTargets:
     on_node_mask
         bool (rows, cols): pixels that show a node of the grid.
     row_range, col_range
-        First row of the nodes on the turned grid, and the one after the last; columns likewise.
+        First row of the nodes on the sun-aligned grid, and the one after the last; columns likewise.
     grid_window
         The same window on the grid before turning.
     off_node_mask
         bool (rows, cols): pixels that show a point between nodes or above the ground.
     row, col, t
-        (n,): positions of the points of ``off_node_mask`` on the turned grid, and across the lines.
+        (n,): positions of the points of ``off_node_mask`` on the sun-aligned grid, and across the lines.
     ray_height_m
         (n,), metres: ray heights of the points of ``off_node_mask``; NaN for points of the ground.
     sunward_m
@@ -67,12 +67,12 @@ def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
 def _node_windows(
     rays: SunRays, ground: GroundWindow, view: MapView
 ) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
-    """Return where a view's nodes lie on the turned grid, and their window of the ground's grid as slices.
+    """Return where a view's nodes lie on the sun-aligned grid, and their window of the ground's grid as slices.
 
-    On the turned grid these are the first row and the one after the last, and the same of columns.
+    On the sun-aligned grid these are the first row and the one after the last, and the same of columns.
     """
     top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
-    return *rays.turned_window(top, left, (view.rows, view.cols), *ground.shape), (
+    return *rays.sun_aligned_window(top, left, (view.rows, view.cols), *ground.shape), (
         slice(top, top + view.rows),
         slice(left, left + view.cols),
     )
@@ -106,17 +106,17 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
         row, col = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixels)
     row -= ground.row0
     col -= ground.col0
-    turned_row, turned_col = rays.orientation.to_turned_in_place(row, col, *ground.shape)
+    sun_aligned_row, sun_aligned_col = rays.orientation.to_sun_aligned_in_place(row, col, *ground.shape)
     run_in_chunks(len(pixels), _set_nan, ray_height_m, on_triangles.reshape(-1), pixels)
     return SweepTargets(
-        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, ray_height_m, sunward_m
+        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, sun_aligned_row, sun_aligned_col, t, ray_height_m, sunward_m
     )
 
 
 def max_abs_ray_height_m(ray_height: np.ndarray, targets: SweepTargets) -> float:
     """Return the largest absolute ray height of the ground around the points, metres; 0 without points.
 
-    ``ray_height`` (n, m) is that of the turned grid with its borders. The result determines the rounding of comparisons.
+    ``ray_height`` (n, m) is that of the sun-aligned grid with its borders. The result determines the rounding of comparisons.
     """
     if not targets.row.size:
         return 0.0

@@ -42,7 +42,7 @@ def cached_truth(
     buffer: GeometryBuffer,
     scene: Scene,
     casters: Casters,
-    samples: int,
+    sample_count: int,
     light: str = SUN,
     folder: Path | None = None,
     compute: Callable[..., Truth] = trace_truth,
@@ -52,7 +52,7 @@ def cached_truth(
     A folder that cannot be written raises no error. ``compute`` computes a truth that is not cached.
     """
     folder = folder or user_cache("truth")
-    path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
+    path = folder / f"{content_key(buffer, scene, casters, sample_count, light)}.npz"
     shape = buffer.valid.shape
     cached_arrays = load_arrays(path)
     if cached_arrays is not None:
@@ -63,7 +63,7 @@ def cached_truth(
             with suppress(OSError):  # the file may be read-only
                 path.touch()
             return loaded
-    truth = compute(buffer, scene, casters, samples, light=light)
+    truth = compute(buffer, scene, casters, sample_count, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         packed: dict[str, Any] = {name: np.packbits(getattr(truth, field)) for name, field in _FIELD_OF_KEY.items()}
@@ -75,7 +75,7 @@ def cached_truth(
     return truth
 
 
-def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN) -> str:
+def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, sample_count: int, light: str = SUN) -> str:
     """Return a digest of everything that truth depends on."""
     digest = hashlib.blake2b(digest_size=20)
     to_light = np.zeros(3)
@@ -84,7 +84,15 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg, lamp.radius_m])
     elif scene.sun is not None:
         to_light = scene.sun.in_frame(buffer.frame)
-    numbers = DEFINITION_VERSION, _view_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
+    numbers = (
+        DEFINITION_VERSION,
+        _view_numbers(buffer.view),
+        sample_count,
+        OFFSET_ULPS,
+        SUN_RADIUS_DEG,
+        scene.highest_sun_deg,
+        light,
+    )
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_CASTER_KINDS)
     parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]

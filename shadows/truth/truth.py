@@ -113,7 +113,7 @@ def trace_truth(
     buffer: GeometryBuffer,
     scene: Scene,
     casters: Casters,
-    samples: int = 4,
+    sample_count: int = 4,
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_CASTER_KINDS,
     rays: RayScene | None = None,
@@ -129,7 +129,7 @@ def trace_truth(
         Its scene.
     casters
         The casters that can shade it.
-    samples
+    sample_count
         Sub-samples of a pixel, a square number.
     light
         The sun or a lamp's name.
@@ -149,36 +149,36 @@ def trace_truth(
     decidable = buffer.valid.copy()
     for offset_factor in (2.0, 4.0):
         decidable &= lit_mask(buffer, scene, light, rays, offset_factor) == lit
-    nodes = nodes or sample_nodes(buffer, scene, samples)
-    for view in jittered_views(buffer.view, samples):
+    nodes = nodes or sample_nodes(buffer, scene, sample_count)
+    for view in jittered_views(buffer.view, sample_count):
         sample = geometry_buffer(scene, view, buffer.frame, nodes=nodes)
         decidable &= sample.valid & (lit_mask(sample, scene, light, rays) == lit)
     return Truth(lit, is_attached, decidable, buffer.valid)
 
 
-def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
+def sample_nodes(buffer: GeometryBuffer, scene: Scene, sample_count: int) -> MapNodes | None:
     """Return the ground nodes that the sub-samples of a map's buffer or its parts share; ``None`` if they share none."""
-    return shared_nodes(scene, jittered_views(buffer.view, samples), buffer.frame)
+    return shared_nodes(scene, jittered_views(buffer.view, sample_count), buffer.frame)
 
 
-def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
     """Return the visibility float32 (rows, cols) of an area light, the mean over samples of its visible disc.
 
     Attached shadow is included, tested for each sample. Pixels off the surface are 0. One sample means the light's centre. A lamp
     without a radius is a point light.
     """
-    if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
+    if sample_count == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
         return lit_mask(buffer, scene, light, rays).astype(np.float32)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     if light == SUN:
         assert scene.sun is not None
-        for direction in sun_disc_directions(scene.sun.in_frame(buffer.frame), samples):
+        for direction in sun_disc_directions(scene.sun.in_frame(buffer.frame), sample_count):
             visibility += lit_mask_towards(buffer, rays, direction)
-        return visibility / np.float32(samples)
-    return _sphere_visibility(buffer, scene, light, rays, samples)
+        return visibility / np.float32(sample_count)
+    return _sphere_visibility(buffer, scene, light, rays, sample_count)
 
 
-def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
     """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
@@ -189,14 +189,14 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
     up = np.cross(right, towards)
     normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
-    for right_m, up_m in lamp.radius_m * disc_points(samples):
+    for right_m, up_m in lamp.radius_m * disc_points(sample_count):
         ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
         facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
         reached_mask = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
         visibility += _unblocked_mask(buffer, rays, reached_mask, normals, ray, 1.0)
-    return visibility / np.float32(samples)
+    return visibility / np.float32(sample_count)
 
 
 def coverage_truth(
@@ -204,15 +204,15 @@ def coverage_truth(
     scene: Scene,
     casters: Casters,
     block_px: int,
-    blocks: int = 256,
-    samples: int = 64,
+    max_blocks: int = 256,
+    sample_count: int = 64,
     light: str = SUN,
     rays: RayScene | None = None,
 ) -> np.ndarray:
     """Return the true shares of shadow in sampled blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
 
-    At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
-    regular sub-samples. ``rays`` is as in ``trace_truth``.
+    At most ``max_blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``sample_count`` (a square
+    number) regular sub-samples. ``rays`` is as in ``trace_truth``.
     """
     shape = tuple(size // block_px for size in buffer.valid.shape)
     out = np.full(shape, np.nan)
@@ -221,11 +221,11 @@ def coverage_truth(
     candidates = np.flatnonzero(has_surface)
     if not len(candidates) or (light == SUN and scene.sun is None):
         return out
-    bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
+    bounds = np.linspace(0, len(candidates), min(max_blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(0)
     rays = rays or ray_scene(buffer, scene, casters, ALL_CASTER_KINDS)
     is_dark_everywhere = light == SUN and not scene.sun_is_up
-    side = int(round(samples**0.5))
+    side = int(round(sample_count**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         i, j = np.unravel_index(candidates[rng.integers(first, last)], shape)
         if is_dark_everywhere:
@@ -393,14 +393,14 @@ def _offset_origins(
     return buffer.position_frame_m[facing_mask] + offset_m * side * lift[facing_mask]
 
 
-def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
-    """Return views shifted within a pixel, one for each of ``samples`` sub-samples: a random offset in each of as many strata.
+def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int = 0) -> list[MapView | PerspectiveView]:
+    """Return views shifted within a pixel, one for each of ``sample_count`` sub-samples: a random offset in each of as many strata.
 
-    Raises ``ValueError`` if ``samples`` is no square number.
+    Raises ``ValueError`` if ``sample_count`` is no square number.
     """
-    side = int(round(samples**0.5))
-    if side * side != samples:
-        raise ValueError(f"samples: {samples} is not a square number. Use 1, 4, 9, 16 ...")
+    side = int(round(sample_count**0.5))
+    if side * side != sample_count:
+        raise ValueError(f"samples: {sample_count} is not a square number. Use 1, 4, 9, 16 ...")
     rng = np.random.default_rng(seed)
     offsets = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
     return [view.shifted(row, col) for row, col in offsets]
@@ -413,8 +413,8 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
 
 
 def _work(workload: Workload, settings: TruthSettings) -> Work:
-    rays = workload.facing_pixels * settings.light_samples
-    return {"truth": {"blocks": 1.0, "seen": workload.visible_pixels, "rays": rays, "triangles": workload.all_triangles}}
+    rays = workload.facing_pixel_count * settings.light_samples
+    return {"truth": {"blocks": 1.0, "seen": workload.visible_pixel_count, "rays": rays, "triangles": workload.all_triangle_count}}
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:

@@ -23,7 +23,14 @@ from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.layers import may_shade_near_plane
 from skugga.shadows.volumes.settings import StencilSettings
 from skugga.shadows.volumes.tiles import covering_rectangles, cull_faces, depth_bounds, marked_tiles
-from skugga.shadows.volumes.views import VisiblePoints, near_plane_m, pixel_points, points_of_view, receiver_stencil, sample_points
+from skugga.shadows.volumes.views import (
+    VisiblePoints,
+    near_plane_distance_m,
+    pixel_points,
+    points_of_view,
+    receiver_stencil,
+    sample_points,
+)
 from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
@@ -71,7 +78,7 @@ def count_volumes(
     counts = np.zeros(receiver_mask.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
-    near_m = near_plane_m(buffer)
+    near_m = near_plane_distance_m(buffer)
     is_sun_aligned = _is_sun_aligned(buffer, scene, light)
     for points in points_of_view(buffer, scene, receiver_mask, near_m):
         point_counts = _count_points(buffer, scene, points, light, volumes, settings, uses_mark_bit, record)
@@ -128,7 +135,7 @@ def _count_over_surface(buffer: GeometryBuffer, scene: Scene, volumes: list[Volu
 
     gl, out = device(), np.zeros(buffer.valid.shape, np.uint8)
     draws_edges = counting == "seen"
-    for points in pixel_points(buffer, scene, buffer.valid, near_plane_m(buffer)):
+    for points in pixel_points(buffer, scene, buffer.valid, near_plane_distance_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiver_stencil(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if draws_edges:
@@ -222,7 +229,9 @@ def _counting_methods(
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
         return [("z_fail", volumes.faces)]
-    uses_z_fail = may_shade_near_plane(volumes.low_m, volumes.high_m, points.near_plane_frame_m, light)[volumes.caster_of_face]
+    uses_z_fail = may_shade_near_plane(volumes.caster_low_m, volumes.caster_high_m, points.near_plane_frame_m, light)[
+        volumes.caster_of_face
+    ]
     return [("z_pass", volumes.faces[~uses_z_fail]), ("z_fail", volumes.faces[uses_z_fail])]
 
 

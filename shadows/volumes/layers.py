@@ -24,10 +24,10 @@ MAX_LUNES = 4096
 MIN_LUNES = 16
 """Lower bound of the number of lunes in a full circle. Each lune must remain well below a half-circle."""
 
-LINES_PER_EDGE = 0.5
+LUNE_LINES_PER_EDGE = 0.5
 """Mean number of lines between lunes that an edge may cross."""
 
-NEAR_PLANE_DEG = 0.1
+MIN_NEAR_PLANE_ANGLE_DEG = 0.1
 """Angle between a light and the near plane up to which the near-clip volume is no larger than rounding."""
 
 ANGLE_TOLERANCE = 1e-9
@@ -118,14 +118,14 @@ def may_shade_near_plane(low: np.ndarray, high: np.ndarray, rectangle: np.ndarra
     ``rectangle`` (4, 3) are its corners in order. A box may cast on it if it reaches into the volume swept from the rectangle to
     the light (4,): the near-clip volume of Everitt and Kilgard 2002. The result is False only where a plane separates the two by
     more than rounding: the near plane, a side of the volume or a side of the box. It is True for all where the light lies within
-    ``NEAR_PLANE_DEG`` of the near plane.
+    ``MIN_NEAR_PLANE_ANGLE_DEG`` of the near plane.
     """
     light = checked_light(light)
     low, high, rectangle = (np.asarray(v, np.float64).reshape(-1, 3) for v in (low, high, rectangle))
     to_light = light[:3] - light[3] * rectangle
     normal = np.cross(rectangle[1] - rectangle[0], rectangle[3] - rectangle[0])
     above = to_light @ normal
-    min_height = np.sin(np.radians(NEAR_PLANE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
+    min_height = np.sin(np.radians(MIN_NEAR_PLANE_ANGLE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
     if not (np.abs(above) > min_height).all():
         return np.ones(len(low), bool)
     extent = max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0), np.abs(rectangle).max())
@@ -179,7 +179,7 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
     first, span = (-np.pi, 2.0 * np.pi) if wraps.any() else (float(phi.min()), float(np.ptp(phi)))
     if not span:
         return 0
-    lines = LINES_PER_EDGE * len(multiplicity) * span / max(float(np.abs(phi_change).sum()), 1e-9)
+    lines = LUNE_LINES_PER_EDGE * len(multiplicity) * span / max(float(np.abs(phi_change).sum()), 1e-9)
     lunes = int(np.clip(lines, np.ceil(MIN_LUNES * span / (2.0 * np.pi)), MAX_LUNES))
     lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
     position, step = _winding_steps(directions, edges, multiplicity, lune, phi_change > 0.0, first, span / lunes, lunes)

@@ -86,7 +86,7 @@ def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) 
     The test is in float64, on vertices rounded to float32, as they are drawn. A triangle (a, b, c) faces a light l where
     ((b - a) x (c - a)) . (l_xyz - l_w a) > 0.
     """
-    return _compute_faces_light(
+    return _compute_faces_light_mask(
         np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), checked_light(light)
     )
 
@@ -163,7 +163,7 @@ def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarra
 
 
 @compiled
-def _compute_faces_light(vertices, triangles, light):
+def _compute_faces_light_mask(vertices, triangles, light):
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

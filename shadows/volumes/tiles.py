@@ -248,15 +248,15 @@ def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, 
 
 
 @internal
-def _classify_triangle(lines, left, top, right, bottom):
+def _classify_triangle(weight_functions, left, top, right, bottom):
     """Return a triangle's position relative to a rectangle: ``OUTSIDE``, ``PARTIAL`` or ``COVERS``.
 
-    ``lines`` (from ``_weight_functions``) are the triangle's weights as linear functions of a pixel.
+    ``weight_functions`` (from ``_weight_functions``) are the triangle's weights as linear functions of a pixel.
     """
     relation = COVERS
     for n in range(3):
-        low, high = _range_in_rectangle(lines[n], left, top, right, bottom)
-        slack = abs(lines[n, 0]) + abs(lines[n, 1])  # one pixel, for the rasteriser's grid
+        low, high = _range_in_rectangle(weight_functions[n], left, top, right, bottom)
+        slack = abs(weight_functions[n, 0]) + abs(weight_functions[n, 1])  # one pixel, for the rasteriser's grid
         if high < -slack:
             return OUTSIDE
         if low <= slack:

@@ -268,7 +268,7 @@ def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
     return Sheet(surface.position_frame_m[rows, cols], surface.sheet.is_cut_nw_se[quads])
 
 
-def near_plane_m(buffer: GeometryBuffer) -> float:
+def near_plane_distance_m(buffer: GeometryBuffer) -> float:
     """Return a distance along the view's axis in front of all visible points, metres; 0 in a map."""
     if isinstance(buffer.view, MapView):
         return 0.0

@@ -63,7 +63,7 @@ class Volumes:
         int32 (m, 3): counter-clockwise from outside of the volumes.
     caster_of_face
         int32 (m,): the caster of each face.
-    low_m, high_m
+    caster_low_m, caster_high_m
         float64 (parts, 3): bounds of the casters, metres.
     silhouette_edges
         int32 (e, 2): vertex numbers of the silhouette's edges.
@@ -74,8 +74,8 @@ class Volumes:
     vertices: np.ndarray
     faces: np.ndarray
     caster_of_face: np.ndarray
-    low_m: np.ndarray
-    high_m: np.ndarray
+    caster_low_m: np.ndarray
+    caster_high_m: np.ndarray
     silhouette_edges: np.ndarray
     first_cap: int
     cap_count: int

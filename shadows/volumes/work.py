@@ -40,8 +40,8 @@ def volume_work(workload: Workload, settings: VolumeSettings) -> Work:
 def silhouette_counts(workload: Workload) -> Counts:
     """Return the counts of finding silhouettes: the edges between faces towards the light and others."""
     return {
-        "blocks": 1.0, "triangles": workload.triangles("meshes"), "edges": float(_mesh_edges(workload)),
-        "ground": workload.ground_triangles,
+        "blocks": 1.0, "triangles": workload.triangle_count("meshes"), "edges": float(_mesh_edges(workload)),
+        "ground": workload.ground_triangle_count,
     }  # fmt: skip
 
 
@@ -56,8 +56,8 @@ def volume_faces(workload: Workload) -> tuple[float, float, float]:
     """
     end_count = 1.0 if workload.light == SUN else 2.0
     closed = getattr(workload.caster_facts("meshes"), "closed_share", 0.0)
-    caps = workload.triangles("meshes") * (1.0 - closed / 2.0)
-    ground = (workload.triangles("relief") + workload.outside_triangles) * workload.ground_casting_share
+    caps = workload.triangle_count("meshes") * (1.0 - closed / 2.0)
+    ground = (workload.triangle_count("relief") + workload.outside_triangle_count) * workload.ground_casting_share
     return end_count * _mesh_edges(workload), end_count * caps, end_count * ground
 
 
@@ -72,25 +72,25 @@ def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: 
     edges += GROUND_SIDES_PER_TRIANGLE * ground
     faces = edges + caps + ground
     rectangle_tiles = (2.0 * max(RECTANGLE_COST / max(faces, 1.0), MIN_RECTANGLE_COST)) ** 2
-    rectangles = max(workload.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
+    rectangles = max(workload.pixel_count / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     faces_drawn = edges * np.sqrt(rectangles) + caps + ground
     layers = sides * workload.facts.volume_layers if workload.caster_facts("meshes") else 0.0
-    counts = {"blocks": 1.0, "pixels": workload.pixels}
+    counts = {"blocks": 1.0, "pixels": workload.pixel_count}
     if marked_share is None:
         counts |= {
             "faces drawn": sides * faces_drawn,
-            "facing": workload.facing_pixels,
-            "layers": workload.facing_pixels * np.sqrt(np.log1p(layers)),
+            "facing": workload.facing_pixel_count,
+            "layers": workload.facing_pixel_count * np.sqrt(np.log1p(layers)),
         }
     else:
         layer_cost = np.log1p(MARKED_LAYER_COST_RATIO * layers * marked_share)
         counts |= {
             "faces beside marks": sides * faces_drawn * marked_share**0.25,
-            "layers beside marks": workload.facing_pixels * layer_cost,
+            "layers beside marks": workload.facing_pixel_count * layer_cost,
         }
     if workload.is_map_view:
         parts = np.ceil(workload.descriptor.rows / AFFINE_PART_PX) * np.ceil(workload.descriptor.cols / AFFINE_PART_PX)
-        relief = 1.0 + workload.outside_triangles / TRIANGLES_PER_PATCH if workload.caster_facts("relief") else 0.0
+        relief = 1.0 + workload.outside_triangle_count / TRIANGLES_PER_PATCH if workload.caster_facts("relief") else 0.0
         counts["sheets"] = parts * (relief + (workload.caster_facts("meshes") is not None))
     return counts

@@ -97,7 +97,7 @@ def test_shadow_coverage_of_a_wood_is_near_truth(gl, build, kind):
     frame = render_points(scene, view, map_size=4096)
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
+    shares = coverage_truth(buffer, scene, casters, 16, max_blocks=48, sample_count=16)
     assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
     rendered_shares = block_shadow_shares(1.0 - frame.visibility)
     assert coverage_error(rendered_shares, shares) <= 0.02

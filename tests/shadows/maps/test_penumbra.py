@@ -10,7 +10,13 @@ from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc_directions
 from skugga.shadows.attached_shadow import attached_shadow_mask
-from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
+from skugga.shadows.maps.sun_disc import (
+    DISC_EDGE_STEPS,
+    DISC_SAMPLES,
+    DISC_TANGENT,
+    MAX_HALF_DISC_TEXELS,
+    disc_samples_before_edges,
+)
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.resolve import MESHES
@@ -130,10 +136,10 @@ def test_disc_samples_are_the_rays_of_truth():
     for bits, coordinate in zip(
         disc_samples_before_edges(), (disc_radius * np.cos(angle), disc_radius * np.sin(angle)), strict=True
     ):
-        assert bits.shape == (EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
-        for number in (0, 13, 64, 100, EDGE_STEPS):
+        assert bits.shape == (DISC_EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
+        for number in (0, 13, 64, 100, DISC_EDGE_STEPS):
             set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(DISC_SAMPLES)]
-            np.testing.assert_array_equal(set_bits, coordinate < 2.0 * number / EDGE_STEPS - 1.0)
+            np.testing.assert_array_equal(set_bits, coordinate < 2.0 * number / DISC_EDGE_STEPS - 1.0)
 
 
 # -- scenes

@@ -17,13 +17,13 @@ from skugga.shadows.sweep.grid import (
     LineState,
     flat_world_grid,
     initial_peaks,
+    sun_aligned_linear_values,
     sunlit_nodes,
     sweep_nodes,
     sweep_to_state,
-    turned_linear_values,
 )
 from skugga.shadows.sweep.horizon import horizon_deg
-from skugga.shadows.sweep.lines import LineStrip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.lines import LineStrip, SunAlignedGrid, sweep_rows
 from skugga.shadows.sweep.points import empty_strip_points
 from skugga.shadows.sweep.position_cubics import position_cubics
 from skugga.terrain.casters.rays import RayScene
@@ -158,17 +158,21 @@ def test_sunlit_is_independent_of_strips_and_cores(azimuth, monkeypatch):
         assert (sunlit_nodes(heights, 10.0, azimuth, 6.0, cores=cores) == expected).all()
 
 
-def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None = None) -> TurnedGrid:
+def sun_aligned_grid(
+    heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None = None
+) -> SunAlignedGrid:
     orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
-    ray_height = turned_linear_values(heights, orientation, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
-    cuts = HIGHER_DIAGONALS if is_cut_nw_se is None else np.pad(orientation.turned_cuts(is_cut_nw_se), ((0, 0), (1, 1)))
-    return TurnedGrid(ray_height, column_of_t, t_of_column, cuts)
+    ray_height = sun_aligned_linear_values(
+        heights, orientation, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m
+    )
+    cuts = HIGHER_DIAGONALS if is_cut_nw_se is None else np.pad(orientation.sun_aligned_cuts(is_cut_nw_se), ((0, 0), (1, 1)))
+    return SunAlignedGrid(ray_height, column_of_t, t_of_column, cuts)
 
 
 def sweep_over_cuts(heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None) -> np.ndarray:
     """Return ``sunlit_nodes`` over cuts."""
-    sheet = turned_grid(heights, azimuth, altitude, is_cut_nw_se)
+    sheet = sun_aligned_grid(heights, azimuth, altitude, is_cut_nw_se)
     n, m = sheet.ray_height.shape
     lit, _, _ = sweep_nodes(sheet, 8, (sheet.t_of_column[:, 0].min(), m), row_range=(0, n))
     return flat_world_grid(heights.shape, 10.0, azimuth)[0].restored(lit)
@@ -199,7 +203,7 @@ def test_sweep_derives_the_higher_diagonals(azimuth):
 
 def test_sweep_rows_continue_across_windows():
     """The lines of a window continue bit by bit where those of the previous window ended."""
-    sheet = turned_grid(mountains(200, seed=5), 190.0, 5.0)
+    sheet = sun_aligned_grid(mountains(200, seed=5), 190.0, 5.0)
     n, columns = sheet.ray_height.shape
     results = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
@@ -215,15 +219,15 @@ def test_sweep_rows_continue_across_windows():
 def test_sweep_state_carries_the_shadow_of_earlier_ground():
     heights = np.zeros((220, 90), np.float32)
     heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow reaches beyond row 60
-    lit, _, _ = sweep_nodes(turned_grid(heights, 3.0, 20.0), 4, (-30.0, 120.0), row_range=(0, 220))
+    lit, _, _ = sweep_nodes(sun_aligned_grid(heights, 3.0, 20.0), 4, (-30.0, 120.0), row_range=(0, 220))
     assert (~lit[60:90]).any()
-    first_grid, second_grid = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
+    first_grid, second_grid = sun_aligned_grid(heights[:61], 3.0, 20.0), sun_aligned_grid(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels count from each window's corner
     state = sweep_to_state(first_grid, 4, (-30.0, 120.0))
     line_max = np.where(state.line_max > NO_GROUND_RAY_HEIGHT / 2, state.line_max - np.float32(shift), NO_GROUND_RAY_HEIGHT)
     shifted_state = LineState(state.first_cell, line_max.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
-    shifted_grid = TurnedGrid(
+    shifted_grid = SunAlignedGrid(
         second_grid.ray_height,
         second_grid.column_of_t + [t0, 0, 0, 0],
         second_grid.t_of_column - [t0, 0, 0, 0],
@@ -297,7 +301,7 @@ def test_sweep_lines_of_varying_spacing_follow_their_cubics():
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
     ray_height = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
     lit, _, _ = sweep_nodes(
-        TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS), 8, (-500.0, 600.0), row_range=(0, rows)
+        SunAlignedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS), 8, (-500.0, 600.0), row_range=(0, rows)
     )
     assert lit[1:, 100:-100].mean() > 0.99
 
@@ -325,7 +329,7 @@ def test_position_cubics_refuse_rays_that_bend_too_much():
 
 
 def test_sweep_nodes_without_rows_allocates_no_mask():
-    lit, points_lit, shadow_heights = sweep_nodes(turned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
+    lit, points_lit, shadow_heights = sweep_nodes(sun_aligned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
     assert lit.shape == NO_MASK.shape and len(points_lit) == len(shadow_heights) == 0
 
 

@@ -156,7 +156,7 @@ def test_truth_is_decidable_away_from_edges(reference):
 
 
 def test_truth_with_more_samples_decides_fewer_pixels(scene, view, reference):
-    finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), samples=16)
+    finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), sample_count=16)
     np.testing.assert_array_equal(finer.lit, reference.lit)
     assert finer.undecidable_share >= reference.undecidable_share - 0.01
     with pytest.raises(ValueError, match="square"):
