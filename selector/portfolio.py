@@ -28,7 +28,10 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     Shadow maps draw the kinds without an entry.
     """
     by_themselves = [
-        (_solo_name(algorithm), {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals})
+        (
+            _name_without_companion(algorithm),
+            {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals},
+        )
         for algorithm in selectable_algorithms()
     ]
     return [*by_themselves, *((mix.name, mix.algorithm) for mix in MIXES if mix.in_portfolio)]
@@ -49,7 +52,7 @@ def portfolio(
     return list(_distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], requested_shadows))
 
 
-def _solo_name(algorithm: Algorithm) -> str:
+def _name_without_companion(algorithm: Algorithm) -> str:
     """Return the name of a choice of one algorithm. It includes the fallback's name if the algorithm cannot draw meshes."""
     return f"{algorithm.name}+{FALLBACK_ALGORITHM}" if "meshes" in algorithm.refusals else algorithm.name
 
@@ -64,7 +67,7 @@ def _distinct_choices(
             continue
         if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
             continue
-        for settings in _settings(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
+        for settings in _settings_to_try(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
             words = [combination, *(SETTING_FORMATS.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
             key = (tuple(algorithm.items()), tuple(settings.items()))
             if key not in yielded:
@@ -72,7 +75,7 @@ def _distinct_choices(
                 yield Choice(" ".join(words), algorithm, settings)
 
 
-def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
+def _settings_to_try(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
     """Yield the settings, by field of ``Shadows``, to try for algorithms that a choice uses together."""
     search_space: dict[str, tuple[Any, ...]] = {}
     for name in algorithms:

@@ -39,7 +39,7 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     """Return by name the plans of all choices for a light, and the plans of the fixed rules for the largest error of each goal."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
-    choices = portfolio(descriptor, light, planner.casting(light), planner.requested_shadows)
+    choices = portfolio(descriptor, light, planner.casting_kinds(light), planner.requested_shadows)
     plans = {choice.name: planner.plan({light: choice}, {}) for choice in choices}
     return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 

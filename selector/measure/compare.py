@@ -80,7 +80,7 @@ class Comparison:
         One row for each candidate.
     valid
         Valid mask of the surface, bool (rows, cols).
-    error
+    error_metric
         Name of the error that is compared with the requested limit in this view.
     undecided_share
         Share of the surface, in [0, 1], for which truth is undecided, since samples within a pixel disagree.
@@ -94,7 +94,7 @@ class Comparison:
         Remarks for the reader, for example that it is night.
     left_out
         Names of the candidates that were not drawn, because of the time limit.
-    default
+    default_row_name
         Name of the default plan's row; empty if it is not among the rows.
     """
 
@@ -102,14 +102,14 @@ class Comparison:
     light: str
     rows: list[ComparisonRow]
     valid: np.ndarray
-    error: ErrorName
+    error_metric: ErrorName
     undecided_share: float
     cast_share: float
     simplification_share: float
     noise_floor: float
     remarks: list[str]
     left_out: tuple[str, ...] = ()
-    default: str = ""
+    default_row_name: str = ""
 
 
 Times = tuple[float, dict[str, float]]

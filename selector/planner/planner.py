@@ -113,7 +113,7 @@ class Planner:
         Effects that are left out, with reasons.
     algorithm_override
         Algorithms that the request or the level sets, by light and kind of casters.
-    forced
+    forced_effects
         Effects that the level forces on.
     """
 
@@ -122,7 +122,7 @@ class Planner:
     effects: list[NamedReason]
     left_out: list[NamedReason]
     algorithm_override: AlgorithmOverride
-    forced: frozenset[EffectName]
+    forced_effects: frozenset[EffectName]
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[NamedReason]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
@@ -141,14 +141,14 @@ class Planner:
         """The names of the lamps that are left out, as the keys of a dictionary, in order."""
         if self.descriptor.view_kind == "map":
             return {}
-        return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
+        return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced_effects)
 
     @property
     def requested_shadows(self) -> Shadows:
         """The combined shadow settings of the request and the level."""
         return self.request.shadows
 
-    def casting(self, light: str) -> list[CasterKind]:
+    def casting_kinds(self, light: str) -> list[CasterKind]:
         """Return the kinds of casters that cast shadows under a light, as far as the descriptor tells."""
         return [assignment.kind for assignment in self._assignments(light, None) if assignment.algorithm != NO_SHADOWS]
 
@@ -219,10 +219,10 @@ class Planner:
         for caster in self.descriptor.casters:
             requested, requirements = (
                 self.algorithm_override.get(light, {}).get(caster),
-                requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
+                requirements_of(self.descriptor, kind_of_light, caster, self._is_area_light(light)),
             )
-            name, reason, is_chosen_by_policy = _algorithm(
-                self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced, choice
+            name, reason, is_chosen_by_policy = _choose_algorithm(
+                self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced_effects, choice
             )
             requested_algorithm, fallback_reason = name, _fallback_reason(name, requirements)
             if fallback_reason is not None:
@@ -234,7 +234,7 @@ class Planner:
             assignments.append(_Assignment(light, caster, name, reason, is_chosen_by_policy, requirements, requested_algorithm))
         return assignments
 
-    def _is_area(self, light: str) -> bool:
+    def _is_area_light(self, light: str) -> bool:
         """Return whether a light is drawn as an area light. The sun is not if the effect ``soft_edges`` is left out."""
         return is_area_light(self.descriptor, light, self.requested_shadows) and not (
             light == SUN and "soft_edges" in self._left_out_reasons
@@ -376,7 +376,7 @@ def _without_idle_effects(
     )
 
 
-def _algorithm(
+def _choose_algorithm(
     descriptor: Descriptor,
     light: str,
     caster: CasterKind,
