@@ -66,4 +66,5 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
 
 
 def _allows_caster_culling(step: Step) -> bool:
+    """Return whether a step's algorithm gives the same result without ground that casts no shadow."""
     return ALGORITHMS[step.algorithm].allows_caster_culling(step.settings)

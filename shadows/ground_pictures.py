@@ -85,6 +85,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
 
 def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:
+    """Return the cache key of ``_ground_between_nodes``: its result does not depend on the sun."""
     return scene.world, scene.elevation, view, sky
 
 

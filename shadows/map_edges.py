@@ -74,6 +74,7 @@ def anti_alias_block(
 def _sample_edges(
     scene: Scene, plan: Plan, block_buffer: GeometryBuffer, view: MapView, visibilities: NamedArrays, log: PassLog
 ) -> tuple[MultisampledBuffer, NamedArrays]:
+    """Return the block with samples in the pixels that an edge crosses, and the visibilities with those of the samples."""
     if _is_evenly_lit(scene, plan, block_buffer, visibilities):
         return MultisampledBuffer(block_buffer, view.rows), visibilities
     edges = edge_pixels(block_buffer, list(visibilities.values()))
@@ -124,6 +125,7 @@ def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visib
 
 
 def _find_casters_of_samples(scene: Scene, sample_buffer: GeometryBuffer, search_outside: bool) -> Casters:
+    """Return the casters beside a part of a block; none unless ``search_outside``."""
     return find_casters(scene, sample_buffer) if search_outside else NO_CASTERS
 
 

@@ -51,6 +51,7 @@ def light_point_count(descriptor: Descriptor, light: str) -> int:
 
 
 def _penumbra_width_m(lamp: LampFacts, lamp_distance_m: float, caster_distance_m: float | None) -> float:
+    """Return the width of a lamp's penumbra at a distance from the lamp, metres; an upper bound if the caster's is unknown."""
     share = (
         MAX_CASTER_DISTANCE_SHARE
         if caster_distance_m is None

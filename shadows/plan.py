@@ -160,4 +160,5 @@ def plan_steps(
 
 
 def _validated_settings(name: AlgorithmName | None, value: Any) -> Any:
+    """Return a value as settings of an algorithm; unchanged if the algorithm is unknown."""
     return value if name is None else TypeAdapter(settings_type(name)).validate_python(value)

@@ -195,6 +195,7 @@ def _draw_stencil(
 def _draw_casters(
     gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
 ) -> None:
+    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded."""
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:

@@ -255,6 +255,7 @@ def _empty_frame(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Fr
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
+    """Raise ``UnsupportedError`` for a requested layer that no algorithm of a plan has."""
     available = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
     for layer in sorted(layers - available):
         capable = ", ".join(name for name, algorithm in ALGORITHMS.items() if layer in algorithm.layers) or "nothing"

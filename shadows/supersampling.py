@@ -154,6 +154,7 @@ def mean_visibilities(sampling: Supersampling, block_buffer: GeometryBuffer | Ba
 
 
 def _part_view(view: MapView, window: PixelWindow) -> MapView:
+    """Return a window of a map as a view."""
     down, right = window
     return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
@@ -223,4 +224,5 @@ def _visibilities_at_nodes(
 
 
 def _values_in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the means over the nodes in each pixel, or the maxima of integers."""
     return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else max_in_pixels(view, nodes, picture)

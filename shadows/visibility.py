@@ -84,6 +84,7 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
 
 @compiled
 def _write_nearer_mask(first, last, valid, position, eye, limit_m, out):
+    """Write to ``out`` (rows, cols) which valid points are nearer to an eye (3,) than ``limit_m`` metres."""
     for i in range(first, last):
         for j in range(valid.shape[1]):
             p = position[i, j]

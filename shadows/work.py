@@ -60,14 +60,17 @@ class Workload:
 
     @cached_property
     def facts(self) -> LightFacts:
+        """The facts of the light in the view."""
         return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT_FACTS)
 
     @property
     def light_kind(self) -> LightKind:
+        """The kind of the light."""
         return self.descriptor.light_kinds[self.light]
 
     @property
     def is_map_view(self) -> bool:
+        """Whether the view is a map."""
         return self.descriptor.view_kind == "map"
 
     @property
@@ -117,11 +120,13 @@ class Workload:
         return next((facts for facts in self.descriptor.stands if facts.kind == kind and kind in self.kinds), None)
 
     def triangle_count(self, kind: CasterKind) -> float:
+        """Return the number of triangles of a kind of casters."""
         facts = self.caster_facts(kind)
         return 0.0 if facts is None else float(facts.triangles)
 
     @property
     def outside_triangle_count(self) -> float:
+        """Number of triangles of ground outside of a map's block."""
         facts = self.caster_facts("relief")
         return 0.0 if facts is None else float(facts.outside_triangles)
 
@@ -137,6 +142,7 @@ class Workload:
 
     @property
     def all_triangle_count(self) -> float:
+        """Number of triangles of all casters."""
         return self.ground_triangle_count + self.triangle_count("meshes") + self.triangle_count("forest")
 
     @property
@@ -155,6 +161,7 @@ class Workload:
 
     @property
     def tree_count(self) -> float:
+        """Number of trees that cast."""
         facts = self.caster_facts("forest")
         return 0.0 if facts is None else float(facts.count)
 

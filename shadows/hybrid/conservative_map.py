@@ -157,6 +157,7 @@ def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, 
 
 @compiled
 def _classify_each_point(nearest_depth, nearest_other_depth, shadow_depth, u, v, depth, depth_rounding, on_caster):
+    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``."""
     rows, cols = nearest_depth.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):

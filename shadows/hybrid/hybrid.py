@@ -110,6 +110,7 @@ def _classify_by_comparison(
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``): map sizes."""
     sizes = (512, 2048) if calibration_extent != "few" and light == SUN and not descriptor.relief_m else (1024,)
     for size in sizes:
         yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]

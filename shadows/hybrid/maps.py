@@ -246,5 +246,6 @@ def _transform_to_light(points, pixels, rotation, translation, is_lamp):
 
 @compiled
 def _to_texels(coordinates, map_origin, texel_size):
+    """Convert coordinates (n,) along one axis of a map to texels, in place."""
     for k in range(len(coordinates)):
         coordinates[k] = (coordinates[k] - map_origin) / texel_size

@@ -139,6 +139,7 @@ def look_up(
 
 
 def _depth_comparison(settings: MapSettings, taps: int) -> DepthComparison:
+    """Return the comparison of depths by settings, with ``taps`` along a side for points on known triangles."""
     uses_triangles = settings.bias == "receiver_plane"
     # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
     taps_without_triangle = min(taps, 2) if uses_triangles else taps

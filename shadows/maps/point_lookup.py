@@ -119,6 +119,7 @@ def look_up_points(
 
 @compiled
 def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, visibility):
+    """Write the lit share of the points ``point_indices[first:last]`` to ``visibility``."""
     uses_triangles, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
         i = point_indices[m]
@@ -160,6 +161,7 @@ def _rotate_to_light(drawn_map, vectors, i, first):
 
 @internal
 def _translate_to_light(drawn_map, rotated):
+    """Return a rotated vector (a tuple) as a position in the map, metres."""
     offset = drawn_map.light_offset_m
     return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
@@ -209,6 +211,7 @@ def _is_free_of_casters(drawn_map, point_m, side_taps):
 
 @internal
 def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
+    """Return whether a point at ``depth_m`` is not behind the map's depth at a texel. Points outside of the map are lit."""
     rows, cols = drawn_map.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True

@@ -73,6 +73,7 @@ def _write_farthest_receivers(
 def _select_relevant_trees(
     first, last, base, shape, tree_numbers, rotation, translation, cell_size_m, farthest_depth_m, margin_m, out
 ):
+    """Write to ``out`` which trees may shade a receiver: those in front of the farthest one in any cell that they cover."""
     rows, cols = farthest_depth_m.shape
     middle = np.empty(3)
     for m in range(first, last):

@@ -265,6 +265,7 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
 
 
 def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
+    """Return the bias and the culling as fields of map settings, with automatic values replaced."""
     return {
         "bias": "receiver_plane" if shadows.bias == "auto" else shadows.bias,
         "culling": "none" if shadows.culling == "auto" else shadows.culling,
@@ -310,6 +311,7 @@ def _cascade_extents(
 
 
 def _target_texel_px(descriptor: Descriptor) -> float:
+    """Return the upper bound, in pixels, of a texel's footprint for automatic cascades."""
     return MAX_FOLIAGE_TEXEL_PX if "forest" in descriptor.casters else MAX_CASCADE_TEXEL_PX
 
 

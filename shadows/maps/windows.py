@@ -231,6 +231,7 @@ def eye_distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
 
 @compiled
 def _write_eye_distances(first, last, points, eye, out):
+    """Write the distances of points (rows, cols, 3) from an eye (3,) to ``out``, for the rows from ``first`` to ``last``."""
     for i in range(first, last):
         for j in range(points.shape[1]):
             p = points[i, j]
@@ -253,6 +254,7 @@ def _depth_margin_m(
 
 @compiled
 def _write_depth_margins(first, last, normal, corners, position, mask, rotation, tap_reach_m, out):
+    """Write the largest depth margin of each row's points to ``out`` (rows,), metres (``_depth_margin_m``)."""
     for i in range(first, last):
         margin_m = 0.0
         for j in range(mask.shape[1]):

@@ -186,6 +186,7 @@ def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_
 
 
 def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
+    """Return the trees that are visible from a place; ``None`` without any."""
     if scene.objects.trees is None:
         return None
     frame = scene.world.frame_near_earth(place.eye_earth_m)
@@ -229,6 +230,7 @@ def _nearest_occluders(
 
 
 def _in_input_order(sighting: Sighting, directions: Directions) -> Sighting:
+    """Return a sighting in the order of the azimuths before they were sorted."""
     out = empty_sighting(len(directions.input_index))
     for target, ordered in zip(out, sighting, strict=True):
         target[directions.input_index] = ordered
@@ -236,10 +238,12 @@ def _in_input_order(sighting: Sighting, directions: Directions) -> Sighting:
 
 
 def _solid_kind(surroundings: Surroundings, triangle: int) -> CasterType:
+    """Return the kind of the solid to which a triangle belongs."""
     return "building" if surroundings.is_building[triangle] else "mesh"
 
 
 def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaster:
+    """Return the ground that forms the horizon in direction ``n`` as a caster."""
     azimuth, distance = float(ground.azimuth_deg[n]), float(ground.distance_m[n])
     lon = lat = None
     if place.lon_deg is not None:
@@ -250,6 +254,7 @@ def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaste
 
 
 def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighting: Sighting, n: int) -> SunCaster:
+    """Return the object seen in direction ``n`` as a caster."""
     azimuth, distance = np.radians(azimuth_deg), float(sighting.distance_m[n])
     enu = np.array([distance * np.sin(azimuth), distance * np.cos(azimuth), distance * float(sighting.tangent[n])])
     point = place.eye_earth_m + place.earth_from_enu @ enu
@@ -261,8 +266,10 @@ def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sigh
 
 
 def _tangent_of_altitude(altitude_deg: np.ndarray) -> np.ndarray:
+    """Return the tangents of altitudes in degrees."""
     return np.tan(np.radians(np.minimum(altitude_deg, 90.0 - 1e-9)))
 
 
 def _degrees_of_tangent(tangent: np.ndarray) -> np.ndarray:
+    """Return the angles, degrees, with the given tangents."""
     return np.degrees(np.arctan(tangent))

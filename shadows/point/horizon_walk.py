@@ -207,6 +207,7 @@ def farthest_m(scene: Scene, place: PointPlace) -> float:
 
 
 def _farthest_nodes(lines: SightLines) -> float:
+    """Return the distance of the farthest position of any line from the eye, in nodes: the larger of rows and columns."""
     distance_nodes = np.maximum(np.abs(lines.row - lines.row[:, :1]), np.abs(lines.col - lines.col[:, :1]))
     return float(distance_nodes.max(initial=1.0))
 
@@ -224,6 +225,7 @@ def _walk_lines(pages, lines, walks, needed_pages):
 
 @internal
 def _follow_line(pages, lines, walks, needed_pages, n):
+    """Follow line ``n`` until its end, or until it needs a page that is not read yet."""
     shift = 0.5 if pages.has_columns else 0.0
     scale, kappa, eye = pages.finest_nodes_per_node, lines.curvature[n], lines.eye_m
     row0, col0 = lines.row[n, 0], lines.col[n, 0]

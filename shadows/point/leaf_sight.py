@@ -109,6 +109,7 @@ def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndar
 
 @compiled
 def _update_with_trees(trees, directions, tangent, seeks_highest, sighting):
+    """Update the entries of ``sighting`` with all trees (``highest_leaves``, ``nearest_leaves``)."""
     count = len(directions.azimuth_deg)
     if count == 0:
         return

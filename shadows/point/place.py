@@ -130,6 +130,7 @@ def _grid_coordinates(scene: Scene, ground: PagedRelief, coordinates: tuple[floa
 
 
 def _raster_coordinates(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[float, float]:
+    """Convert coordinates in the grid's CRS to the CRS of the raster."""
     if ground.grid.crs == scene.elevation.crs:
         return x, y
     return transformer(ground.grid.crs, scene.elevation.crs).transform(x, y)

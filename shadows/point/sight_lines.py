@@ -118,6 +118,7 @@ def _sight_line_polynomials(world: World, elevation: Elevation, grid: Grid, plac
 def _nodes_on_flat_world(
     ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns (n, k) on the grid of a flat world, at distances (k,) towards azimuths (n,) in degrees."""
     azimuth = np.radians(azimuth_deg)[:, None]
     units = distance_m / (ground.world.metres_per_unit * ground.grid.step)
     return place.row - units * np.cos(azimuth) / ground.grid.stretch, place.col + units * np.sin(azimuth)

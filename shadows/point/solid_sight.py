@@ -62,6 +62,7 @@ def nearest_solids(
 
 @compiled
 def _update_with_triangles(point, triangles, directions, tangent, seeks_highest, sighting):
+    """Update the entries of ``sighting`` with all triangles (``highest_solids``, ``nearest_solids``)."""
     count = len(directions.azimuth_deg)
     if count == 0:
         return

@@ -137,6 +137,10 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
 
 
 def _remark(is_up: np.ndarray, has_direct_sun: bool, sunrise_count: int, sunset_count: int) -> str | None:
+    """Return a sentence that explains missing times of sunrise, sunset or direct sun; ``None`` if none is missing.
+
+    ``is_up`` (n,) tells whether the sun is up at each sample.
+    """
     if not is_up.any():
         return "polar night: the sun stays below the level horizon all day"
     if is_up.all():

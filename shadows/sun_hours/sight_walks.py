@@ -127,6 +127,7 @@ def _bounding_window(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
 
 
 def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
+    """Copy the heights of a window of nodes to the upper left corner of ``out``."""
     rows, cols = window.shape
     out[:rows, :cols] = window.height_m
 
@@ -295,6 +296,7 @@ def _max_tangent(best_tangent, height_m, eye_m, distance_m):
 
 @compiled
 def _write_tile_max(height_m, tile_max_m, tile_quads):
+    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground."""
     rows, cols = height_m.shape
     for a in range(tile_max_m.shape[0]):
         for b in range(tile_max_m.shape[1]):

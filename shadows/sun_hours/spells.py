@@ -216,11 +216,13 @@ def compute_clearances(
 
 
 def _run_in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
+    """Call ``work`` with consecutive slices that cover ``rows`` rows, on several threads."""
     map_on_cores(work, (slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)), cores)
 
 
 @compiled
 def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
+    """Write ray heights less shadow heights plus the height of the eyes to ``out`` (rows, cols), metres."""
     rows, cols = out.shape
     for i in range(rows):
         ray_height_row, shade_row, out_row = ray_height[i], shadow_ray_heights[i], out[i]
@@ -231,6 +233,12 @@ def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
 
 @compiled
 def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, crosses_floor, first_row, count, clock, walk_input):
+    """Add the sun of some rows between two moments to ``spells``.
+
+    ``before``, ``start``, ``stop`` and ``after`` (rows, cols) are the clearances at the four moments ``times`` (4,), minutes.
+    ``floors`` (2, 6) are quadratics of the sun's height above the floor at the two middle moments. The rows begin at ``first_row``
+    of ``count`` rows. ``crosses_floor`` tells whether the sun may be below the floor at a cell.
+    """
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
     for i in range(rows):
@@ -324,6 +332,7 @@ def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
 
 @internal
 def _clock_time(clock, minutes):
+    """Return the clock's reading, minutes from midnight, at ``minutes`` after the window's start."""
     return (
         minutes
         + clock.start_minutes
@@ -348,6 +357,7 @@ def _end_spell(spells, i, j, since, until, clock):
 
 @compiled
 def _end_all_spells(spells, until, clock):
+    """End the current spells of all cells at the moment ``until``, minutes."""
     rows, cols = spells.spell_start_minutes.shape
     for i in range(rows):
         for j in range(cols):

@@ -210,6 +210,7 @@ class _BlockSpells:
     spells: SunSpells
 
     def reoriented(self, orientation: GridOrientation) -> _BlockSpells:
+        """Return the sun at the cells in the order of another orientation."""
         return (
             self
             if orientation == self.orientation
@@ -308,6 +309,7 @@ class _TerrainBlock:
         )
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
+        """Return the scene with the sun at a moment of a day."""
         return replace(self._scene, sun=day.sun_at(minutes, self._scene.world))
 
     def _casters_by_moment(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
@@ -326,6 +328,7 @@ class _TerrainBlock:
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
     def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
+        """Return the ground beside the block that may shade it at a moment."""
         return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 
@@ -356,6 +359,7 @@ class _RenderedBlock:
         """Return ``None``: rendered shadows are not refined by walks."""
 
     def _render(self, sun: Sun) -> Frame:
+        """Render the block under a sun."""
         scene = replace(self._scene, sun=sun)
         return render_frame(scene, self._view, self._plan_of(scene))
 

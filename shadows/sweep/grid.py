@@ -321,6 +321,7 @@ def sun_aligned_linear_values(
 
 @compiled
 def _write_linear_values(height, per_height, start, per_row, per_col, out):
+    """Write values that are linear in heights, rows and columns to ``out`` (rows, cols); ``start`` is the value of row 0."""
     rows, cols = height.shape
     for c0 in range(0, cols, 64):  # in blocks, for the CPU cache: ``out`` may have the other memory order
         for r in range(rows):

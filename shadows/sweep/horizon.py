@@ -318,6 +318,10 @@ def _write_near_tangents(ray_height, sunward_m, column_of_t, is_cut_nw_se, row_b
 
 @internal
 def _max_slope(best, point, ray_height, sunward_m, i, j, k, l, share):
+    """Return the larger of ``best`` and the slope from a point to ground on the segment from node (i, j) to node (k, l).
+
+    The ground lies at ``share`` of the way. ``point`` (2,) is a ray height and a distance towards the sun.
+    """
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     d = sunward_m[i, j] + share * (np.float64(sunward_m[k, l]) - sunward_m[i, j])
     if not d > point[1]:

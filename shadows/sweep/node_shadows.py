@@ -98,6 +98,7 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
 
 @internal
 def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first, count):
+    """Copy the shadow heights of ``count`` nodes to row ``i``, from column ``first`` on."""
     i = np.uintp(i)
     for n in range(count):
         shadow_ray_heights[i, np.uintp(first + n)] = node_shadow_heights[n]
@@ -105,6 +106,7 @@ def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first,
 
 @internal
 def _write_lit(node_shadow_heights, row, lit, i, first, count):
+    """Write whether ``count`` nodes of row ``i``, from column ``first`` on, are at least as high as their shadow heights."""
     i = np.uintp(i)
     for n in range(count):
         column = np.uintp(first + n)

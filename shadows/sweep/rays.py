@@ -104,6 +104,7 @@ class SunRays:
         return _apply_fit(points, point_indices, middle, scale, factors)
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows and columns of points (n, 3), computed by PROJ."""
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return self.grid.row(y), self.grid.col(x)
 
@@ -219,6 +220,7 @@ def _apply_fit(
 
 @compiled
 def _sum_of_terms(first, last, points, point_indices, middle, scale, factors, out):
+    """Write the two fitted values of the points ``point_indices[first:last]`` to ``out`` (2, n) (``_apply_fit``)."""
     for n in range(first, last):
         p = points[point_indices[n]]
         x, y, z = (p[0] - middle[0]) / scale, (p[1] - middle[1]) / scale, (p[2] - middle[2]) / scale

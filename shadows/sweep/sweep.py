@@ -226,6 +226,7 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
 
 
 def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
+    """Return the approximate size, bytes, of the arrays that a sweep holds."""
     sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
@@ -353,6 +354,7 @@ def _ground_nodes(workload: Workload) -> float:
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``)."""
     yield SweepSettings()
     yield SweepSettings(lines=4)
     if calibration_extent == "full":

@@ -106,12 +106,14 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, sample_c
 
 
 def _view_numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
+    """Return the numbers that determine which points a view shows."""
     if isinstance(view, PerspectiveView):
         return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
     return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.stretch
 
 
 def _evict_oldest(folder: Path) -> None:
+    """Delete the least recently used files beyond ``TRUTH_CACHE_BYTES``."""
     files = sorted(((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob("*.npz")), reverse=True)
     total = 0
     for _, size, path in files:

@@ -268,6 +268,7 @@ def is_far_from_edges(
 
 @compiled
 def _mark_squares(row, col, distance_px, out):
+    """Mark in ``out`` (rows, cols) a square round each of the pixels ``row``, ``col`` (n,) that reaches its distance."""
     rows, cols = out.shape
     for n in range(len(row)):
         reach = int(min(distance_px[n], rows + cols)) + 1
@@ -278,6 +279,7 @@ def _mark_squares(row, col, distance_px, out):
 
 @compiled
 def _compute_far_from_edges(shadow_mask, valid, row, col, distance_px):
+    """Return the result of ``is_far_from_edges``."""
     rows, cols = shadow_mask.shape
     out = np.ones(len(row), np.bool_)
     for n in range(len(row)):
@@ -340,5 +342,6 @@ def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
 
 
 def _share_of_mask(mask: np.ndarray, reference_mask: np.ndarray) -> float:
+    """Return the share of the pixels in ``reference_mask`` that are in ``mask`` as well; 0 without any."""
     total = int(np.count_nonzero(reference_mask))
     return float(np.count_nonzero(mask & reference_mask) / total) if total else 0.0

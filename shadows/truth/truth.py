@@ -277,6 +277,7 @@ def simplification_error(buffer: GeometryBuffer, scene: Scene, casters: Casters,
 
 
 def _full_detail_view(scene: Scene, part: MapView) -> MapView:
+    """Return a part of a map on a grid of half the raster's cells, or of half the drawn step if that is finer."""
     surface = scene.surface(part.grid)
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
@@ -418,6 +419,7 @@ def _work(workload: Workload, settings: TruthSettings) -> Work:
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``)."""
     if calibration_extent == "full":
         yield TruthSettings()
 

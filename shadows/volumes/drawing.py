@@ -131,6 +131,7 @@ def visible_silhouettes(buffer: GeometryBuffer, scene: Scene, volumes: list[Volu
 
 
 def _count_over_surface(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: CountMode) -> np.ndarray:
+    """Return the stencil's counts over the visible surface, uint8 (rows, cols), by one counting method."""
     import moderngl
 
     gl, out = device(), np.zeros(buffer.valid.shape, np.uint8)

@@ -155,6 +155,7 @@ def _directed_edges(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndar
 
 
 def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+    """Return the casting triangles (c, 3) in the orientations in which they cast."""
     casting = np.flatnonzero(orientations)
     caps = triangles[casting]
     flipped = orientations[casting] < 0
@@ -164,6 +165,7 @@ def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarra
 
 @compiled
 def _compute_faces_light_mask(vertices, triangles, light):
+    """Return which triangles face a light (4,), bool (m,)."""
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

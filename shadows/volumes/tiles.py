@@ -113,6 +113,10 @@ def cull_faces(
 
 @compiled
 def _cover_tiles(tiles, cost):
+    """Return rectangles (k, 4) int64 that contain all marked tiles, in tiles (``covering_rectangles``).
+
+    ``cost`` is the number of tiles that another rectangle must save.
+    """
     pending = [(0, tiles.shape[0], 0, tiles.shape[1])]
     result = []
     while pending:
@@ -184,6 +188,7 @@ def _best_cut(part):
 
 @compiled
 def _compute_tile_mask(rows, cols, tile_rows, tile_cols):
+    """Return which tiles (tile_rows, tile_cols) contain a pixel, bool."""
     out = np.zeros((tile_rows, tile_cols), np.bool_)
     for n in range(len(rows)):
         out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX] = True
@@ -192,6 +197,7 @@ def _compute_tile_mask(rows, cols, tile_rows, tile_cols):
 
 @compiled
 def _tile_depth_bounds(rows, cols, depth, tile_rows, tile_cols):
+    """Return the minimum and maximum depth of the pixels in each tile (tile_rows, tile_cols, 2)."""
     out = np.empty((tile_rows, tile_cols, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
@@ -202,6 +208,10 @@ def _tile_depth_bounds(rows, cols, depth, tile_rows, tile_cols):
 
 @compiled
 def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, near_plane):
+    """Return the arrays of ``CulledFaces``.
+
+    ``points`` (n, 4) are x, y, w in pixels and z. Depths above ``near_plane`` are not drawn.
+    """
     m, k = len(triangles), len(rectangles)
     lines, sign = _weight_functions(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)

@@ -105,6 +105,7 @@ def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m:
 
 
 def _column_top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
+    """Yield the points on tops of columns in ``mask``, part by part, in a view with one pixel for each cell."""
     assert buffer.columns is not None
     window, pixels = buffer.columns.window, np.flatnonzero(mask)
     row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
@@ -188,6 +189,7 @@ def _visible_points(
     col: np.ndarray,
     indices: np.ndarray,
 ) -> VisiblePoints:
+    """Return the points at flat ``indices`` of a buffer, in a view where they lie at the pixels ``row``, ``col`` (n,)."""
     points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
         origin, camera_from_frame = view.in_frame(frame)

@@ -160,6 +160,7 @@ class _MeshStructure:
 
 @cached("scene", 1024 * MIB)
 def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _MeshStructure:
+    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -178,6 +179,7 @@ def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: in
 
 
 def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
+    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count."""
     structure = _mesh_structure(vertices, triangles, ground_rule)
     edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule_of_triangle
     order = np.argsort(part, kind="stable")
@@ -209,6 +211,7 @@ def _lamp_distances_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndar
 
 
 def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
+    """Return the volumes of a sheet of ground under a light (4,): one set, or none."""
     position = sheet.position_frame_m
     valid = np.isfinite(position[..., 2])
     if not valid.any():

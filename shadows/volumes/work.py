@@ -46,6 +46,7 @@ def silhouette_counts(workload: Workload) -> Counts:
 
 
 def _mesh_edges(workload: Workload) -> int:
+    """Return the number of silhouette edges of meshes; 0 if the step does not serve them."""
     return workload.facts.silhouette_edges if workload.caster_facts("meshes") else 0
 
 
