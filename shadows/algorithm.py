@@ -203,7 +203,7 @@ class Algorithm:
     layers
         Intermediate pictures that it keeps on request.
     is_selectable
-        Whether a request over HTTP may ask for it and the selector may choose it.
+        Whether the selector may choose it and a request over HTTP may name it; False for references.
     needs_opengl
         Whether it draws with OpenGL.
     settings_types
@@ -211,7 +211,7 @@ class Algorithm:
     resolve_settings
         Function that resolves its settings. It raises ``UnsupportedError`` for a request that the algorithm cannot serve.
     cache_names
-        The names of the caches (``skugga.terrain.cache``) that it fills. Each cache says how long its values last.
+        The names of the caches (``skugga.terrain.cache``) that it fills. Each cache has the lifetime of its values.
     search
         The settings that the selector searches.
     cost

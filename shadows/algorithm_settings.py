@@ -74,7 +74,7 @@ class SettingsRequest:
     light
         The name of the light.
     shadows
-        The shadow settings that level and request ask for.
+        The shadow settings of the level, with those of the request in their place.
     hard_edges_reason
         The reason why the sun's shadows need hard edges; ``None`` if they do not.
     """

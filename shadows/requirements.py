@@ -31,7 +31,7 @@ The requirement depends on the zoom, and a level that requests a sweep has all z
 """
 
 MAX_BEND_PX = 0.25
-"""Upper bound, in pixels, of the error of an affine camera that stands for a part of a map.
+"""Upper bound, in pixels, of the error of an affine camera that approximates a part of a map.
 
 Algorithms that draw casters in the view itself need such cameras. Above the bound the map is a ``bent map``.
 """

@@ -26,7 +26,7 @@ class HybridSettings(StencilSettings):
     def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``.
 
-        Of the map they are size and depth bits: its filter, bias, culling and cascades are always the same, whatever is requested.
+        The map contributes its size and depth bits. Its filter, bias, culling and cascades are always the same.
         """
         map_overrides = self.map.as_overrides
         return super().as_overrides | {key: map_overrides[key] for key in ("map_size", "depth_bits") if key in map_overrides}

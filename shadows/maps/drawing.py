@@ -139,7 +139,7 @@ def _meshes_with_culling(
 ) -> list[tuple[Mesh, bool]]:
     """Return the meshes and ground to draw, each with whether its front faces are culled.
 
-    Front faces of closed bodies alone are culled, if ``culling`` asks for it.
+    If ``culling`` is ``front``, the front faces of closed bodies are culled, and no others.
     """
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]

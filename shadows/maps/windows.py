@@ -101,7 +101,7 @@ def sun_maps(
     """Return the maps of the cascades that have receivers.
 
     Depths start at ``nearest_caster_m`` (the nearest caster) if that is in front of the receivers. Surfaces that face away from the
-    sun need no map. The stable windows of a map view, however, follow all of its ground, whatever the sun.
+    sun need no map. The stable windows of a map view, however, cover all of its ground under any sun.
     """
     view = buffer.view
     stable = isinstance(view, MapView) and settings.fit == "stable"

@@ -152,7 +152,7 @@ def _update_with_quad(quad, alpha, sine, cosine, tangent, seeks_highest, sightin
     """Update the entry ``n`` of ``sighting`` with the leaves of one quad of tree ``m``.
 
     ``quad`` (3, 3) holds the quad's first corner, its side to the right and its side up, in metres east, north and up from the eye.
-    ``sine`` and ``cosine`` are those of the direction's azimuth. ``seeks_highest`` asks for the highest leaf, otherwise for the
+    ``sine`` and ``cosine`` are those of the direction's azimuth. If ``seeks_highest``, the highest leaf counts, otherwise the
     leaf on the ray with ``tangent``.
     """
     first, right, up = quad[0], quad[1], quad[2]

@@ -139,7 +139,7 @@ def _raster_coordinates(scene: Scene, ground: PagedRelief, x: float, y: float) -
 def _allowed_places_text(scene: Scene, coordinates: tuple[float, float], crs: CRS | None) -> str:
     """Return the allowed coordinates as a phrase for an error message.
 
-    If ``coordinates`` lies within the level's bounds, the phrase says that the raster has no height there.
+    If ``coordinates`` lies within the level's bounds, the phrase states that the raster has no height there.
     """
     if scene.world.flat or scene.bounds_lon_lat is None:
         return "a place on the level's data"

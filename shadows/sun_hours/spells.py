@@ -30,7 +30,7 @@ from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_OCCLUDER_CLEARANCE = np.float32(1e6)
-"""Clearance that stands for the absence of any occluder."""
+"""Clearance of a cell without any occluder."""
 
 SHADOW_SIDE_WEIGHT = 0.75
 """Weight of the time extrapolated from clearances in shadow, against that from clearances in the sun."""

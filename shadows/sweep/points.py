@@ -58,7 +58,7 @@ def empty_strip_points(rows: int) -> StripPoints:
 
 @compiled
 def write_row_intervals(first, last, row, rows, out):
-    """Write to ``out`` (n,) the grid row i of each point such that the point lies in the rows (i, i + 1].
+    """Write the grid row i of each point to ``out`` (n,): the point lies in the rows (i, i + 1].
 
     Only the points from index ``first`` to before ``last`` are written. The grid has ``rows`` rows.
     """

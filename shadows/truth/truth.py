@@ -179,7 +179,7 @@ def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays
 
 
 def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
-    """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
+    """Return the visibility float32 (rows, cols) of a spherical lamp. All of its points shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
     buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.valid.shape, np.float32)
@@ -401,7 +401,7 @@ def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int
     """
     side = int(round(sample_count**0.5))
     if side * side != sample_count:
-        raise ValueError(f"samples: {sample_count} is not a square number. Use 1, 4, 9, 16 ...")
+        raise ValueError(f"sample_count: {sample_count} is not a square number. Use 1, 4, 9, 16 ...")
     rng = np.random.default_rng(seed)
     offsets = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
     return [view.shifted(row, col) for row, col in offsets]

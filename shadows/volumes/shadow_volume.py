@@ -1,4 +1,4 @@
-"""`shadow_volume`: the shadow volumes of casters, counted in the stencil. Exact to the pixel, whatever the resolution.
+"""`shadow_volume`: the shadow volumes of casters, counted in the stencil. They are exact to the pixel at any resolution.
 
 ``skugga.shadows.volumes.volumes`` builds the volumes, ``skugga.shadows.volumes.drawing`` counts them.
 """

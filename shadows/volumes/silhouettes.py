@@ -12,7 +12,7 @@ manifold (B. Kim, K. Kim, G. Turk 2008, "A shadow-volume algorithm for opaque an
 Tools 13(3), who count by multiplicity; for closed bodies C. Everitt, M. Kilgard 2002, "Practical and robust stenciled shadow
 volumes for hardware-accelerated rendering").
 
-A rule says which triangles cast, depending on what they bound:
+A rule selects the casting triangles. It depends on what the triangles bound:
 
 - ``facing``: triangles that face the light cast. It serves closed bodies with their faces outwards. A segment from a point to the
   light crosses as many facing triangles as other ones, and one more for each body that contains the point. Where any triangle
@@ -94,9 +94,9 @@ def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) 
 def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """Return the orientations in which triangles cast, int8 (m,): +1 as given, -1 flipped, 0 not at all.
 
-    ``facing`` (m,) says which triangles face the light. ``rule`` is one rule for all, or a number for each triangle:
-    ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles that cast nothing. All triangles of a part of a mesh
-    have the same number. Raises ``InputError`` for any other rule.
+    ``facing`` (m,) bool is the mask of the triangles that face the light. ``rule`` is one rule for all, or a number for each
+    triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles that cast nothing. All triangles of a part of
+    a mesh have the same number. Raises ``InputError`` for any other rule.
     """
     if isinstance(rule, str) and rule not in FACING_RULE_CODES:
         raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))

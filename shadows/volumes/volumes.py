@@ -12,7 +12,7 @@ Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 the ground. Of the ground, the triangles that face away cast, so its near caps lie in attached shadow. Of everything else, open or
 not manifold, all triangles cast. The same holds for a body that contains a lamp, and for ground with gaps.
 
-**Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches, none of which can cover a point more
+**Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches. No batch covers a point more
 often (``skugga.shadows.volumes.layers``).
 """
 
