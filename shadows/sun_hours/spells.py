@@ -149,7 +149,7 @@ def sun_aligned_spells(spells: SunSpells, before: GridOrientation, after: GridOr
 
 def sun_aligned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
     """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
-    view = after.sun_aligned(before.restored(values))
+    view = after.sun_aligned_view(before.grid_order_view(values))
     out = np.empty(view.shape, view.dtype)
     copy_in_blocks(view, out)
     return out

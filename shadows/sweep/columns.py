@@ -260,7 +260,7 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
     for row, col, height_m in windows:
         window = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
         heights[window] = np.where(np.isfinite(height_m), height_m, NO_COLUMN)
-    sun_aligned = np.ascontiguousarray(rays.orientation.sun_aligned(heights))
+    sun_aligned = np.ascontiguousarray(rays.orientation.sun_aligned_view(heights))
     grid, side = columns.coarser(lod).grid, 2.0**lod
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:

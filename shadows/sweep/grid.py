@@ -278,7 +278,7 @@ def sunlit_nodes(
     n, m = ray_height.shape
     sun_aligned_grid = SunAlignedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
     lit, _, _ = sweep_nodes(sun_aligned_grid, lines, (t_of_column[:, 0].min(), m), row_range=(0, n), cores=cores)
-    return orientation.restored(lit)[1:-1, 1:-1]
+    return orientation.grid_order_view(lit)[1:-1, 1:-1]
 
 
 def flat_world_grid(
@@ -309,7 +309,7 @@ def sun_aligned_linear_values(
     """
     rows, cols = height.shape
     with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.axes_swapped else (rows, cols)))
-    target = orientation.restored(inside)  # the same memory, in the grid's own order
+    target = orientation.grid_order_view(inside)  # the same memory, in the grid's own order
 
     def write_band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)

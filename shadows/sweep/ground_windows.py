@@ -149,9 +149,9 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     _, ray_height_m, sunward_m = rays.ray_coordinates(
         ground_mesh.position_frame_m, frame, np.arange(len(ground_mesh.position_frame_m))
     )
-    ray_heights = rays.sun_aligned(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
+    ray_heights = rays.bordered_sun_aligned_copy(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
     towards = (
-        rays.sun_aligned(_interpolate_on_triangles(corner, sunward_m, ground_mesh.triangles, rows, cols))
+        rays.bordered_sun_aligned_copy(_interpolate_on_triangles(corner, sunward_m, ground_mesh.triangles, rows, cols))
         if needs_sunward
         else NO_RAY_HEIGHTS
     )
@@ -185,7 +185,7 @@ def _ground_window(
         with_border, inside = allocate_bordered_grid(
             *((cols, rows) if rays.orientation.axes_swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
         )
-        grid_view = rays.orientation.restored(inside)
+        grid_view = rays.orientation.grid_order_view(inside)
         if windows:
             write(lod, windows, [grid_view[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
         return close_border(with_border, slice(*filled_rows))

@@ -110,7 +110,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
         i, j, t = _nodes_between(column_of_t, t_of_column, start, start + max(STRIP_NODES // n, 1), m)
         out[i, j] = horizon_tangents(section, lines, i.astype(float), t, ray_height[i, j], sunward_m[i, j], cores)
     out[~np.isfinite(ray_height)] = np.nan
-    return orientation.restored(np.degrees(np.arctan(out[:, 1:-1])))
+    return orientation.grid_order_view(np.degrees(np.arctan(out[:, 1:-1])))
 
 
 def horizon_tangents(

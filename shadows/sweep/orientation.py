@@ -32,7 +32,7 @@ class GridOrientation:
 
         ``is_cut_nw_se`` is the same mask for the grid before turning.
         """
-        return self.sun_aligned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
+        return self.sun_aligned_view(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
 
     def to_sun_aligned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Convert rows and columns of a grid (``rows``, ``cols``) to those of the sun-aligned grid.
@@ -45,9 +45,8 @@ class GridOrientation:
     def to_sun_aligned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Convert as ``to_sun_aligned`` does, but overwrite ``row`` and ``col``.
 
-        They are returned in the order of the sun-aligned grid.
-
-        New memory for many points would cost more time than the arithmetic.
+        The results are these arrays, in the order of the sun-aligned grid. New memory for many points would cost more time than the
+        arithmetic.
         """
         i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
         for is_reversed, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
@@ -64,18 +63,18 @@ class GridOrientation:
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
         return (j, i) if self.axes_swapped else (i, j)
 
-    def sun_aligned(self, values: np.ndarray) -> np.ndarray:
+    def sun_aligned_view(self, values: np.ndarray) -> np.ndarray:
         """Return a view of a grid's values (rows, cols) in the order of the sun-aligned grid."""
         return (values.T if self.axes_swapped else values)[self._index_slices]
 
-    def restored(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of the sun-aligned grid's values (n, m) in the order of the grid, the inverse of ``sun_aligned``."""
+    def grid_order_view(self, values: np.ndarray) -> np.ndarray:
+        """Return a view of the sun-aligned grid's values (n, m) in the order of the grid, the inverse of ``sun_aligned_view``."""
         values = values[self._index_slices]
         return values.T if self.axes_swapped else values
 
-    def restored_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-        """Return a contiguous copy of a window of ``restored``."""
-        view = self.restored(values)[window]
+    def grid_order_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
+        """Return a contiguous copy of a window of ``grid_order_view``."""
+        view = self.grid_order_view(values)[window]
         out = np.empty(view.shape, view.dtype)
         copy_in_blocks(view, out)
         return out

@@ -108,10 +108,10 @@ class SunRays:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return self.grid.row(y), self.grid.col(x)
 
-    def sun_aligned(self, values: np.ndarray) -> np.ndarray:
+    def bordered_sun_aligned_copy(self, values: np.ndarray) -> np.ndarray:
         """Return values (rows, cols) float32 of the grid's nodes as a sun-aligned grid with border columns."""
         with_border, inside = allocate_bordered_grid(*(values.shape[::-1] if self.orientation.axes_swapped else values.shape))
-        copy_in_blocks(values, self.orientation.restored(inside))
+        copy_in_blocks(values, self.orientation.grid_order_view(inside))
         return close_border(with_border)
 
     def sun_aligned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> GridWindow:

@@ -173,7 +173,7 @@ def find_lit_nodes(
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _byte_size(grounds, targets, has_soft_edges=False))
-        return rays.orientation.restored_copy(lit, targets.grid_window)
+        return rays.orientation.grid_order_copy(lit, targets.grid_window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +311,7 @@ def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets,
     lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
     if targets.on_node_mask.any():
-        sunlit[:] = rays.orientation.restored(lit_nodes)[targets.grid_window]
+        sunlit[:] = rays.orientation.grid_order_view(lit_nodes)[targets.grid_window]
     sunlit[targets.off_node_mask] = lit_points
     return sunlit
 
@@ -326,7 +326,7 @@ def _shadow_height_m(
     above_m = np.zeros(targets.on_node_mask.shape, np.float32)
     if targets.on_node_mask.any():
         shadow_height, node_height = (
-            rays.orientation.restored(values[:, 1:-1])[targets.grid_window] for values in (shadow_ray_heights, ray_height)
+            rays.orientation.grid_order_view(values[:, 1:-1])[targets.grid_window] for values in (shadow_ray_heights, ray_height)
         )
         above_m[:] = shadow_height - node_height
     above_m[targets.off_node_mask] = points_above_m

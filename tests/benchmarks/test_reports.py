@@ -116,7 +116,7 @@ def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
 )
 def test_the_page_ranks_the_default(rival: dict[str, float], place: str) -> None:
     default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
-    scene_record = make_record(default, figures("sweep", **rival), default="hybrid")
+    scene_record = make_record(default, figures("sweep", **rival), default_row_name="hybrid")
     assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in format_comparisons({"city": scene_record})
 
 

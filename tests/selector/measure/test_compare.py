@@ -176,7 +176,7 @@ def test_compare_rows_are_consistent(gl, comparison):
 @pytest.mark.parametrize(("front", "error"), [("pareto", "wrong_cast"), ("pareto_soft", "soft_error")])
 def test_compare_marks_the_pareto_front(gl, comparison, front, error):
     rows = [row.figures for row in comparison.rows]
-    assert comparison.error == "wrong_cast"
+    assert comparison.error_metric == "wrong_cast"
     for row in rows:
         is_dominated = any(
             other["ms_median"] <= row["ms_median"] and other[error] <= row[error]

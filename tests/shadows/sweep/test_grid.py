@@ -175,7 +175,7 @@ def sweep_over_cuts(heights: np.ndarray, azimuth: float, altitude: float, is_cut
     sheet = sun_aligned_grid(heights, azimuth, altitude, is_cut_nw_se)
     n, m = sheet.ray_height.shape
     lit, _, _ = sweep_nodes(sheet, 8, (sheet.t_of_column[:, 0].min(), m), row_range=(0, n))
-    return flat_world_grid(heights.shape, 10.0, azimuth)[0].restored(lit)
+    return flat_world_grid(heights.shape, 10.0, azimuth)[0].grid_order_view(lit)
 
 
 @pytest.mark.parametrize("azimuth", [*OFF_AXIS_AZIMUTHS_DEG, 0.0, 45.0, 90.0, 135.0])
