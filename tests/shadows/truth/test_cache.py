@@ -34,7 +34,7 @@ def test_cached_truth_is_computed_once_per_content(tmp_path, monkeypatch):
     first = cached_truth(buffer, scene, casters, 4, folder=tmp_path, compute=make)
     second = cached_truth(buffer, scene, casters, 4, folder=tmp_path, compute=make)
     assert len(calls) == 1 and first.decidable.any()
-    for name in ("lit", "attached", "decidable", "valid"):
+    for name in ("lit", "attached_shadow_mask", "decidable", "valid"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     (stored,) = tmp_path.glob("*.npz")
     other_archive = BytesIO()
