@@ -67,7 +67,7 @@ def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     assert truth.spacing_px == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
-        for field in ("lit", "attached", "valid"):
+        for field in ("lit", "attached_shadow_mask", "valid"):
             assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(full_truth, field)))
         differ = lattice.truth.decidable != lattice.at_points(full_truth.decidable)
         assert differ.mean() < 1e-3
