@@ -216,6 +216,8 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 is_coverage=any(
                     light_options.options[option_index].errors.is_coverage for light_options, option_index in winning_options
                 ),
+                is_measured=policy in ("probe", "measure")
+                and all(option_index in light_options.observations for light_options, option_index in winning_options),
             ),
             "target": Target(
                 max_error=max_error,
@@ -267,10 +269,10 @@ def _with_reasons(options: PlanOptions, light: str, option_index: int, verdict: 
         ]
         fastest_other = min(likely, key=lambda number: light_options.figures(number).ms, default=None)
         if fastest_other is None:
-            reason += f"no other choice is expected to stay within {_limit_text(max_error)}"
+            reason += f"no other algorithm is expected to stay within {_limit_text(max_error)}"
         elif (ms := light_options.figures(fastest_other).ms) >= figures.ms:
             reason += (
-                f"the fastest other choice within {_limit_text(max_error)} is "
+                f"the fastest other algorithm within {_limit_text(max_error)} is "
                 f"{light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
             )
         else:

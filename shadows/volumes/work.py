@@ -76,7 +76,7 @@ def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: 
     rectangles = max(workload.pixel_count / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     faces_drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = sides * workload.facts.volume_layers if workload.caster_facts("meshes") else 0.0
+    layers = sides * workload.volume_layers
     counts = {"blocks": 1.0, "pixels": workload.pixel_count}
     if marked_share is None:
         counts |= {
