@@ -239,8 +239,8 @@ def is_warm(options: LightOptions, option_index: int, drawn: Collection[int]) ->
 def draw_count(ms: float, is_warm: bool, warm_repeated_ms: float = MAX_WARM_REPEATED_MS) -> int:
     """Return how often an option is drawn to measure its time.
 
-    ``ms`` is the expected time of one drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene before.
-    ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
+    ``ms`` is the expected time of one drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene
+    before. ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
     """
     return DRAW_REPEATS if ms < (warm_repeated_ms if is_warm else MAX_REPEATED_MS) else 1
 
