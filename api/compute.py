@@ -376,7 +376,7 @@ def raster_metadata(planned_request: PlannedRequest, overrides: dict[str, Any]) 
             }  # fmt: skip
         requested = {name: value for name, value in overrides.items() if value is not None and name != "algorithm"}
         tags |= {
-            "algorithm": "" if plan is None else plan.headline,
+            "algorithm": "" if plan is None else plan.algorithms_text,
             **{f"shadows_{name}": str(value) for name, value in requested.items()},
         }
     return RasterMetadata(f"{product.name}: {description}", product.band_names(request.options), unit, tags)

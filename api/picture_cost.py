@@ -64,7 +64,7 @@ def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str, has
     """
     if limit_ms is None or plan.predicted is None or not is_over_limit(plan, limit_ms):
         return
-    reason = f"{subject} by {plan.headline} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
+    reason = f"{subject} by {plan.algorithms_text} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
     cheaper = remedy(plan)
     advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_size else ''}"
     if bound == MAX_MS_OPTION:

@@ -12,7 +12,7 @@ import numpy as np
 from skugga.api.catalogue import find_level
 from skugga.selector.measure.compare import picture_blocks
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.visibility import fill_steps
@@ -49,7 +49,10 @@ class BenchmarkView:
         """
         rows = [
             picture.pixel_buffer.valid
-            & ((band_visibility[: picture.rows] < 0.5) | attached(picture.pixel_buffer, self.scene, *self.scene.light_names))
+            & (
+                (band_visibility[: picture.rows] < 0.5)
+                | attached_shadow_mask(picture.pixel_buffer, self.scene, *self.scene.light_names)
+            )
             for band_visibility, (picture, _) in zip(visibility, self.bands, strict=True)
         ]
         return np.concatenate(rows)
@@ -61,7 +64,7 @@ class BenchmarkView:
 
     def _band_visibility(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
         (light,) = self.scene.light_names
-        return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.effect_names, log)
+        return fill_steps(plan.steps_of_light(light), picture.buffer, self.scene, casters, plan.effect_names, log)
 
 
 def benchmark_view(level: str, name: str, size: tuple[int, int]) -> BenchmarkView:

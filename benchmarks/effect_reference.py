@@ -10,7 +10,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.render import bands_of
 from skugga.terrain.gbuffer.antialias import picture_buffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -64,7 +64,7 @@ def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> lis
     is_map = isinstance(view, MapView)
     picture = picture_buffer(scene, view)
     buffer, own_buffer = picture.buffer, picture.pixel_buffer
-    visibility = 1.0 - attached(buffer, scene).astype(np.float32)
+    visibility = 1.0 - attached_shadow_mask(buffer, scene).astype(np.float32)
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own_buffer.height_m]
     if not is_map:
         row, col = np.nonzero(~buffer.valid)

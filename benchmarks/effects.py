@@ -51,7 +51,7 @@ from morecantile import tms as matrix_sets
 from benchmarks.effect_reference import frame_without_effects, level_scene, plain_scene
 from skugga.api.catalogue import bundled_levels, find_level
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.draw import SHADING_NEEDS, heights_suffice, picture_of
+from skugga.shadows.draw import SHADING_NEEDS, can_draw_from_heights, picture_of
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.ground_pictures import ground_picture
 from skugga.shadows.passes import PassLog
@@ -306,7 +306,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
 
 def _draw_single_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
     """Draw a block like ``skugga.shadows.draw``, but without splitting it at the block boundaries of the tile grid."""
-    if heights_suffice(scene, view, plan, SHADING_NEEDS):
+    if can_draw_from_heights(scene, view, plan, SHADING_NEEDS):
         log = PassLog()
         picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADING_NEEDS, log)
         if picture is not None:

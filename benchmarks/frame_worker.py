@@ -163,7 +163,10 @@ class FrameWorker:
         from skugga.terrain.gl.device import renderer_and_version
 
         costs["renderer"] = " ".join(renderer_and_version())
-        return {**costs, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}
+        return {
+            **costs,
+            "plans": {name: {"algorithms": plan.algorithms_text, "passes": plan.passes} for name, plan in self.plans.items()},
+        }
 
     def frame(self, request: dict[str, Any]) -> dict[str, Any]:
         if request.get("clear"):

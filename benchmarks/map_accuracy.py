@@ -19,7 +19,7 @@ import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.truth.truth import trace_truth
@@ -64,7 +64,7 @@ def measure(scene: Scene, max_side_px: int, algorithm: AlgorithmName, map_size: 
         if step is None:
             continue
         visibility = fill_steps([step], buffer, lit, casters, plan.effect_names, PassLog())
-        visibility[attached(buffer, lit)] = 0.0
+        visibility[attached_shadow_mask(buffer, lit)] = 0.0
         metrics = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadow_share = float((~truth.lit & truth.valid).sum() / max(truth.valid.sum(), 1))
         rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadow_share, **asdict(metrics)})

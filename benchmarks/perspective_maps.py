@@ -87,7 +87,7 @@ def measure_times(args: argparse.Namespace) -> list[Row]:
                 device().depth_targets.clear()
                 log, start = PassLog(), time.perf_counter()
                 for light in todo[map_name].lights:
-                    fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].effect_names, log)
+                    fill_steps(todo[map_name].steps_of_light(light), buffer, scene, casters, todo[map_name].effect_names, log)
                 if number >= 2:  # the first turns compile and allocate
                     times_by_map.setdefault(map_name, []).append(time.perf_counter() - start)
                 map_bytes[map_name] = max(record.bytes for record in log.records.values())

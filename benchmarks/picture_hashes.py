@@ -76,7 +76,7 @@ def picture_hashes_of_level(path: Path) -> dict[str, str]:
     result: dict[str, str] = {}
     scene = build_scene(load_level(path))
     for view in scene.loaded.level.views:
-        for algorithm in (AUTO_ALGORITHM, *(name for name, algorithm_info in ALGORITHMS.items() if algorithm_info.is_served)):
+        for algorithm in (AUTO_ALGORITHM, *(name for name, algorithm_info in ALGORITHMS.items() if algorithm_info.is_selectable)):
             for layer, value in view_hashes(scene, view, algorithm):
                 result[f"{path.stem}/{view}/{algorithm}/{layer}"] = value
     print(f"{path.stem}: {len(result)} hashes", file=sys.stderr, flush=True)

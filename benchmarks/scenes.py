@@ -27,8 +27,8 @@ from skugga.api.catalogue import bundled_levels, find_level
 from skugga.selector.measure.compare import measure_plan
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import block_shares, coverage_error
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.truth.metrics import block_shadow_shares, coverage_error
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -128,8 +128,8 @@ def measure_thinning(count: int) -> None:
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
                     tree_count = len(buffer.tree_instances)
-                    lit = lit_mask(buffer, scene, "sun", ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
-                    parts.append(block_shares(np.where(buffer.valid, 1.0 - lit, np.nan)))
+                    lit = lit_mask(buffer, scene, "sun", ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS))
+                    parts.append(block_shadow_shares(np.where(buffer.valid, 1.0 - lit, np.nan)))
                 shares.append(np.array(parts))
             means = [float(np.nanmean(share)) for share in shares]
             print(f"{name}: {tree_count} of {count} trees; shadow share {means[1]:.4f} against {means[0]:.4f}, "

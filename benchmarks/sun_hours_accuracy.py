@@ -92,7 +92,7 @@ def _sun_of_day(scene: Scene, day: date) -> WindowSun:
 
 
 def _compute_sun_hours(scene: Scene, view: MapView, day: WindowSun, step_min: float | None) -> SunHours:
-    return sun_hours(scene, view, [day], SunRules(step_min=step_min), _reject_planning)
+    return sun_hours(scene, view, [day], SunRules(step_minutes=step_min), _reject_planning)
 
 
 class CellRays:
@@ -138,7 +138,7 @@ def ray_truth(
     lit_min = np.zeros(len(row))
     first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
     for begin in range(0, len(times), SUNS_PER_BATCH):
-        directions = frame.directions_from_earth(day.direction(times[begin : begin + SUNS_PER_BATCH]))
+        directions = frame.directions_from_earth(day.directions_at(times[begin : begin + SUNS_PER_BATCH]))
         for minutes, direction in zip(times[begin : begin + SUNS_PER_BATCH], directions, strict=True):
             visible = np.flatnonzero(rays.sun_visible(direction))
             lit_min[visible] += step_min

@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import sunlit
-from skugga.shadows.truth.metrics import INTERIOR_PX, interior
+from skugga.shadows.sweep.grid import sunlit_nodes
+from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, interior_error_mask
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import SkuggaError
 from skugga.terrain.geo.world import WGS84
@@ -129,7 +129,7 @@ class SweepFigures:
 class GridRays:
     """Rays against the triangles of a heightfield (rows, cols), with quads cut along the higher or along the lower diagonal.
 
-    The outermost heights are repeated one cell further out, as in ``sunlit``.
+    The outermost heights are repeated one cell further out, as in ``sunlit_nodes``.
     """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
@@ -200,7 +200,7 @@ def compare_with_truth(
         wrong=int(wrong_cells.sum()) / count,
         false_shadow=int((wrong_cells & truth.lit).sum()) / count,
         missed_shadow=int((wrong_cells & ~truth.lit).sum()) / count,
-        interior=int(interior(wrong_cells, ~truth.lit & valid, valid, INTERIOR_PX).sum()) / count,
+        interior=int(interior_error_mask(wrong_cells, ~truth.lit & valid, valid, MIN_INTERIOR_DISTANCE_PX).sum()) / count,
         undecided=float((~certain)[raster.valid].mean()),
     )
 
@@ -251,7 +251,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
     for sun in suns:
         truth = rays.truth(*sun)
         figures.append(
-            compare_with_truth(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun)
+            compare_with_truth(raster, sunlit_nodes(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.certain, *sun)
         )
     return figures
 

@@ -29,7 +29,7 @@ import numba
 import numpy as np
 
 from benchmarks.sweep_accuracy import GridRays, Raster, compare_with_truth
-from skugga.shadows.sweep.grid import sunlit
+from skugga.shadows.sweep.grid import sunlit_nodes
 
 CELL_M = 10.0
 RELIEF_M = 2000.0
@@ -56,7 +56,7 @@ class SweepTool:
     def compute_mask(self, height_m: np.ndarray, azimuth_deg: float, altitude_deg: float) -> np.ndarray:
         """Return the mask of cells that see the sun, bool (rows, cols)."""
         if self.lines:
-            return sunlit(height_m, CELL_M, azimuth_deg, altitude_deg, lines=self.lines, cores=self.threads)
+            return sunlit_nodes(height_m, CELL_M, azimuth_deg, altitude_deg, lines=self.lines, cores=self.threads)
         from insolation import insolf
 
         numba.set_num_threads(self.threads)

@@ -21,7 +21,7 @@ import rasterio
 
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -119,7 +119,9 @@ def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarr
     out = np.zeros((view.rows, view.cols), bool)
     for part, row, col in blocks_of(view):
         buffer = geometry_buffer(scene, part)
-        shadow = buffer.valid & ~lit_mask(buffer, scene, SUN, ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
+        shadow = buffer.valid & ~lit_mask(
+            buffer, scene, SUN, ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
+        )
         top, left = max(row, 0), max(col, 0)
         bottom, right = min(row + part.rows, view.rows), min(col + part.cols, view.cols)
         out[top:bottom, left:right] = shadow[top - row : bottom - row, left - col : right - col]

@@ -10,7 +10,7 @@ from typing import Any
 from skugga.selector.mixes import MIXES
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.plan import Plan
-from skugga.shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS
+from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, NO_SHADOWS
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
@@ -52,7 +52,7 @@ def name_of(plan: Plan, light: str = SUN) -> str:
     kinds: dict[str, list[str]] = {}
     for kind, name in plan.algorithm.get(light, {}).items():
         settings = plan.settings.get(light, {}).get(kind)
-        kinds.setdefault("-".join([name, *([] if settings is None else settings.label)]), []).append(kind)
+        kinds.setdefault("-".join([name, *([] if settings is None else settings.label_parts)]), []).append(kind)
     if len(kinds) <= 1:
         return next(iter(kinds), NO_SHADOWS)
     return ",".join(f"{'+'.join(algorithm_kinds)}={name}" for name, algorithm_kinds in kinds.items())
@@ -65,18 +65,18 @@ def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
         for taps in DEFAULT_PLAN_FILTERS:
             with suppress(UnsupportedError):  # not every algorithm has every filter
                 yield make_plan(descriptor, level, {"algorithm": {light: default.algorithm.get(light, {})}, "filter": taps})
-    algorithms = [algorithm for algorithm in ALGORITHMS.values() if algorithm.is_served]
+    algorithms = [algorithm for algorithm in ALGORITHMS.values() if algorithm.is_selectable]
     compared_overrides = [
-        {"algorithm": algorithm.name, **overrides} for algorithm in algorithms for overrides in algorithm.search.compared_overrides
+        {"algorithm": algorithm.name, **overrides} for algorithm in algorithms for overrides in algorithm.search.resolution_variants
     ]
     for algorithm_overrides in [*({"algorithm": algorithm.name} for algorithm in algorithms), *compared_overrides]:
         yield from _widest_served_plans(descriptor, level, light, algorithm_overrides)
     if light == SUN and {"relief", "meshes"} <= set(descriptor.casters):
         for mix in (mix for mix in MIXES if mix.in_report):
-            by_kind = {kind: mix.algorithm.get(kind, FALLBACK) for kind in ("relief", "meshes")}
+            by_kind = {kind: mix.algorithm.get(kind, FALLBACK_ALGORITHM) for kind in ("relief", "meshes")}
             yield from _served_plans(descriptor, level, light, {"algorithm": by_kind})
     for algorithm in reversed(algorithms):
-        for overrides in algorithm.search.variants:
+        for overrides in algorithm.search.other_variants:
             yield from _widest_served_plans(descriptor, level, light, {"algorithm": algorithm.name, **overrides})
 
 

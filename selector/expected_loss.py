@@ -20,7 +20,7 @@ from skugga.shadows.registry import NO_SHADOWS
 MISS_PENALTY = 10.0
 """Loss of a missed target, in multiples of the median time of the candidates that are likely to meet it."""
 
-LIKELY_MISS_CHANCE = 0.5
+MAX_MISS_CHANCE_OF_LIKELY_OPTION = 0.5
 """Maximum probability of a missed target of a candidate that counts as likely to meet it."""
 
 
@@ -63,7 +63,7 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
     The algorithm ``none`` wins only if it is the only candidate. Raises ``ValueError`` without candidates.
     """
     candidates = [forecast for forecast in forecasts if forecast.figures.name != NO_SHADOWS] or list(forecasts)
-    likely = [forecast for forecast in candidates if forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
+    likely = [forecast for forecast in candidates if forecast.miss_chance(max_ms) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION]
     if likely:
         miss_ms = MISS_PENALTY * sorted(forecast.figures.ms for forecast in likely)[len(likely) // 2]
         winner = min(
@@ -74,7 +74,11 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
             ),
         )
         return RankingResult(winner.figures, True, None)
-    in_time = [forecast for forecast in candidates if max_ms is not None and forecast.late_chance(max_ms) <= LIKELY_MISS_CHANCE]
+    in_time = [
+        forecast
+        for forecast in candidates
+        if max_ms is not None and forecast.late_chance(max_ms) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION
+    ]
     if not in_time:
         return best_candidate([forecast.figures for forecast in candidates], max_error, max_ms)
     over = {forecast.figures.name: relative_overshoot(forecast.figures, max_error) for forecast in in_time}

@@ -23,7 +23,7 @@ import numpy as np
 from skugga.selector.film_request import MAX_FRAMES, FilmRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.replanning import PlanTransition, Replanner, casting_kinds, choices_from_plan, mix_pictures
-from skugga.shadows.draw import draw, heights_suffice
+from skugga.shadows.draw import can_draw_from_heights, draw
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
@@ -214,7 +214,7 @@ def _frame_makers(
             yield partial(FilmFrame, moment, color, plan, replanner.transition, switch)
             continue
         draw_picture: Callable[[], Picture] = partial(draw, frame_scene, moment.view, plan, COLOR_NEEDS)
-        if threads is not None and moment.number > 0 and heights_suffice(frame_scene, moment.view, plan, COLOR_NEEDS):
+        if threads is not None and moment.number > 0 and can_draw_from_heights(frame_scene, moment.view, plan, COLOR_NEEDS):
             draw_picture = threads.submit(draw_picture).result
         yield partial(_film_frame, moment, draw_picture, plan, switch)
 

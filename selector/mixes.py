@@ -18,7 +18,7 @@ class Mix:
     name
         Name of the combination.
     algorithm
-        Algorithm by kind of casters. Other kinds use ``skugga.shadows.registry.FALLBACK``.
+        Algorithm by kind of casters. Other kinds use ``skugga.shadows.registry.FALLBACK_ALGORITHM``.
     in_portfolio
         Whether policies may choose it.
     in_report

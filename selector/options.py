@@ -31,7 +31,7 @@ from skugga.selector.planner.planner import SETTING_NAMES, Planner
 from skugga.selector.portfolio import portfolio
 from skugga.selector.ranking import CandidateFigures
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
@@ -138,55 +138,62 @@ class LightOptions:
         posterior = self
         for observation in observations:
             if observation.choice in numbers:
-                which = numbers[observation.choice]
+                option_index = numbers[observation.choice]
                 posterior = replace(
                     posterior,
-                    error=posterior.error.after_observation(which, log_error(observation.error), observation.error_noise),
+                    error=posterior.error.after_observation(option_index, log_error(observation.error), observation.error_noise),
                     interior=posterior.interior.after_observation(
-                        which, log_interior(observation.interior), observation.interior_noise
+                        option_index, log_interior(observation.interior), observation.interior_noise
                     ),
-                    time=posterior.time.after_observation(which, log(max(observation.ms, MIN_MS)), observation.ms_noise),
-                    observations={**posterior.observations, which: observation},
+                    time=posterior.time.after_observation(option_index, log(max(observation.ms, MIN_MS)), observation.ms_noise),
+                    observations={**posterior.observations, option_index: observation},
                 )
         return posterior
 
-    def figures(self, which: int) -> CandidateFigures:
+    def figures(self, option_index: int) -> CandidateFigures:
         """Return the expected time and errors of an option."""
-        error, interior = exp(self.error.mean[which]) - ERROR_OFFSET, exp(self.interior.mean[which]) - INTERIOR_OFFSET
+        error, interior = exp(self.error.mean[option_index]) - ERROR_OFFSET, exp(self.interior.mean[option_index]) - INTERIOR_OFFSET
         return CandidateFigures(
-            self.options[which].choice.name, exp(self.time.mean[which]), min(max(error, 0.0), 1.0), min(max(interior, 0.0), 1.0)
+            self.options[option_index].choice.name,
+            exp(self.time.mean[option_index]),
+            min(max(error, 0.0), 1.0),
+            min(max(interior, 0.0), 1.0),
         )
 
-    def wrong(self, which: int) -> float:
+    def wrong(self, option_index: int) -> float:
         """Return the expected share, in [0, 1], of all pixels that are wrong with an option."""
-        errors = self.options[which].errors
-        return min(errors.wrong * self.figures(which).error / errors.wrong_cast, 1.0) if errors.wrong_cast > 0.0 else errors.wrong
+        errors = self.options[option_index].errors
+        return (
+            min(errors.wrong * self.figures(option_index).error / errors.wrong_cast, 1.0)
+            if errors.wrong_cast > 0.0
+            else errors.wrong
+        )
 
-    def miss_chance(self, which: int, max_error: float) -> float:
+    def miss_chance(self, option_index: int, max_error: float) -> float:
         """Return the probability, in [0, 1], that an option exceeds an error limit.
 
-        The limits are ``max_error`` for the error and ``MAX_INTERIOR`` for the interior error.
+        The limits are ``max_error`` for the error and ``MAX_INTERIOR_SHARE`` for the interior error.
         """
-        error = self.error.probability_over(which, log_error(max_error))
-        inside = self.interior.probability_over(which, log_interior(MAX_INTERIOR))
+        error = self.error.probability_over(option_index, log_error(max_error))
+        inside = self.interior.probability_over(option_index, log_interior(MAX_INTERIOR_SHARE))
         return max(error, inside)  # interior errors are errors, too
 
-    def forecast(self, which: int, max_error: float) -> Forecast:
+    def forecast(self, option_index: int, max_error: float) -> Forecast:
         """Return the forecast of an option: its time and errors, and its probability of an error over the limit."""
-        return Forecast(self.figures(which), self.miss_chance(which, max_error), self.time.scale(which))
+        return Forecast(self.figures(option_index), self.miss_chance(option_index, max_error), self.time.scale(option_index))
 
     def forecasts(self, max_error: float) -> list[Forecast]:
         """Return the forecasts of all options that are not refused."""
-        return [self.forecast(which, max_error) for which in self.numbers]
+        return [self.forecast(option_index, max_error) for option_index in self.numbers]
 
     @property
     def numbers(self) -> list[int]:
         """The numbers of the options that are not refused."""
-        return [which for which in range(len(self.options)) if which not in self.refused]
+        return [option_index for option_index in range(len(self.options)) if option_index not in self.refused]
 
     def number(self, name: str) -> int:
         """Return the number of the option whose choice has the given name."""
-        return next(which for which, option in enumerate(self.options) if option.choice.name == name)
+        return next(option_index for option_index, option in enumerate(self.options) if option.choice.name == name)
 
 
 def predicted_choices(

@@ -12,7 +12,7 @@ from typing import Any, get_args
 from skugga.selector.choices import Choice
 from skugga.selector.mixes import MIXES
 from skugga.shadows.algorithm import Algorithm
-from skugga.shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
+from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, can_serve, selectable_algorithms
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
@@ -28,7 +28,10 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     Shadow maps draw the kinds without an entry.
     """
     by_themselves = [
-        (_solo_name(algorithm), {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals})
+        (
+            _name_without_companion(algorithm),
+            {kind: algorithm.name for kind in get_args(CasterKind) if kind not in algorithm.refusals},
+        )
         for algorithm in selectable_algorithms()
     ]
     return [*by_themselves, *((mix.name, mix.algorithm) for mix in MIXES if mix.in_portfolio)]
@@ -49,9 +52,9 @@ def portfolio(
     return list(_distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], requested_shadows))
 
 
-def _solo_name(algorithm: Algorithm) -> str:
+def _name_without_companion(algorithm: Algorithm) -> str:
     """Return the name of a choice of one algorithm. It includes the fallback's name if the algorithm cannot draw meshes."""
-    return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refusals else algorithm.name
+    return f"{algorithm.name}+{FALLBACK_ALGORITHM}" if "meshes" in algorithm.refusals else algorithm.name
 
 
 def _distinct_choices(
@@ -59,12 +62,12 @@ def _distinct_choices(
 ) -> Iterator[Choice]:
     yielded = set()
     for combination, named_algorithms in combinations():
-        algorithm = {kind: named_algorithms.get(kind, FALLBACK) for kind in kinds}
+        algorithm = {kind: named_algorithms.get(kind, FALLBACK_ALGORITHM) for kind in kinds}
         if not all(can_serve(name, descriptor, light, kind, requested_shadows) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
             continue
-        for settings in _settings(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
+        for settings in _settings_to_try(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
             words = [combination, *(SETTING_FORMATS.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
             key = (tuple(algorithm.items()), tuple(settings.items()))
             if key not in yielded:
@@ -72,14 +75,16 @@ def _distinct_choices(
                 yield Choice(" ".join(words), algorithm, settings)
 
 
-def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
+def _settings_to_try(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
     """Yield the settings, by field of ``Shadows``, to try for algorithms that a choice uses together."""
     search_space: dict[str, tuple[Any, ...]] = {}
     for name in algorithms:
         for key, values in name.search.search_space.items():
             possible = [value if name.search.is_tunable(descriptor, light, key, value) else None for value in values]
             search_space[key] = tuple(dict.fromkeys([*search_space.get(key, ()), *possible]))
-    companion_sizes = [name.search.companion_map_sizes for name in algorithms if name.search.companion_map_sizes is not None]
+    companion_sizes = [
+        name.search.map_sizes_for_other_casters for name in algorithms if name.search.map_sizes_for_other_casters is not None
+    ]
     if companion_sizes and "map_size" in search_space:
         search_space = {"map_size": companion_sizes[0]}
     for values in product(*search_space.values()):

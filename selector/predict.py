@@ -14,14 +14,14 @@ from skugga.selector.choices import Choice, PlanRequest, PolicyName
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.cost.typical_device import model_for_device
-from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
+from skugga.selector.expected_loss import MAX_MISS_CHANCE_OF_LIKELY_OPTION, least_expected_loss
 from skugga.selector.formatting import format_duration, format_percent, format_wrong_share
 from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.planner import Planner, planner_of
 from skugga.selector.ranking import RankingResult
-from skugga.shadows.algorithm import NamedReason
+from skugga.shadows.algorithm_settings import NamedReason
 from skugga.shadows.plan import Plan, Predicted, Target
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor
@@ -64,9 +64,9 @@ class PlanOptions:
     unsearched: Mapping[str, Sequence[str]] = field(default_factory=dict)
     observed_basis: str = "measured"
 
-    def basis(self, light: str, which: int) -> str:
+    def basis(self, light: str, option_index: int) -> str:
         """Return the word for the origin of an option's time and errors: ``observed_basis`` or "expected"."""
-        return self.observed_basis if which in self.lights[light].observations else "expected"
+        return self.observed_basis if option_index in self.lights[light].observations else "expected"
 
     @property
     def max_error(self) -> float:
@@ -180,7 +180,7 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
     unmeasured: dict[AlgorithmName, str] = {}
     lights, unsearched = {}, {}
     for light in planner.lights:
-        if kinds := planner.casting(light):
+        if kinds := planner.casting_kinds(light):
             options = predicted_choices(planner, light, kinds, device, errors, unmeasured)
             lights[light] = LightOptions.expected(options[:MAX_OPTIONS], errors)
             if len(options) > MAX_OPTIONS:
@@ -201,19 +201,23 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
         for light, share_ms in options.time_limits_ms().items()
     }
     winners = {light: options.lights[light].number(verdict.winner.name) for light, verdict in verdicts.items()}
-    choices = {light: _with_reasons(options, light, which, verdicts[light]) for light, which in winners.items()}
+    choices = {light: _with_reasons(options, light, option_index, verdicts[light]) for light, option_index in winners.items()}
     plan = planner.plan(choices, dict(options.unmeasured) | _rejection_reasons(options, winners))
-    winning_options = [(options.lights[light], which) for light, which in winners.items()]
+    winning_options = [(options.lights[light], option_index) for light, option_index in winners.items()]
     return plan.model_copy(
         update={
             "policy": policy,
             "predicted": Predicted(
-                ms=sum(light_options.figures(which).ms for light_options, which in winning_options),
-                wrong=max((light_options.wrong(which) for light_options, which in winning_options), default=0.0),
-                wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
-                is_coverage=any(light_options.options[which].errors.is_coverage for light_options, which in winning_options),
+                ms=sum(light_options.figures(option_index).ms for light_options, option_index in winning_options),
+                wrong=max((light_options.wrong(option_index) for light_options, option_index in winning_options), default=0.0),
+                wrong_cast=max(
+                    (light_options.figures(option_index).error for light_options, option_index in winning_options), default=0.0
+                ),
+                is_coverage=any(
+                    light_options.options[option_index].errors.is_coverage for light_options, option_index in winning_options
+                ),
                 is_measured=policy in ("probe", "measure")
-                and all(which in light_options.observations for light_options, which in winning_options),
+                and all(option_index in light_options.observations for light_options, option_index in winning_options),
             ),
             "target": Target(
                 max_error=max_error,
@@ -246,21 +250,23 @@ def _rules_plan(options: PlanOptions) -> Plan:
     )
 
 
-def _with_reasons(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
-    """Return the choice of option ``which``, with the reasons for it."""
+def _with_reasons(options: PlanOptions, light: str, option_index: int, verdict: RankingResult) -> Choice:
+    """Return the choice of option ``option_index``, with the reasons for it."""
     light_options, max_error = options.lights[light], options.max_error
-    winner, figures = light_options.options[which], light_options.figures(which)
+    winner, figures = light_options.options[option_index], light_options.figures(option_index)
     error = format_wrong_share(figures.error, winner.errors.is_coverage)
-    expectation = f"{options.basis(light, which)}: {error} in {format_duration(figures.ms)}"
+    expectation = f"{options.basis(light, option_index)}: {error} in {format_duration(figures.ms)}"
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.meets_target:
         reason = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
     else:
-        reason = f"{expectation}, {_chance_text(light_options, which, max_error)}; "
+        reason = f"{expectation}, {_chance_text(light_options, option_index, max_error)}; "
         other_numbers = [
             number for number in light_options.numbers if light_options.options[number].algorithms != winner.algorithms
         ]
-        likely = [number for number in other_numbers if light_options.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
+        likely = [
+            number for number in other_numbers if light_options.miss_chance(number, max_error) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION
+        ]
         fastest_other = min(likely, key=lambda number: light_options.figures(number).ms, default=None)
         if fastest_other is None:
             reason += f"no other algorithm is expected to stay within {_limit_text(max_error)}"
@@ -275,12 +281,12 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
                 f"{_chance_text(light_options, fastest_other, max_error)}"
             )
     setting_reason = f"chosen for the target ({settings})"
-    kinds = options.planner.casting(light)
+    kinds = options.planner.casting_kinds(light)
     return replace(winner.choice, reason={**dict.fromkeys(kinds, reason), **dict.fromkeys(winner.choice.settings, setting_reason)})
 
 
-def _chance_text(light_options: LightOptions, which: int, max_error: float) -> str:
-    chance = light_options.miss_chance(which, max_error)
+def _chance_text(light_options: LightOptions, option_index: int, max_error: float) -> str:
+    chance = light_options.miss_chance(option_index, max_error)
     return (
         f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error "
         f"over {_limit_text(max_error)}"
@@ -300,7 +306,7 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
     reasons: dict[AlgorithmName, str] = {}
     max_error, planner = options.max_error, options.planner
     for name, algorithm in ALGORITHMS.items():
-        kinds = {kind for light in options.lights for kind in planner.casting(light)}
+        kinds = {kind for light in options.lights for kind in planner.casting_kinds(light)}
         if any(algorithm.search.is_excluded(planner.descriptor, kind) for kind in kinds):
             reasons[name] = algorithm.search.exclusion_reason
         for light, light_options in options.lights.items():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 TIME_TIE_RATIO = 1.05
 """Maximum ratio of two times that count as equal. Of such candidates the more accurate one wins."""
@@ -61,7 +61,8 @@ def best_candidate(
 
     1. The fastest candidate that meets the limits of error, interior error and time. Of the candidates whose times are at most
        ``tie_ratio`` times the least time, the most accurate one wins.
-    2. Otherwise, the most accurate candidate within the time limit. Candidates with an interior error of at most ``MAX_INTERIOR``
+    2. Otherwise, the most accurate candidate within the time limit. Candidates with an interior error of at most
+    ``MAX_INTERIOR_SHARE``
        come first.
     3. Otherwise, the candidate with the smallest ``relative_overshoot``.
 
@@ -72,7 +73,7 @@ def best_candidate(
     if not capable:
         raise ValueError("no candidates. Pass at least one.")
     in_time = [figures for figures in capable if max_ms is None or figures.ms <= max_ms]
-    accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MAX_INTERIOR]
+    accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MAX_INTERIOR_SHARE]
     if accurate:
         min_ms = min(figures.ms for figures in accurate)
         return RankingResult(
@@ -88,20 +89,20 @@ def best_candidate(
 def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: float | None = None) -> float:
     """Return the largest excess of error, interior error and time over their limits, relative to the limit; at least 0.
 
-    A result of 0 means that all limits are met. The excess of the error is divided by at least ``MAX_INTERIOR``, so that it is
-    finite for a limit of 0.
+    A result of 0 means that all limits are met. The excess of the error is divided by at least ``MAX_INTERIOR_SHARE``, so that it
+    is finite for a limit of 0.
     """
     return max(
         0.0,
-        (figures.error - max_error) / max(max_error, MAX_INTERIOR),
-        figures.interior / MAX_INTERIOR - 1.0,
+        (figures.error - max_error) / max(max_error, MAX_INTERIOR_SHARE),
+        figures.interior / MAX_INTERIOR_SHARE - 1.0,
         0.0 if max_ms is None else figures.ms / max_ms - 1.0,
     )
 
 
 def _interior_rank(figures: CandidateFigures, max_error: float) -> float:
-    """Return a sort key: 0 if the interior error is at most ``MAX_INTERIOR``, else the relative overshoot."""
-    return 0.0 if figures.interior <= MAX_INTERIOR else relative_overshoot(figures, max_error)
+    """Return a sort key: 0 if the interior error is at most ``MAX_INTERIOR_SHARE``, else the relative overshoot."""
+    return 0.0 if figures.interior <= MAX_INTERIOR_SHARE else relative_overshoot(figures, max_error)
 
 
 def _accuracy_key(figures: CandidateFigures) -> tuple[float, float, float, str]:
@@ -115,9 +116,11 @@ def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None
             f"an error of {format_percent(figures.error)}, {format_percent(figures.error - max_error)} more "
             f"than {format_percent(max_error)}"
         )
-    if figures.interior > MAX_INTERIOR:
-        excess = format_percent(figures.interior - MAX_INTERIOR)
-        over.append(f"an interior error of {format_percent(figures.interior)}, {excess} more than {format_percent(MAX_INTERIOR)}")
+    if figures.interior > MAX_INTERIOR_SHARE:
+        excess = format_percent(figures.interior - MAX_INTERIOR_SHARE)
+        over.append(
+            f"an interior error of {format_percent(figures.interior)}, {excess} more than {format_percent(MAX_INTERIOR_SHARE)}"
+        )
     if max_ms is not None and figures.ms > max_ms:
         over.append(f"{format_duration(figures.ms)}, {format_duration(figures.ms - max_ms)} more than {format_duration(max_ms)}")
     return "; ".join(over)

@@ -6,7 +6,7 @@ A choice is the algorithms, map sizes and numbers of cascades for a light. It is
 - At once, if the previous choice cannot be used. This is so if a kind of casters without an algorithm casts shadows, if the request
   or the kind of view changes, if another pin of the level (settings for some views and suns) applies, or if an algorithm cannot
   draw the view. It is also made at once if it reduces a miss of the target by more than ``IMMEDIATE_SWITCH_OVERSHOOT``.
-- After ``PATIENCE`` successive frames in which the policy finds a plan that is better by a margin. The margin is
+- After ``INITIAL_PATIENCE_FRAMES`` successive frames in which the policy finds a plan that is better by a margin. The margin is
   ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the target. A switch back needs the same margin, so that a camera at
   a limit does not alternate between two choices. Because predictions are uncertain, each further switch needs twice as many frames.
   The number is reset if further kinds of casters cast shadows.
@@ -34,7 +34,7 @@ from skugga.selector.predict import TARGET_MISSED
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
@@ -49,7 +49,7 @@ SWITCH_TIME_GAIN = 0.2
 SWITCH_ERROR_GAIN = 0.1
 """Minimum difference of the overshoots (excess over a limit, relative to the limit) of two plans of which one is better."""
 
-PATIENCE = 5
+INITIAL_PATIENCE_FRAMES = 5
 """Number of successive frames with a better plan before the first switch to it."""
 
 IMMEDIATE_SWITCH_OVERSHOOT = 0.5
@@ -199,7 +199,7 @@ def next_state(
     request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
     choices = choices_from_plan(new_plan)
     new_plan = new_plan.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
-    new_state = PlanState(new_plan, choices, request, PATIENCE)
+    new_state = PlanState(new_plan, choices, request, INITIAL_PATIENCE_FRAMES)
     if state is None:
         return new_state
     if state.request != request:
@@ -405,6 +405,6 @@ def _relative_overshoot(plan: Plan) -> float:
     if plan.predicted is None:
         return 0.0
     target = plan.target
-    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MAX_INTERIOR)]
+    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MAX_INTERIOR_SHARE)]
     over += [] if target.max_ms is None else [plan.predicted.ms / target.max_ms - 1.0]
     return max(2.0 * SWITCH_ERROR_GAIN if target.met is False and max(over) <= 0.0 else 0.0, *over)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from skugga.selector.choices import PlanRequest, PolicyName
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import NamedReason
+from skugga.shadows.algorithm_settings import NamedReason
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError

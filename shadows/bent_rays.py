@@ -10,7 +10,7 @@ from skugga.terrain.geo.grid import BLOCK_PX
 from skugga.terrain.geo.world import EARTH_RADIUS_M
 from skugga.terrain.level.level import SUN
 
-MAX_STRAIGHT_M = 200e3
+MAX_STRAIGHT_RAYS_EXTENT_M = 200e3
 """Largest extent of the round earth in metres across which the sun's rays count as parallel lines.
 
 On another celestial body the limit is the same angle, seen from the body's centre.
@@ -38,7 +38,7 @@ def rays_bend(descriptor: Descriptor) -> bool:
 
     Where the extent of the area is unknown, its width does not count.
     """
-    max_straight_m = MAX_STRAIGHT_M * descriptor.radius_m / EARTH_RADIUS_M
+    max_straight_m = MAX_STRAIGHT_RAYS_EXTENT_M * descriptor.radius_m / EARTH_RADIUS_M
     return (
         (sunlit_ground_extent_m(descriptor) or 0.0) > max_straight_m
         or descriptor.row_width_ratio > MAX_ROW_WIDTH_RATIO

@@ -17,10 +17,13 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 NO_OUTSIDE_CASTERS_NOTE = "nothing outside of the block casts a shadow into it"
+"""Note of the pass that searches casters beside a block, where it finds none."""
+
 NO_CASTERS_NOTE = "no ground casts a shadow in the block"
+"""Note of the passes of a step that a block leaves out, since no ground casts."""
 
 
-def caster_pass(plan: Plan) -> str:
+def caster_search_pass(plan: Plan) -> str:
     """Return the name of the plan's pass in which casters beside a part of a map are searched."""
     return CASTERS_PASS if CASTERS_PASS in plan.effect_names else GEOMETRY_PASS
 
@@ -32,10 +35,10 @@ def find_outside_casters(
 
     If no step needs casters without a shadow, patches of ground that provably shade no receiver are marked as culled.
     """
-    name = caster_pass(plan)
+    name = caster_search_pass(plan)
     with log.record_pass(name) as record:
         casters = find_casters()
-        if all(_allows_caster_culling(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
+        if all(_allows_caster_culling(step) for step in plan.steps_of_light(SUN) if "relief" in step.kinds):
             casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
         if name == CASTERS_PASS and not casters.casting:
             record.left_out, record.note = record.left_out + 1, NO_OUTSIDE_CASTERS_NOTE
@@ -63,4 +66,5 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
 
 
 def _allows_caster_culling(step: Step) -> bool:
+    """Return whether a step's algorithm gives the same result without ground that casts no shadow."""
     return ALGORITHMS[step.algorithm].allows_caster_culling(step.settings)

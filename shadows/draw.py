@@ -15,7 +15,7 @@ from skugga.shadows.ground_pictures import ground_picture, heights_determine_sha
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import Frame, apply_refraction, check_pixels, render_block, render_frame, worse_reach
+from skugga.shadows.render import Frame, apply_refraction, check_pixel_count, render_block, render_frame, worse_reach
 from skugga.shadows.sunlit_ground import heights_determine_visibility, sunlit_picture
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.geo.camera import PerspectiveView
@@ -23,7 +23,10 @@ from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.scene import Scene
 
 SHADING_NEEDS: Needs = frozenset({"color", "opacity", "reach"})
+"""Fields of ``Picture`` that can be drawn from heights alone where these determine the shading."""
+
 VISIBILITY_NEEDS: Needs = frozenset({"visibility", "reach"})
+"""Fields of ``Picture`` that can be drawn from heights alone where these determine the sun's visibility."""
 
 
 def draw(
@@ -52,9 +55,9 @@ def draw(
     RenderError
         The work fails.
     """
-    if not (isinstance(view, MapView) and heights_suffice(scene, view, plan, needs)):
+    if not (isinstance(view, MapView) and can_draw_from_heights(scene, view, plan, needs)):
         return picture_of(render_frame(scene, view, plan, on_block), needs)
-    check_pixels(view)
+    check_pixel_count(view)
     log = PassLog()
     scene = apply_refraction(scene, plan, log)
     blocks, picture = blocks_of(view), None
@@ -63,14 +66,14 @@ def draw(
         if len(blocks) == 1 and (block.rows, block.cols) == (view.rows, view.cols):
             picture = part
         else:
-            picture = _copy_window(picture or _empty(view, needs), part, *overlap_windows(view, block, row, col))
+            picture = _copy_window(picture or _empty_picture(view, needs), part, *overlap_windows(view, block, row, col))
         if on_block is not None:
             on_block(done, len(blocks))
     assert picture is not None
     return replace(picture, passes=tuple(log.records.values()))
 
 
-def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
+def can_draw_from_heights(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
     """Return whether the heights of bare ground suffice to draw the needed arrays of a view.
 
     Loops over heights run in any thread. Other views need OpenGL.
@@ -103,7 +106,7 @@ def _draw_block(scene: Scene, block: MapView, plan: Plan, needs: Needs, log: Pas
     return of_heights(scene, block, plan, needs, log) or picture_of(render_block(scene, block, plan, log), needs)
 
 
-def _empty(view: MapView, needs: Needs) -> Picture:
+def _empty_picture(view: MapView, needs: Needs) -> Picture:
     """Return the picture of a view before any block is drawn: arrays of 0 or NaN."""
     size = view.rows, view.cols
     return Picture(
@@ -115,15 +118,15 @@ def _empty(view: MapView, needs: Needs) -> Picture:
     )
 
 
-def _copy_window(picture: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
-    """Copy the window ``of_part`` of a part into the window ``inside`` of the whole picture; return the picture.
+def _copy_window(picture: Picture, part: Picture, window: tuple[slice, slice], part_window: tuple[slice, slice]) -> Picture:
+    """Copy the window ``part_window`` of a part into the window ``window`` of the whole picture; return the picture.
 
     Its reach is the worse of both (``worse_reach``).
     """
     for name in ("valid", "color", "opacity", "visibility"):
         target, array = getattr(picture, name), getattr(part, name)
         if target is not None:
-            target[inside] = array[of_part]
+            target[window] = array[part_window]
     reaches = [piece.reach for piece in (picture, part) if piece.reach is not None]
     reach = worse_reach(*reaches) if len(reaches) == 2 else next(iter(reaches), None)
     return replace(picture, reach=reach)

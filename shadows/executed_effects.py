@@ -8,10 +8,10 @@ from skugga.shadows.passes import PassRecord
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.level.level import SUN, EffectName
 
-FOLIAGE_PARTS = frozenset({"shadows/maps/depth_tree.frag", "shadows/planar_tree.frag"})
+FOLIAGE_SHADER_PARTS = frozenset({"shadows/maps/depth_tree.frag", "shadows/planar_tree.frag"})
 """Shader parts that draw foliage as a caster."""
 
-DISC_PART = "shadows/maps/sun_disc.frag"
+SUN_DISC_SHADER_PART = "shadows/maps/sun_disc.frag"
 """The shader part that draws the penumbra of the sun's disc."""
 
 
@@ -39,9 +39,9 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
             continue
         ran.add("cast_shadows")
         words = {word for label in (*record.programs, *record.loops) for word in label.split()}
-        if words & FOLIAGE_PARTS or "forest" in kinds_and_pass.partition(":")[0].split("+"):
+        if words & FOLIAGE_SHADER_PARTS or "forest" in kinds_and_pass.partition(":")[0].split("+"):
             ran.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}
-        if light == SUN and (taps - {"taps=1"} or DISC_PART in words or record.light_points > 1):
+        if light == SUN and (taps - {"taps=1"} or SUN_DISC_SHADER_PART in words or record.light_points > 1):
             ran.add("soft_edges")
     return frozenset(ran)

@@ -31,9 +31,10 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import shaded_ground, slope_sky_view_factor
 
-SKY_PASS = "sky_view"
+SKY_VIEW_PASS = "sky_view"
+"""Name of the effect that darkens ground with little visible sky, and of its pass."""
 
-SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_PASS, REFRACTION_PASS})
+SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, REFRACTION_PASS})
 """Effects that this path supports."""
 
 
@@ -61,19 +62,21 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     Raises the errors of ``render_frame``.
     """
     with log.record_pass(GEOMETRY_PASS):
-        sky = sky_view(scene.elevation, scene.world) if SKY_PASS in plan.effect_names else None
+        sky = sky_view(scene.elevation, scene.world) if SKY_VIEW_PASS in plan.effect_names else None
         ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
         if ground is None:
             return None
         if not ground.valid.any():
             zeros = np.zeros(ground.valid.shape, np.uint8)
             return Picture(ground.valid, (), np.zeros((*zeros.shape, 3), np.uint8), zeros, reach=NO_CASTERS.reach)
-        reach = find_reach_of_nodes(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
-    lit = _lit_shares(scene, ground, plan, log)
+        reach = (
+            find_reach_of_nodes(scene, bare_nodes(scene, _nodes_around_pixels(ground.window_view), 1)) if "reach" in needs else None
+        )
+    lit = _sunlit_shares(scene, ground, plan, log)
     if lit is None:
         return None
-    if SKY_PASS in plan.effect_names:
-        with log.record_pass(SKY_PASS):
+    if SKY_VIEW_PASS in plan.effect_names:
+        with log.record_pass(SKY_VIEW_PASS):
             pass  # the ground already includes its sky view
     with log.record_pass(SHADING_PASS):
         color = shaded_ground(ground, scene, lit) if "color" in needs else None
@@ -82,6 +85,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
 
 def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:
+    """Return the cache key of ``_ground_between_nodes``: its result does not depend on the sun."""
     return scene.world, scene.elevation, view, sky
 
 
@@ -103,7 +107,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
     )
 
 
-def _nodes_under(view: MapView) -> MapView:
+def _nodes_around_pixels(view: MapView) -> MapView:
     """Return the nodes of a map's grid between which its pixels lie, as a map view with one node in each pixel."""
     if view.on_nodes:
         return view
@@ -125,7 +129,7 @@ def _faces_sun(ground: BareGround, scene: Scene) -> bool:
     return float(facing[ground.valid[ground.window]].min(initial=1.0)) > MIN_SUN_COSINE
 
 
-def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
+def _sunlit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
     """Return the share of each pixel that the sun lights, float32 (rows, cols); ``None`` where heights do not suffice."""
     if not scene.sun_is_up:
         with log.record_pass(ATTACHED_PASS):
@@ -134,6 +138,6 @@ def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> n
         with log.record_pass(ATTACHED_PASS):
             return np.ones(ground.valid.shape, np.float32) if _faces_sun(ground, scene) else None
     pixels = supersampling(scene, ground.view, plan) or edge_supersampling(scene, ground.view, plan)
-    if pixels is None or not pixels.heights_only:
+    if pixels is None or not pixels.uses_heights_only:
         return None
     return mean_visibilities(pixels, ground, log)[SUN]

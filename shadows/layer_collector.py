@@ -8,7 +8,7 @@ from skugga.shadows.passes import PIXEL_LAYERS, PassLayer
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import PixelWindow
 
-MAX_TEXELS = 64_000_000
+MAX_LAYER_TEXELS = 64_000_000
 """Upper bound of the texels of a layer that has a size of its own, such as a depth map."""
 
 
@@ -24,7 +24,7 @@ class LayerCollector:
         self._pixel_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
         self._sized_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
 
-    def add(
+    def add_block(
         self, layers: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
         """Add the layers of a block: its pixels in ``block_window`` become the frame's pixels in ``frame_window``.
@@ -34,24 +34,24 @@ class LayerCollector:
         for (layer, light), pictures in layers.items():
             if layer in PIXEL_LAYERS:
                 frame_pictures = self._pixel_layers.setdefault(
-                    (layer, light), [_empty(self._size, picture.dtype) for picture in pictures]
+                    (layer, light), [_empty_picture(self._size, picture.dtype) for picture in pictures]
                 )
                 for frame_picture, picture in zip(frame_pictures, pictures, strict=True):
                     frame_picture[frame_window] = picture[block_window]
             else:
                 tiles = self._sized_layers.setdefault((layer, light), [])
                 tiles += pictures
-                if sum(picture.size for picture in tiles) > MAX_TEXELS:
+                if sum(picture.size for picture in tiles) > MAX_LAYER_TEXELS:
                     amount = f"{layer} has {sum(picture.size for picture in tiles)} texels"
-                    raise InputError.over_limit("layer", amount, str(MAX_TEXELS), "Use a smaller view or smaller maps")
+                    raise InputError.over_limit("layer", amount, str(MAX_LAYER_TEXELS), "Use a smaller view or smaller maps")
 
     @property
     def pictures(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
-        """The pictures by layer and light, in the form that ``add`` of another collector takes."""
+        """The pictures by layer and light, in the form that ``add_block`` of another collector takes."""
         return {**self._pixel_layers, **self._sized_layers}
 
     @property
-    def assembled(self) -> dict[PassLayer, dict[str, np.ndarray]]:
+    def assembled_pictures(self) -> dict[PassLayer, dict[str, np.ndarray]]:
         """The assembled picture of each layer and light."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
         for (layer, light), pictures in (*self._pixel_layers.items(), *self._sized_layers.items()):
@@ -66,12 +66,13 @@ def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
     """
     rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     tile_cols = int(np.ceil(np.sqrt(len(pictures))))
-    out = _empty((-(-len(pictures) // tile_cols) * rows, tile_cols * cols), pictures[0].dtype)
+    out = _empty_picture((-(-len(pictures) // tile_cols) * rows, tile_cols * cols), pictures[0].dtype)
     for number, picture in enumerate(pictures):
         row, col = number // tile_cols * rows, number % tile_cols * cols
         out[row : row + picture.shape[0], col : col + picture.shape[1]] = picture
     return out
 
 
-def _empty(size: tuple[int, int], dtype: np.dtype) -> np.ndarray:
+def _empty_picture(size: tuple[int, int], dtype: np.dtype) -> np.ndarray:
+    """Return a picture of NaN, or of 0 for integers."""
     return np.full(size, np.nan if dtype.kind == "f" else 0, dtype)

@@ -34,7 +34,8 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-Arrays = dict[str, np.ndarray]
+NamedArrays = dict[str, np.ndarray]
+"""Arrays by name: visibilities by light, or arrays of a geometry buffer by field."""
 
 MIN_EDGE_VISIBILITY_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
@@ -43,14 +44,15 @@ SAMPLED_PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
 """Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
 SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
+"""Number of samples of a pixel that an edge crosses."""
 
 SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
-"""Arrays of a geometry buffer that shading reads."""
+"""NamedArrays of a geometry buffer that shading reads."""
 
 
 def anti_alias_block(
-    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays, log: PassLog
-) -> tuple[MultisampledBuffer, Arrays]:
+    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: NamedArrays, log: PassLog
+) -> tuple[MultisampledBuffer, NamedArrays]:
     """Return a map's block with samples at its edges, and each light's visibility at its pixels and samples.
 
     Samples lie in extra rows below the block's own rows. They have only the arrays that shading reads (``SHADING_ARRAYS``).
@@ -62,27 +64,28 @@ def anti_alias_block(
     kept_layers, requested_layers, log.requested_layers = log.take_layers(), log.requested_layers, frozenset()
     pixels = edge_supersampling(scene, view, plan)
     if pixels is None:
-        result = _edge_sampled(scene, plan, block_buffer, view, visibilities, log)
+        result = _sample_edges(scene, plan, block_buffer, view, visibilities, log)
     else:
         result = MultisampledBuffer(block_buffer, view.rows), mean_visibilities(pixels, block_buffer, log)
     log.layers, log.requested_layers = kept_layers, requested_layers
     return result
 
 
-def _edge_sampled(
-    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, view: MapView, visibilities: Arrays, log: PassLog
-) -> tuple[MultisampledBuffer, Arrays]:
+def _sample_edges(
+    scene: Scene, plan: Plan, block_buffer: GeometryBuffer, view: MapView, visibilities: NamedArrays, log: PassLog
+) -> tuple[MultisampledBuffer, NamedArrays]:
+    """Return the block with samples in the pixels that an edge crosses, and the visibilities with those of the samples."""
     if _is_evenly_lit(scene, plan, block_buffer, visibilities):
         return MultisampledBuffer(block_buffer, view.rows), visibilities
     edges = edge_pixels(block_buffer, list(visibilities.values()))
     pixels, samples = [], []
-    for down, right in _parts(edges):
+    for down, right in _windows_with_edges(edges):
         part = edges[down, right]
         pixels.append(np.argwhere(part) + [down.start, right.start])
         finer = _sample_buffer(scene, block_buffer, view.part(down.start, right.start, *part.shape), part, log)
         search_outside = needs_outside_casters(plan, block_buffer, (down, right))
-        casters = find_outside_casters(scene, plan, finer, partial(_casters, scene, finer, search_outside), log)
-        samples.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
+        casters = find_outside_casters(scene, plan, finer, partial(_find_casters_of_samples, scene, finer, search_outside), log)
+        samples.append(_arrays_of_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
     if not samples:
         return MultisampledBuffer(block_buffer, view.rows), visibilities
     row, col = np.concatenate(pixels).T
@@ -104,12 +107,14 @@ def _edge_sampled(
     for name in SHADING_ARRAYS:
         value = getattr(block_buffer, name)
         if value is not None:
-            changes[name] = _with_samples(value, arrays[name], missing, row, col)
-    sampled_visibilities = {light: _with_samples(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
+            changes[name] = _append_samples(value, arrays[name], missing, row, col)
+    sampled_visibilities = {
+        light: _append_samples(value, arrays[light], missing, row, col) for light, value in visibilities.items()
+    }
     return MultisampledBuffer(replace(block_buffer, **changes), view.rows, (row, col), SAMPLES_PER_PIXEL), sampled_visibilities
 
 
-def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: Arrays) -> bool:
+def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: NamedArrays) -> bool:
     """Return whether no edge can cross a block or its sides.
 
     That holds where the block has bare ground, nothing casts, and all ground faces the sun.
@@ -119,8 +124,9 @@ def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visib
     return bool((visibilities[SUN][block_buffer.valid] == 1.0).all()) and block_ground_faces_sun(scene, block_buffer)
 
 
-def _casters(scene: Scene, finer: GeometryBuffer, search_outside: bool) -> Casters:
-    return find_casters(scene, finer) if search_outside else NO_CASTERS
+def _find_casters_of_samples(scene: Scene, sample_buffer: GeometryBuffer, search_outside: bool) -> Casters:
+    """Return the casters beside a part of a block; none unless ``search_outside``."""
+    return find_casters(scene, sample_buffer) if search_outside else NO_CASTERS
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:
@@ -138,31 +144,33 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     return edges & buffer.valid
 
 
-def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
+def _windows_with_edges(edge_mask: np.ndarray) -> Iterator[tuple[slice, slice]]:
     """Yield the parts of a block that contain edge pixels, as slices of its rows and columns."""
-    for top in range(0, edges.shape[0], SAMPLED_PART_PX):
-        for left in range(0, edges.shape[1], SAMPLED_PART_PX):
-            down = slice(top, min(top + SAMPLED_PART_PX, edges.shape[0]))
-            right = slice(left, min(left + SAMPLED_PART_PX, edges.shape[1]))
-            if edges[down, right].any():
+    for top in range(0, edge_mask.shape[0], SAMPLED_PART_PX):
+        for left in range(0, edge_mask.shape[1], SAMPLED_PART_PX):
+            down = slice(top, min(top + SAMPLED_PART_PX, edge_mask.shape[0]))
+            right = slice(left, min(left + SAMPLED_PART_PX, edge_mask.shape[1]))
+            if edge_mask[down, right].any():
                 yield down, right
 
 
-def _sample_buffer(scene: Scene, block_buffer: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
-    """Return the geometry buffer of the samples of a part's pixels in the mask ``edges``."""
+def _sample_buffer(
+    scene: Scene, block_buffer: GeometryBuffer, part: MapView, edge_mask: np.ndarray, log: PassLog
+) -> GeometryBuffer:
+    """Return the geometry buffer of the samples of a part's pixels in the mask ``edge_mask``."""
     with log.record_pass(GEOMETRY_PASS):
-        pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
+        pixel_mask = np.repeat(np.repeat(edge_mask, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
         return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 
 
-def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
-    """Return the arrays for shading and each light's visibility at the samples of the pixels in the mask ``edges`` of a part.
+def _arrays_of_samples(buffer: GeometryBuffer, visibilities: NamedArrays, edge_mask: np.ndarray) -> NamedArrays:
+    """Return the arrays for shading and each light's visibility at the samples of the pixels in the mask ``edge_mask`` of a part.
 
     Each array is (pixels, ``SAMPLES_PER_PIXEL``, ...).
     """
     arrays = {name: value for name in SHADING_ARRAYS if (value := getattr(buffer, name)) is not None}
     arrays.update(visibilities)
-    row, col = np.nonzero(edges)
+    row, col = np.nonzero(edge_mask)
     positions = [
         (row * SAMPLES_PER_SIDE + k // SAMPLES_PER_SIDE, col * SAMPLES_PER_SIDE + k % SAMPLES_PER_SIDE)
         for k in range(SAMPLES_PER_PIXEL)
@@ -170,16 +178,16 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
     return {name: np.stack([value[position] for position in positions], axis=1) for name, value in arrays.items()}
 
 
-def _with_samples(
-    pixel_values: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray
+def _append_samples(
+    pixel_values: np.ndarray, samples: np.ndarray, missing_mask: np.ndarray, row: np.ndarray, col: np.ndarray
 ) -> np.ndarray:
     """Return a buffer's array (rows, cols, ...) with samples as extra rows below it.
 
-    ``samples`` (n, ``SAMPLES_PER_PIXEL``, ...) belong to the pixels ``row``, ``col`` (n,). Samples in the mask ``missing`` take
-    their pixel's own value.
+    ``samples`` (n, ``SAMPLES_PER_PIXEL``, ...) belong to the pixels ``row``, ``col`` (n,). Samples in the mask ``missing_mask``
+    take their pixel's own value.
     """
     of_pixels = pixel_values[row, col][:, None]
-    is_missing = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
+    is_missing = missing_mask.reshape(missing_mask.shape + (1,) * (samples.ndim - 2))
     flat = np.where(is_missing, of_pixels, samples).reshape(-1, *pixel_values.shape[2:])
     spare = -len(flat) % pixel_values.shape[1]
     flat = np.concatenate([flat, flat[-1:].repeat(spare, axis=0)])
@@ -187,8 +195,8 @@ def _with_samples(
 
 
 @compiled
-def _mark_changes(values, threshold, edges):
-    """Mark in ``edges`` both pixels of each pair of neighbours whose values (rows, cols) differ by more than ``threshold``.
+def _mark_changes(values, threshold, edge_mask):
+    """Mark in ``edge_mask`` both pixels of each pair of neighbours whose values (rows, cols) differ by more than ``threshold``.
 
     A pixel has eight neighbours.
     """
@@ -199,5 +207,5 @@ def _mark_changes(values, threshold, edges):
             for k in range(4):  # east, south-west, south, south-east
                 a, b = i + (k > 0), j + (1 if k == 0 else k - 2)
                 if a < rows and 0 <= b < cols and abs(np.float64(values[a, b]) - center) > threshold:
-                    edges[i, j] = True
-                    edges[a, b] = True
+                    edge_mask[i, j] = True
+                    edge_mask[a, b] = True

@@ -16,8 +16,13 @@ import numpy as np
 from skugga.terrain.gl.programs import record_draw_calls
 
 GEOMETRY_PASS = "geometry"
+"""Name of the pass that makes the geometry buffer."""
+
 CASTERS_PASS = "outside_casters"
+"""Name of the pass that searches casters outside of the view."""
+
 ATTACHED_PASS = "attached"
+"""Name of the pass that computes attached shadow, and means over sub-pixel nodes."""
 
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
 """Intermediate pictures:

@@ -16,7 +16,7 @@ MAX_LIGHT_POINTS, MIN_LIGHT_POINTS = 32, 4
 LIGHT_POINTS_PER_PENUMBRA_PX = 4.0
 """Steps of a penumbra per pixel of its width. From pixel to pixel, visibility then changes by several small steps."""
 
-MAX_CASTER_SHARE = 0.8
+MAX_CASTER_DISTANCE_SHARE = 0.8
 """Upper bound of a caster's position, as a share of the way from a receiver to the lamp. It is used where the position is unknown.
 
 Known positions are twice the median, since half of all casters are nearer to the lamp than the median.
@@ -30,17 +30,17 @@ def penumbra_px(descriptor: Descriptor, light: str) -> float | None:
         return None
     facts = descriptor.lights.get(light)
     widths = [
-        _width_m(lamp, band.light_m, casting.thrown_m) / band.pixel_m
+        _penumbra_width_m(lamp, band.light_m, casting.thrown_m) / band.pixel_m
         for casting in (facts.casts.values() if facts is not None else ())
         for band in casting.bands
         if band.light_m
     ]
     if descriptor.view_kind == "map":
-        widths.append(_width_m(lamp, lamp.reference_m, None) / descriptor.pixel_m)
+        widths.append(_penumbra_width_m(lamp, lamp.reference_m, None) / descriptor.pixel_m)
     return max(widths, default=None)
 
 
-def light_points(descriptor: Descriptor, light: str) -> int:
+def light_point_count(descriptor: Descriptor, light: str) -> int:
     """Return the number of points of a light that show its penumbrae; 1 for a lamp with penumbrae narrower than a pixel."""
     if light == SUN:
         return MAX_LIGHT_POINTS
@@ -50,6 +50,11 @@ def light_points(descriptor: Descriptor, light: str) -> int:
     return 1 if width_px < 1.0 else min(max(round(LIGHT_POINTS_PER_PENUMBRA_PX * width_px), MIN_LIGHT_POINTS), MAX_LIGHT_POINTS)
 
 
-def _width_m(lamp: LampFacts, light_m: float, thrown_m: float | None) -> float:
-    share = MAX_CASTER_SHARE if thrown_m is None else max(min(2.0 * thrown_m / light_m, MAX_CASTER_SHARE), 0.0)
+def _penumbra_width_m(lamp: LampFacts, lamp_distance_m: float, caster_distance_m: float | None) -> float:
+    """Return the width of a lamp's penumbra at a distance from the lamp, metres; an upper bound if the caster's is unknown."""
+    share = (
+        MAX_CASTER_DISTANCE_SHARE
+        if caster_distance_m is None
+        else max(min(2.0 * caster_distance_m / lamp_distance_m, MAX_CASTER_DISTANCE_SHARE), 0.0)
+    )
     return 2.0 * lamp.radius_m * share / (1.0 - share)

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.grid import PixelWindow
 
 Need = Literal["color", "opacity", "visibility", "reach", "frame"]
-"""A field of ``Picture`` that a caller may need. ``frame`` stands for all arrays that a geometry buffer gives."""
+"""A field of ``Picture`` that a caller may need. ``frame`` includes all arrays that a geometry buffer provides."""
 
 Needs = frozenset[Need]
+"""The fields of ``Picture`` that a caller needs."""
 
 
 @dataclass(frozen=True, eq=False)

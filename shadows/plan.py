@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
-from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind
@@ -23,7 +23,7 @@ class _FrozenModel(BaseModel):
 
 def settings_type(*names: AlgorithmName) -> Any:
     """Return the union of the settings types of some algorithms, for pydantic; ``AlgorithmSettings`` if none has any."""
-    types = [settings for name in names for settings in ALGORITHMS[name].settings]
+    types = [settings for name in names for settings in ALGORITHMS[name].settings_types]
     return reduce(or_, types) if types else AlgorithmSettings
 
 
@@ -47,8 +47,8 @@ class Predicted(_FrozenModel):
 
     The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
     the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two. In
-    dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there. ``is_measured`` tells
-    that the choices were drawn on this view, and their errors and times measured.
+    dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there. ``is_measured``
+    tells that the choices were drawn on this view, and their errors and times measured.
     """
 
     ms: float
@@ -93,7 +93,7 @@ class Plan(_FrozenModel):
             light: {
                 kind: kind_settings
                 if isinstance(kind_settings, AlgorithmSettings)
-                else _read_settings(algorithm.get(light, {}).get(kind), kind_settings)
+                else _validated_settings(algorithm.get(light, {}).get(kind), kind_settings)
                 for kind, kind_settings in per_kind.items()
             }
             for light, per_kind in value.items()
@@ -122,12 +122,12 @@ class Plan(_FrozenModel):
         """
         return any(step.algorithm != NO_SHADOWS for step in self.steps)
 
-    def steps_under(self, light: str) -> list[Step]:
+    def steps_of_light(self, light: str) -> list[Step]:
         """Return the steps that fill a light's visibility, in order. Steps of the algorithm ``none`` are left out."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
     @property
-    def headline(self) -> str:
+    def algorithms_text(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""
         names = {name for per_kind in self.algorithm.values() for name in per_kind.values()}
         if len(names) <= 1:
@@ -161,5 +161,6 @@ def plan_steps(
     return steps
 
 
-def _read_settings(name: AlgorithmName | None, value: Any) -> Any:
+def _validated_settings(name: AlgorithmName | None, value: Any) -> Any:
+    """Return a value as settings of an algorithm; unchanged if the algorithm is unknown."""
     return value if name is None else TypeAdapter(settings_type(name)).validate_python(value)

@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.algorithm import COMPANION_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.work import Work, Workload
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer
 
 PASSES = ("receivers", "projected casters")
+"""Names of the passes that the algorithm runs, in order."""
 
 NO_GROUND_VALUE, LIT_VALUE, SHADED_VALUE = 0, 1, 2
 """Values of the stencil."""
@@ -88,7 +90,7 @@ class Projection:
         return bool(self.light_m[2] > 0.0 and (self.meshes or (self.trees is not None and len(self.trees))))
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -105,7 +107,7 @@ def fill(
     projection = _make_projection(buffer, scene, light, kinds)
     view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
-    stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projection, passes, log)
+    stencil[: view.rows] = _draw_stencil(scene.world, buffer.frame, view, ground[: view.rows], projection, passes, log)
     if buffer.sample_pixels is not None:
         assert isinstance(view, PerspectiveView)
         sample_view = finer_view(view)
@@ -113,9 +115,9 @@ def fill(
         pixels = tuple(index[sample_mask] for index in buffer.sample_pixels)
         receivers = np.zeros((sample_view.rows, sample_view.cols), bool)
         receivers[pixels] = True
-        stencil[view.rows :][sample_mask] = _stencil(scene.world, buffer.frame, sample_view, receivers, projection, passes, log)[
-            pixels
-        ]
+        stencil[view.rows :][sample_mask] = _draw_stencil(
+            scene.world, buffer.frame, sample_view, receivers, projection, passes, log
+        )[pixels]
     log.keep_layer("stencil", light, stencil.copy)
     return np.where(stencil == SHADED_VALUE, np.float32(0.0), np.float32(1.0))
 
@@ -158,7 +160,7 @@ def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tu
     )
 
 
-def _stencil(
+def _draw_stencil(
     world: World,
     frame: LocalFrame,
     view: MapView | PerspectiveView,
@@ -193,6 +195,7 @@ def _stencil(
 def _draw_casters(
     gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
 ) -> None:
+    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded."""
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:
@@ -219,9 +222,12 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
     return None, request.ignored_filter_reasons("planar")
 
 
-def _work(task: Workload, settings: None) -> Work:
-    caster_counts = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
-    return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **caster_counts}}
+def _work(workload: Workload, settings: None) -> Work:
+    caster_counts = {
+        "triangles": workload.picture_count * workload.triangle_count("meshes"),
+        "trees": workload.picture_count * workload.tree_count,
+    }
+    return {"planar": {"blocks": 1.0, "pixels": workload.picture_pixel_count, **caster_counts}}
 
 
 def _wrong_share(casting: Casting) -> float:
@@ -235,17 +241,17 @@ def _wrong_share(casting: Casting) -> float:
 ALGORITHM = Algorithm(
     name="planar",
     description="casters projected onto level ground through the stencil; no shadows of casters on casters",
-    plural="planar",
-    fill=fill,
+    plural_name="planar",
+    fill_visibility=fill_visibility,
     passes=PASSES,
     refusals={
         "uneven": "the ground is not flat: planar projects casters onto one plane",
         "area light": "planar projects casters from one point, into a stencil that is dark or not: it has hard edges only",
     },
     layers=("stencil",),
-    resolve=_resolve,
-    search=Search(companion_map_sizes=COMPANION_MAP_SIZES),
-    cost=Cost(_work),
-    accuracy=Accuracy(wrong_share=_wrong_share),
-    mark=Mark("wedge", "purple"),
+    resolve_settings=_resolve,
+    search=SettingsSearch(map_sizes_for_other_casters=MAP_SIZES_FOR_OTHER_CASTERS),
+    cost=CostInputs(_work),
+    accuracy=AccuracyInputs(wrong_share=_wrong_share),
+    marker=PlotMarker("wedge", "purple"),
 )

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from skugga.shadows import none, planar
-from skugga.shadows.algorithm import Algorithm, Requirement, is_area, requirements_of
+from skugga.shadows.algorithm import Algorithm
 from skugga.shadows.hybrid import hybrid
 from skugga.shadows.maps import perspective_shadow_map, shadow_map
+from skugga.shadows.requirements import Requirement, is_area_light, requirements_of
 from skugga.shadows.sweep import sweep
 from skugga.shadows.truth import truth
 from skugga.shadows.volumes import shadow_volume
@@ -15,10 +16,11 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
-MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
+ALGORITHM_MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
 """The modules of the algorithms that come with Skugga."""
 
-ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in MODULES}
+ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in ALGORITHM_MODULES}
+"""The registered algorithms by name."""
 
 
 def register_algorithm(algorithm: Algorithm) -> None:
@@ -32,16 +34,17 @@ def register_algorithm(algorithm: Algorithm) -> None:
     ALGORITHMS[algorithm.name] = algorithm
     if algorithm.name not in ALGORITHM_NAMES:
         ALGORITHM_NAMES.append(algorithm.name)
-    if algorithm.is_served and algorithm.name in REFERENCE_NAMES:
+    if algorithm.is_selectable and algorithm.name in REFERENCE_NAMES:
         REFERENCE_NAMES.remove(algorithm.name)
-    if not algorithm.is_served and algorithm.name not in REFERENCE_NAMES:
+    if not algorithm.is_selectable and algorithm.name not in REFERENCE_NAMES:
         REFERENCE_NAMES.append(algorithm.name)
 
 
-FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
+FALLBACK_ALGORITHM: AlgorithmName = shadow_map.ALGORITHM.name
 """The algorithm that serves every view, light and kind of casters. It is used where no other algorithm is preferred."""
 
 NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
+"""The algorithm that casts no shadows."""
 
 
 def selectable_algorithms() -> list[Algorithm]:
@@ -52,7 +55,7 @@ def selectable_algorithms() -> list[Algorithm]:
     list of Algorithm
         The algorithms that cast shadows, without the references.
     """
-    return [algorithm for algorithm in ALGORITHMS.values() if algorithm.passes and algorithm.is_served]
+    return [algorithm for algorithm in ALGORITHMS.values() if algorithm.passes and algorithm.is_selectable]
 
 
 def algorithms_serving(requirements: Iterable[Requirement]) -> list[AlgorithmName]:
@@ -69,23 +72,27 @@ def algorithms_serving(requirements: Iterable[Requirement]) -> list[AlgorithmNam
         The names, in the order of registration.
     """
     requirements = tuple(requirements)
-    return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(requirements) is None]
+    return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal_reason(requirements) is None]
 
 
 def can_serve(
-    name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind, requested_shadows: Shadows | None = None
+    algorithm_name: AlgorithmName,
+    descriptor: Descriptor,
+    light: str,
+    caster_kind: CasterKind,
+    requested_shadows: Shadows | None = None,
 ) -> bool:
     """Return whether an algorithm can serve a kind of casters under a light of a view.
 
     Parameters
     ----------
-    name
+    algorithm_name
         The name of the algorithm.
     descriptor
         The facts of the view.
     light
         The name of the light.
-    caster
+    caster_kind
         The kind of casters.
     requested_shadows
         The requested shadow settings; ``None``: the defaults.
@@ -100,5 +107,8 @@ def can_serve(
     KeyError
         The name is not registered, or the view has no such light.
     """
-    area = is_area(descriptor, light, requested_shadows or Shadows())
-    return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster, area)) is None
+    area = is_area_light(descriptor, light, requested_shadows or Shadows())
+    return (
+        ALGORITHMS[algorithm_name].refusal_reason(requirements_of(descriptor, descriptor.light_kinds[light], caster_kind, area))
+        is None
+    )

@@ -37,9 +37,12 @@ RENDERER_VERSION = 5
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"
-REFRACTION_PASS = "refraction"
+"""Name of the pass that shades the surface and the sky."""
 
-MAX_PIXELS = 64_000_000
+REFRACTION_PASS = "refraction"
+"""Name of the effect that uses the sun's apparent position, and of its pass."""
+
+MAX_FRAME_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
 REACH_STRIDE_PX = 4
@@ -137,13 +140,13 @@ class Frame:
         return replace(self, visibilities=visibilities, shown_visibilities=shown_visibilities)
 
 
-def check_pixels(view: MapView | PerspectiveView) -> None:
+def check_pixel_count(view: MapView | PerspectiveView) -> None:
     """Raise ``InputError`` for a view with more pixels than a frame may have."""
-    if view.rows * view.cols > MAX_PIXELS:
-        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
+    if view.rows * view.cols > MAX_FRAME_PIXELS:
+        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_FRAME_PIXELS} pixels")
 
 
-def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
+def pass_names_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
 
     def effect_names(stage: Stage) -> list[str]:
@@ -204,7 +207,7 @@ def render_frame(
         The work fails, or other passes ran than the plan lists.
     """
     _check_layers(plan, layers)
-    check_pixels(view)
+    check_pixel_count(view)
     size = view.rows, view.cols
     log, reach, collector = PassLog(requested_layers=layers), Reach(0.0, 0.0, False), LayerCollector(size)
     scene = apply_refraction(scene, plan, log)
@@ -223,13 +226,13 @@ def render_frame(
                 frame.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
             if frame.position_frame_m is not None and block.position_frame_m is not None:
                 frame.position_frame_m[frame_window] = block.position_frame_m[block_window]
-        collector.add(log.take_layers(), frame_window, block_window)
+        collector.add_block(log.take_layers(), frame_window, block_window)
         if on_block is not None:
             on_block(completed, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) differ from those of the plan ({', '.join(plan.passes)})")
     assert frame is not None
-    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled)
+    return replace(frame, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.assembled_pictures)
 
 
 def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
@@ -252,10 +255,11 @@ def _empty_frame(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Fr
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
+    """Raise ``UnsupportedError`` for a requested layer that no algorithm of a plan has."""
     available = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
     for layer in sorted(layers - available):
         capable = ", ".join(name for name, algorithm in ALGORITHMS.items() if layer in algorithm.layers) or "nothing"
-        raise UnsupportedError("layer", layer, f"{plan.headline} has no such layer; algorithms that have it: {capable}")
+        raise UnsupportedError("layer", layer, f"{plan.algorithms_text} has no such layer; algorithms that have it: {capable}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

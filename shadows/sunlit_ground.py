@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
@@ -46,13 +46,13 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         reach = find_reach_of_nodes(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
     if scene.sun_is_up:
         _, visibilities = lit_nodes(
-            Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.effect_names, log
+            Supersampling(scene, plan, view.grid, 1, uses_heights_only=True), view, CASTERS_PASS in plan.effect_names, log
         )
         lit = visibilities[SUN] & ground.valid
         with log.record_pass(ATTACHED_PASS):
             rim = rim_points(scene, view)
             if rim is not None:
-                lit &= ~(rim.valid & attached(rim, scene, SUN))
+                lit &= ~(rim.valid & attached_shadow_mask(rim, scene, SUN))
         visibility[lit] = 1.0
     return Picture(ground.valid, (), visibility=visibility, reach=reach)
 
@@ -64,13 +64,13 @@ def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
     It is cached for many positions of the sun in sequence.
     """
     ground = bare_ground(scene, view, None)
-    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.valid
+    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim_mask(scene, view) & ground.valid
     if ground is None or not rim.any():
         return None
     return map_geometry(scene.surface(view.grid), view, ground.frame, pixel_mask=rim)
 
 
-def _rim(scene: Scene, view: MapView) -> np.ndarray:
+def _rim_mask(scene: Scene, view: MapView) -> np.ndarray:
     """Return which nodes (rows, cols) lack one of their eight neighbours, bool.
 
     Other nodes need no test of their facets: if all of these face away, the one on the way to the sun shades the node. At the rim

@@ -46,6 +46,7 @@ MAX_BUFFER_NODES_PER_PART = 5 * BLOCK_PX**2 // 4
 """Upper bound of the nodes in one part with a geometry buffer: about as many as in a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
+"""Visibility (rows, cols) by light."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +59,25 @@ class Supersampling:
         The scene and the plan.
     grid
         The finer grid whose nodes are averaged.
-    per_pixel
+    nodes_per_pixel_side
         Approximate number of nodes along a pixel's side.
-    heights_only
+    uses_heights_only
         Whether the heights of bare ground suffice.
     """
 
     scene: Scene
     plan: Plan
     grid: Grid
-    per_pixel: int
-    heights_only: bool
+    nodes_per_pixel_side: int
+    uses_heights_only: bool
 
-    def nodes(self, view: MapView) -> MapView:
+    def covered_nodes(self, view: MapView) -> MapView:
         """Return the nodes that the pixels of a map cover, as a map view with one node in each pixel."""
         return covered_nodes(view, self.grid)
 
     def max_nodes(self, nodes: MapView) -> tuple[int, int]:
         """Return two upper bounds of the nodes in one part: of their number in all, and of the number along a side."""
-        if not self.heights_only:
+        if not self.uses_heights_only:
             return MAX_BUFFER_NODES_PER_PART, BLOCK_PX * 8
         max_side = BLOCK_PX * 8
         if not self.scene.world.flat:
@@ -95,7 +96,7 @@ def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     count = subdivision_level(scene, view)
     if count == 0:
         return None
-    return Supersampling(scene, plan, subpixel_grid(view, count), 2**count, heights_only=needs_heights_only(scene, plan))
+    return Supersampling(scene, plan, subpixel_grid(view, count), 2**count, uses_heights_only=needs_heights_only(scene, plan))
 
 
 def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling | None:
@@ -107,16 +108,16 @@ def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling
     narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
     if not (narrow and plan.steps and needs_heights_only(scene, plan)):
         return None
-    return Supersampling(scene, plan, view.grid.refined(), 2, heights_only=True)
+    return Supersampling(scene, plan, view.grid.refined(), 2, uses_heights_only=True)
 
 
 def needs_heights_only(scene: Scene, plan: Plan) -> bool:
     """Return whether the steps of a plan need only the heights of bare ground, with the sun up."""
-    fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
+    fills = (ALGORITHMS[step.algorithm].lit_nodes_finder(step.settings) for step in plan.steps)
     return is_terrain_only(scene) and scene.sun_is_up and all(fills)
 
 
-def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
+def mean_visibilities(sampling: Supersampling, block_buffer: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
     """Return each light's mean visibility (rows, cols) float32 in the pixels of a map's block.
 
     It is 1 in pixels whose nodes show no ground. Intermediate pictures of floats are means over the nodes, too. Those of integers
@@ -124,17 +125,17 @@ def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | Bare
     """
     view = block_buffer.view
     assert isinstance(view, MapView)
-    visibilities = {light: np.ones(block_buffer.valid.shape, np.float32) for light in pixels.plan.lights}
+    visibilities = {light: np.ones(block_buffer.valid.shape, np.float32) for light in sampling.plan.lights}
     layers = LayerCollector(block_buffer.valid.shape)
     if isinstance(block_buffer, GeometryBuffer) and not block_buffer.valid.any():  # the plan's passes run without any work
-        return visibilities_at(pixels.scene, pixels.plan, block_buffer, find_casters(pixels.scene, block_buffer), log)
-    for window in _parts(pixels, block_buffer):
-        part, search_outside = _part(view, window), needs_outside_casters(pixels.plan, block_buffer, window)
-        nodes = pixels.nodes(part)
+        return visibilities_at(sampling.scene, sampling.plan, block_buffer, find_casters(sampling.scene, block_buffer), log)
+    for window in _part_windows(sampling, block_buffer):
+        part, search_outside = _part_view(view, window), needs_outside_casters(sampling.plan, block_buffer, window)
+        nodes = sampling.covered_nodes(part)
         node_visibilities = (
-            lit_nodes(pixels, nodes, search_outside, log)
-            if pixels.heights_only
-            else _lit_points(pixels, nodes, search_outside, log)
+            lit_nodes(sampling, nodes, search_outside, log)
+            if sampling.uses_heights_only
+            else _visibilities_at_nodes(sampling, nodes, search_outside, log)
         )
         valid, filled = node_visibilities
         with log.record_pass(ATTACHED_PASS):
@@ -144,20 +145,21 @@ def mean_visibilities(pixels: Supersampling, block_buffer: GeometryBuffer | Bare
                 means = means_in_pixels(part, nodes, values, valid)
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
         block_layers = {
-            key: [_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
+            key: [_values_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
             for key, pictures in log.take_layers().items()
         }
-        layers.add(block_layers, window, (slice(None), slice(None)))
+        layers.add_block(block_layers, window, (slice(None), slice(None)))
     log.layers = layers.pictures
     return visibilities
 
 
-def _part(view: MapView, window: PixelWindow) -> MapView:
+def _part_view(view: MapView, window: PixelWindow) -> MapView:
+    """Return a window of a map as a view."""
     down, right = window
     return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
-def _parts(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
+def _part_windows(sampling: Supersampling, block_buffer: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
     """Yield windows of a block that hold all of its pixels with a surface.
 
     Each window is small enough to process its nodes at once (``Supersampling.max_nodes``).
@@ -172,8 +174,8 @@ def _parts(pixels: Supersampling, block_buffer: GeometryBuffer | BareGround) -> 
         window = pending.pop()
         if not block_buffer.valid[window].any():
             continue
-        nodes, sides = pixels.nodes(_part(view, window)), [side.stop - side.start for side in window]
-        max_nodes, max_side = pixels.max_nodes(nodes)
+        nodes, sides = sampling.covered_nodes(_part_view(view, window)), [side.stop - side.start for side in window]
+        max_nodes, max_side = sampling.max_nodes(nodes)
         if (nodes.rows * nodes.cols <= max_nodes and max(nodes.rows, nodes.cols) <= max_side) or max(sides) == 1:
             yield window
             continue
@@ -192,32 +194,35 @@ def needs_outside_casters(plan: Plan, block_buffer: GeometryBuffer | BareGround,
     return CASTERS_PASS in plan.effect_names or bool(block_buffer.valid[window].sum() < block_buffer.valid.sum())
 
 
-def lit_nodes(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def lit_nodes(sampling: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and the sun's visibility at them, bool (rows, cols), from heights alone."""
-    scene, plan = pixels.scene, pixels.plan
+    scene, plan = sampling.scene, sampling.plan
     with log.record_pass(GEOMETRY_PASS):
-        nodes = bare_nodes(scene, view, pixels.per_pixel)
+        nodes = bare_nodes(scene, view, sampling.nodes_per_pixel_side)
 
     def find_casters() -> Casters:
         return Casters(find_sun_casters(scene, nodes) if search_outside else (), NO_CASTERS.reach)
 
     casters = find_outside_casters(scene, plan, nodes, find_casters, log)
     lit = np.ones(nodes.shows_ground.shape, np.bool_)
-    for step in needed_steps(scene, plan.steps_under(SUN), nodes, casters, log):
-        fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
+    for step in needed_steps(scene, plan.steps_of_light(SUN), nodes, casters, log):
+        fill = ALGORITHMS[step.algorithm].lit_nodes_finder(step.settings)
         assert fill is not None, step.algorithm
         lit &= fill(nodes, scene, step.light, step.kinds, casters, step.settings, log)
     return nodes.shows_ground, {SUN: lit}
 
 
-def _lit_points(pixels: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def _visibilities_at_nodes(
+    sampling: Supersampling, view: MapView, search_outside: bool, log: PassLog
+) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
-    scene, plan = pixels.scene, pixels.plan
+    scene, plan = sampling.scene, sampling.plan
     with log.record_pass(GEOMETRY_PASS):
         buffer = geometry_buffer(scene, view)
     casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if search_outside else NO_CASTERS, log)
     return buffer.valid, visibilities_at(scene, plan, buffer, casters, log)
 
 
-def _in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def _values_in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the means over the nodes in each pixel, or the maxima of integers."""
     return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else max_in_pixels(view, nodes, picture)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.block_casters import needed_steps
 from skugga.shadows.passes import ATTACHED_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
@@ -27,9 +27,9 @@ def fill_steps(
 ) -> np.ndarray:
     """Return a light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of its steps.
 
-    ``steps`` belong to one light (``Plan.steps_under``). ``effects`` are those that run (``Plan.effect_names``). The visibility is
-    1 at hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises the
-    errors of the algorithms.
+    ``steps`` belong to one light (``Plan.steps_of_light``). ``effects`` are those that run (``Plan.effect_names``). The visibility
+    is 1 at hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises
+    the errors of the algorithms.
     """
     steps = list(steps)
     visibility = np.ones(buffer.valid.shape, np.float32)
@@ -37,7 +37,7 @@ def fill_steps(
         light = steps[0].light
         receivers = receivers_of(without_hidden_points(buffer, scene, light, effects), scene, light)
         for step in steps:
-            fill = ALGORITHMS[step.algorithm].fill
+            fill = ALGORITHMS[step.algorithm].fill_visibility
             assert fill is not None, step.algorithm
             visibility *= fill(receivers, scene, step.light, step.kinds, casters, step.settings, log)
     return visibility
@@ -57,11 +57,11 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
     """Return each light's visibility (rows, cols) float32 at a buffer's points, with attached shadow."""
     visibilities = {}
     for light in plan.lights:
-        steps = needed_steps(scene, plan.steps_under(light), buffer, casters, log)
+        steps = needed_steps(scene, plan.steps_of_light(light), buffer, casters, log)
         visibilities[light] = fill_steps(steps, buffer, scene, casters, plan.effect_names, log)
     with log.record_pass(ATTACHED_PASS):
         for light, visibility in visibilities.items():
-            visibility[attached(buffer, scene, light)] = 0.0
+            visibility[attached_shadow_mask(buffer, scene, light)] = 0.0
     return visibilities
 
 
@@ -76,12 +76,15 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     if np.isinf(limit_m):
         return buffer
     near = np.empty(buffer.valid.shape, np.bool_)
-    run_in_chunks(len(near), _nearer, buffer.valid, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
+    run_in_chunks(
+        len(near), _write_nearer_mask, buffer.valid, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near
+    )
     return buffer if np.array_equal(near, buffer.valid) else replace(buffer, valid=near)
 
 
 @compiled
-def _nearer(first, last, valid, position, eye, limit_m, out):
+def _write_nearer_mask(first, last, valid, position, eye, limit_m, out):
+    """Write to ``out`` (rows, cols) which valid points are nearer to an eye (3,) than ``limit_m`` metres."""
     for i in range(first, last):
         for j in range(valid.shape[1]):
             p = position[i, j]

@@ -27,7 +27,7 @@ Counts = dict[str, float]
 Work = dict[str, Counts]
 """Counts by part of an algorithm."""
 
-MAX_OPACITY = 0.98
+MAX_CASTER_OPACITY = 0.98
 """Upper bound of the share of light that a wood, or bodies above a map, are assumed to block."""
 
 UNKNOWN_LIGHT_FACTS = LightFacts()
@@ -60,40 +60,43 @@ class Workload:
 
     @cached_property
     def facts(self) -> LightFacts:
+        """The facts of the light in the view."""
         return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT_FACTS)
 
     @property
     def light_kind(self) -> LightKind:
+        """The kind of the light."""
         return self.descriptor.light_kinds[self.light]
 
     @property
     def is_map_view(self) -> bool:
+        """Whether the view is a map."""
         return self.descriptor.view_kind == "map"
 
     @property
-    def pixels(self) -> float:
+    def pixel_count(self) -> float:
         """Number of pixels, and of their further samples at edges."""
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
     @property
-    def pictures(self) -> float:
+    def picture_count(self) -> float:
         """Number of pictures into which casters are drawn: one for the pixels, and a finer one for samples at edges, if any."""
         return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
 
     @property
-    def picture_pixels(self) -> float:
-        """Number of pixels in all ``pictures``."""
+    def picture_pixel_count(self) -> float:
+        """Number of pixels in all ``picture_count``."""
         return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
-    def visible_pixels(self) -> float:
+    def visible_pixel_count(self) -> float:
         """Number of pixels and samples that show a surface."""
-        return self.pixels * self.descriptor.seen_share
+        return self.pixel_count * self.descriptor.seen_share
 
     @property
-    def facing_pixels(self) -> float:
+    def facing_pixel_count(self) -> float:
         """Number of pixels and samples that show a surface that faces the light."""
-        return self.visible_pixels * self.facts.facing_share
+        return self.visible_pixel_count * self.facts.facing_share
 
     @cached_property
     def ground_casting_share(self) -> float:
@@ -116,12 +119,14 @@ class Workload:
         """Return the facts of a kind of casters; ``None`` if the step does not serve it, or the level has none."""
         return next((facts for facts in self.descriptor.stands if facts.kind == kind and kind in self.kinds), None)
 
-    def triangles(self, kind: CasterKind) -> float:
+    def triangle_count(self, kind: CasterKind) -> float:
+        """Return the number of triangles of a kind of casters."""
         facts = self.caster_facts(kind)
         return 0.0 if facts is None else float(facts.triangles)
 
     @property
-    def outside_triangles(self) -> float:
+    def outside_triangle_count(self) -> float:
+        """Number of triangles of ground outside of a map's block."""
         facts = self.caster_facts("relief")
         return 0.0 if facts is None else float(facts.outside_triangles)
 
@@ -131,35 +136,37 @@ class Workload:
         return is_decimated(self.descriptor)
 
     @property
-    def ground_triangles(self) -> float:
+    def ground_triangle_count(self) -> float:
         """Number of triangles of the casting ground."""
-        return self.triangles("relief") + self.outside_triangles
+        return self.triangle_count("relief") + self.outside_triangle_count
 
     @property
-    def all_triangles(self) -> float:
-        return self.ground_triangles + self.triangles("meshes") + self.triangles("forest")
+    def all_triangle_count(self) -> float:
+        """Number of triangles of all casters."""
+        return self.ground_triangle_count + self.triangle_count("meshes") + self.triangle_count("forest")
 
     @property
-    def nodes(self) -> float:
+    def node_count(self) -> float:
         """Number of nodes of the ground under a map's block."""
-        return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
+        return self.pixel_count * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
 
     @property
-    def seen_light_m2(self) -> float:
+    def visible_ground_projected_m2(self) -> float:
         """The visible ground's area, projected onto a plane perpendicular to the light, square metres."""
-        return self.level_light_m2 * self.facts.area_share
+        return self.level_ground_projected_m2 * self.facts.area_share
 
-    def by_view(self, part: str) -> str:
+    def part_name_in_view(self, part_name: str) -> str:
         """Return a part's name with the kind of view, for work that differs between maps and perspective views."""
-        return f"{part}, {self.descriptor.view_kind}"
+        return f"{part_name}, {self.descriptor.view_kind}"
 
     @property
-    def trees(self) -> float:
+    def tree_count(self) -> float:
+        """Number of trees that cast."""
         facts = self.caster_facts("forest")
         return 0.0 if facts is None else float(facts.count)
 
     @cached_property
-    def level_light_m2(self) -> float:
+    def level_ground_projected_m2(self) -> float:
         """The area of the level's ground, projected onto a plane perpendicular to the sun's light, square metres.
 
         For a lamp it is the area that the lamp lights at its reference distance.
@@ -180,8 +187,8 @@ class Workload:
         """
         cast = self.facts.casts.get("forest")
         if cast is not None and self.facts.facing_share > 0.0:
-            return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_OPACITY))
-        return self.trees * self.tree_light_m2 / self.level_light_m2
+            return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_CASTER_OPACITY))
+        return self.tree_count * self.tree_projected_m2 / self.level_ground_projected_m2
 
     @property
     def volume_layers(self) -> float:
@@ -196,10 +203,10 @@ class Workload:
         cast = self.facts.casts.get("meshes")
         if not self.is_map_view or cast is None or self.facts.facing_share <= 0.0:
             return self.facts.volume_layers
-        return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_OPACITY))
+        return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_CASTER_OPACITY))
 
     @property
-    def tree_light_m2(self) -> float:
+    def tree_projected_m2(self) -> float:
         """The area of a tree as a box, seen from the light, square metres; 0 without trees."""
         facts = self.caster_facts("forest")
         if facts is None or facts.height_m is None or facts.width_m is None:
@@ -207,6 +214,6 @@ class Workload:
         rise = radians((self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else 45.0)
         return facts.width_m * (facts.height_m * cos(rise) + facts.width_m * sin(rise))
 
-    def trees_within(self, light_m2: float) -> float:
-        """Return the number of trees that are drawn for an area of ``light_m2`` square metres perpendicular to the light."""
-        return min(self.trees, self.tree_layers * light_m2 / max(self.tree_light_m2, 1e-9))
+    def trees_within(self, projected_m2: float) -> float:
+        """Return the number of trees that are drawn for an area of ``projected_m2`` square metres perpendicular to the light."""
+        return min(self.tree_count, self.tree_layers * projected_m2 / max(self.tree_projected_m2, 1e-9))

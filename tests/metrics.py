@@ -17,7 +17,9 @@ def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: 
     """Return the visibility (rows, cols) of the sun's disc at a buffer's points, NaN off the surface: the reference of soft
     filters.
     """
-    visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(light_samples=samples), PassLog())
+    visibility = truth.fill_visibility(
+        buffer, scene, SUN, truth.ALL_CASTER_KINDS, casters, TruthSettings(light_samples=samples), PassLog()
+    )
     return np.where(buffer.valid, visibility, np.nan)
 
 

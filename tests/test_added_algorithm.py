@@ -28,18 +28,8 @@ from skugga.selector.measure.probe import probed_plan
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.predict import predicted_plan
 from skugga.selector.select import select
-from skugga.shadows.algorithm import (
-    Accuracy,
-    Algorithm,
-    AlgorithmSettings,
-    Cost,
-    ErrorConstants,
-    Mark,
-    NamedReason,
-    ResolvedSettings,
-    Search,
-    SettingsRequest,
-)
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, ErrorConstants, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
 from skugga.shadows.render import render_frame
@@ -97,7 +87,13 @@ def resolve(request: SettingsRequest) -> ResolvedSettings:
 
 
 def estimate_work(task: Workload, settings: CoarseRaysSettings) -> Work:
-    return {"coarse rays": {"blocks": 1.0, "rays": task.visible_pixels / settings.square_px**2, "triangles": task.all_triangles}}
+    return {
+        "coarse rays": {
+            "blocks": 1.0,
+            "rays": task.visible_pixel_count / settings.square_px**2,
+            "triangles": task.all_triangle_count,
+        }
+    }
 
 
 ACCURATE_CONSTANTS = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, interior_spread=0.05)
@@ -105,22 +101,22 @@ ACCURATE_CONSTANTS = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, inte
 ALGORITHM = Algorithm(
     name="coarse_rays",
     description="a ray for each square of pixels",
-    plural="coarse rays",
-    fill=compute_visibility,
+    plural_name="coarse rays",
+    fill_visibility=compute_visibility,
     passes=PASSES,
     refusals={"omni": REFUSAL_REASON, "spot": REFUSAL_REASON},
-    settings=(CoarseRaysSettings,),
-    resolve=resolve,
+    settings_types=(CoarseRaysSettings,),
+    resolve_settings=resolve,
     cache_names=("tests.coarse_rays",),
-    search=Search(compared_overrides=({"map_size": 4096}, {"map_size": 512})),
-    cost=Cost(
+    search=SettingsSearch(resolution_variants=({"map_size": 4096}, {"map_size": 512})),
+    cost=CostInputs(
         estimate_work,
         calibration_settings=lambda descriptor, light, calibration_extent: [
             CoarseRaysSettings(square_px=side) for side in (1, 4, 16)
         ],
     ),
-    accuracy=Accuracy(constants={"coarse_rays": ACCURATE_CONSTANTS}),
-    mark=Mark("cross", "vermilion"),
+    accuracy=AccuracyInputs(error_constants={"coarse_rays": ACCURATE_CONSTANTS}),
+    marker=PlotMarker("cross", "vermilion"),
 )
 
 
@@ -238,7 +234,7 @@ def test_a_new_algorithm_is_compared(gl, coarse_rays, scene):
     cast_errors = [row.figures["wrong_cast"] for row in rows]
     assert [row.figures["algorithm"][SUN]["relief"] for row in rows] == ["coarse_rays"] * 3
     assert cast_errors[0] == 0.0 < cast_errors[1] < cast_errors[2]
-    assert mark_of("coarse_rays") == ALGORITHM.mark
+    assert mark_of("coarse_rays") == ALGORITHM.marker
 
 
 def test_a_new_algorithm_is_calibrated(gl, coarse_rays, monkeypatch):
@@ -284,7 +280,7 @@ def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, register, rid
     worse_constants = replace(
         ACCURATE_CONSTANTS, floor=10.0 * ACCURATE_CONSTANTS.floor
     )  # the planner trusts this wrong error model, and rejects it
-    register(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": worse_constants})))
+    register(replace(ALGORITHM, accuracy=AccuracyInputs(error_constants={"coarse_rays": worse_constants})))
     revised_plan = predicted_plan(ridges, level, {"max_error": 0.02}, slow_device(**RATES))
     assert revised_plan.algorithm[SUN]["relief"] == "sweep"
     rejection_reasons = {entry.name: entry.reason for entry in revised_plan.rejected}
@@ -303,7 +299,11 @@ def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, register, scene):
     real_error = probe_result.plan.predicted.wrong_cast
     assert real_error > 0.05 and not any(measurement.interior_noise for measurement in probe_result.observations[SUN])
     claimed_constants = replace(ACCURATE_CONSTANTS, floor=real_error / 10.0)
-    register(replace(ALGORITHM, resolve=resolve_coarse, accuracy=Accuracy(constants={"coarse_rays": claimed_constants})))
+    register(
+        replace(
+            ALGORITHM, resolve_settings=resolve_coarse, accuracy=AccuracyInputs(error_constants={"coarse_rays": claimed_constants})
+        )
+    )
     overrides = {"max_error": real_error / 3.0}
     predicted = predicted_plan(describe(scene, view), level, overrides, slow_device(**RATES))
     assert predicted.algorithm[SUN]["relief"] == "coarse_rays" and predicted.target.met
@@ -322,7 +322,7 @@ def resolve_coarse(request: SettingsRequest) -> ResolvedSettings:
 @pytest.mark.parametrize(
     ("record_changes", "rates", "expected_reason"),
     [
-        ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet: benchmarks/selection fits them"),
+        ({"accuracy": AccuracyInputs()}, RATES, "its errors are not measured yet: benchmarks/selection fits them"),
         ({}, {}, "this device has no rates for coarse rays: run skugga calibrate again"),
     ],
 )
@@ -399,5 +399,5 @@ def test_caches_of_algorithm_packages_are_listed_in_records(gl):
     package_prefixes = tuple(f"shadows.{package}." for package in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
     assert {name for name in cache_names if name.startswith(package_prefixes)} - {
         "skugga.shadows.maps.resolve._measure_band_ranges",
-        "skugga.shadows.maps.resolve._splits",
+        "skugga.shadows.maps.resolve._splits_into_ranges",
     } <= listed_names

@@ -15,7 +15,7 @@ from skugga.api.request import ProductRequest
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.view_truth import truth_of_view
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.ground_pictures import _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at
@@ -104,11 +104,11 @@ def draw_with_everything(scene: Scene) -> list[object]:
     plan = make_plan(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
     buffer, view_truth = geometry_buffer(scene, view), truth_of_view(scene, view, "sun")
     block = geometry_buffer(scene, scene.view(size=(64, 64)))
-    attached(block, scene)
+    attached_shadow_mask(block, scene)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
     ground_detail._detail(buffer, scene, view)  # a level with imagery leaves it out
-    texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
+    texel_footprint_px(scene, plan.steps_of_light("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
@@ -118,7 +118,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     compute(scene, nodes, ProductRequest(product="height"), None)
     point = place_at(scene, tuple(lon_lat_at(240, 200)))
     horizon_profile(load_surroundings(scene, point))
-    view_truth.errors([np.ones(buffer.valid.shape)], plan.steps_under("sun"), 1.0)
+    view_truth.errors([np.ones(buffer.valid.shape)], plan.steps_of_light("sun"), 1.0)
     return [probes, buffer, view_truth, block, point]
 
 

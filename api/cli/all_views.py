@@ -79,7 +79,8 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
         for planned_view in casting
     ]
     pin(path, {PINS: chosen}, comment_lines)
-    return f"Pinned into {path}: {', '.join(f'{planned_view.plan.view} {planned_view.plan.headline}' for planned_view in casting)}."
+    pinned_views = ", ".join(f"{planned_view.plan.view} {planned_view.plan.algorithms_text}" for planned_view in casting)
+    return f"Pinned into {path}: {pinned_views}."
 
 
 def choices_table(choices: Sequence[PlannedView]) -> Table:
@@ -131,7 +132,7 @@ def choice_label(plan: Plan) -> str:
     if not _casts(plan):
         return NO_SHADOWS
     map_sizes = [step.settings.as_overrides.get("map_size") for step in plan.steps if step.settings is not None]
-    return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(map_sizes) if size is not None)])
+    return " ".join([plan.algorithms_text, *(str(size) for size in dict.fromkeys(map_sizes) if size is not None)])
 
 
 def _casts(plan: Plan) -> bool:

@@ -169,7 +169,9 @@ class _FilmProgress:
                 switch = frame.switch
                 self._lines.print_line(printable(f"{moment.label}: {switch.after} instead of {switch.before}: {switch.reason}"))
             if not self._lines.is_terminal:
-                typer.echo(f"[{moment.number + 1}/{self._total}] {moment.label}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
+                typer.echo(
+                    f"[{moment.number + 1}/{self._total}] {moment.label}: {frame.plan.algorithms_text}, {drawn_s:.2f} s", err=True
+                )
             self._record_statistics(frame, drawn_s)
             self._drawn += 1
             yield frame.color
@@ -203,7 +205,7 @@ class _FilmProgress:
             "frame": moment.number + 1,
             "time": None if moment.time is None else moment.time.isoformat(),
             "seconds": moment.second,
-            "algorithm": frame.plan.headline,
+            "algorithm": frame.plan.algorithms_text,
             "share": 1.0 if frame.transition is None else frame.transition.share,
             "ms": 1000.0 * drawn_s,
         })  # fmt: skip

@@ -113,7 +113,7 @@ def pin_plan(choice: PlannedView) -> str:
         _check_supported(pinned_scene, name, plan)
     pin(choice.path, new_pins, _pin_comment(choice))
     settings = "".join(f", {key} {value}" for key, value in new_pins.items() if key != "algorithm")
-    return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
+    return f"Pinned into {choice.path}: algorithm {plan.algorithms_text}{settings}."
 
 
 def write_descriptor(choice: PlannedView, path: Path) -> None:
@@ -140,7 +140,7 @@ def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
         choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:
         reason = f"view {name} of the level cannot be drawn with {error.value}: {error.allowed}"
-        raise UnsupportedError("--write", plan.headline, reason) from None
+        raise UnsupportedError("--write", plan.algorithms_text, reason) from None
 
 
 def _pin_comment(choice: PlannedView) -> list[str]:

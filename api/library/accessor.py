@@ -36,7 +36,7 @@ MIN_OVERVIEW_CELLS = 512
 CPU_ALGORITHM = next(
     name
     for name, algorithm in ALGORITHMS.items()
-    if not algorithm.needs_opengl and any(algorithm.node_fill(settings()) for settings in algorithm.settings)
+    if not algorithm.needs_opengl and any(algorithm.lit_nodes_finder(settings()) for settings in algorithm.settings_types)
 )
 """Algorithm for dask arrays, which needs no OpenGL: dask computes chunks in threads, and OpenGL works in one thread."""
 

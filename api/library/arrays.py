@@ -72,7 +72,7 @@ def shadow(
     valid = np.isfinite(heights)
     if altitude_deg <= 0.0:
         return valid
-    return valid & ~sweep.sunlit(heights, cast(tuple[float, float], cell_m), azimuth_deg, altitude_deg, lines, cores)
+    return valid & ~sweep.sunlit_nodes(heights, cast(tuple[float, float], cell_m), azimuth_deg, altitude_deg, lines, cores)
 
 
 @validate_arguments
@@ -105,7 +105,7 @@ def sunlit(
         For a wrong argument, and for arrays that do not fit into memory.
     """
     heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
-    return sweep.sunlit(heights, sides, azimuth_deg, altitude_deg, lines, cores)
+    return sweep.sunlit_nodes(heights, sides, azimuth_deg, altitude_deg, lines, cores)
 
 
 @validate_arguments

@@ -89,7 +89,7 @@ def _place_lines(place: PointPlace) -> list[str]:
         position_lines = [f"East of the centre (m): {place.x:.2f}", f"North of the centre (m): {place.y:.2f}"]
     else:
         position_lines = [f"Latitude (decimal degrees): {place.lat_deg:.6f}", f"Longitude (decimal degrees): {place.lon_deg:.6f}"]
-    return [*position_lines, f"Elevation (m): {place.eye_m:.1f}"]
+    return [*position_lines, f"Elevation (m): {place.eye_elevation_m:.1f}"]
 
 
 def _pvgis_csv(horizon: PointHorizon, place: PointPlace) -> str:
@@ -103,7 +103,7 @@ def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
     azimuth, height = _from_south(horizon)
     pairs = zip([*azimuth, 180.0], [*height, height[0]], strict=True)
     profile = [{"A": round(float(a), 3), "H_hor": round(float(h), 3)} for a, h in pairs]
-    location = {"latitude": place.lat_deg, "longitude": place.lon_deg, "elevation": round(place.eye_m, 2)}
+    location = {"latitude": place.lat_deg, "longitude": place.lon_deg, "elevation": round(place.eye_elevation_m, 2)}
     variables = {"A": "azimuth in degrees, 0 = south, 90 = west, -90 = east", "H_hor": "horizon height in degrees"}
     value = {
         "inputs": {"location": location, "horizon_db": "Skugga"},

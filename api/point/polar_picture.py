@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
-from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
 
 SkyPictureFormat = Literal["svg", "png"]
@@ -121,7 +121,7 @@ def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo)
 def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
     """Return azimuths and altitudes of the sun through a day, degrees. Altitudes below the level horizon are NaN."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    azimuth, altitude = angles_at(surroundings.place, sun_samples(surroundings.scene.world, begin, end, PATH_STEP_S)[1])
+    azimuth, altitude = sun_angles_at(surroundings.place, sun_samples(surroundings.scene.world, begin, end, PATH_STEP_S)[1])
     return azimuth, np.where(altitude > 0.0, altitude, np.nan)
 
 
@@ -149,7 +149,7 @@ def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo,
         times_s, to_sun = sun_samples(surroundings.scene.world, begin, begin + 86400.0, PATH_STEP_S)
         seconds = np.array([moment.astimezone(UTC).timestamp() for moment in moments])
         nearest = np.clip(np.searchsorted(times_s, seconds), 0, len(times_s) - 1)
-        azimuth, altitude = angles_at(surroundings.place, to_sun[nearest])
+        azimuth, altitude = sun_angles_at(surroundings.place, to_sun[nearest])
         is_day = path_day == day
         for hour in np.flatnonzero(altitude > 0.0):
             angle, radius = np.radians(azimuth[hour]), 90.0 - altitude[hour]

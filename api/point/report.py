@@ -42,7 +42,7 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
         now=sun_moment, day=reported,
         year=None if year is None else tuple(
             DayHours(date=date_of_year, daylight_h=daylight, direct_h=direct)
-            for date_of_year, daylight, direct in zip(year.days, year.daylight_h, year.direct_h, strict=True)
+            for date_of_year, daylight, direct in zip(year.days, year.daylight_h, year.direct_sun_h, strict=True)
         ),
         remark="; ".join(remarks) or None,
     )  # fmt: skip
@@ -120,12 +120,12 @@ def _reported_day(day: SunDay, clock: str) -> ReportedDay:
             begin=interval.begin, end=interval.end, after=reported_caster(interval.occluder_before),
             before=reported_caster(interval.occluder_after),
         )
-        for interval in day.sunlit
+        for interval in day.sunlit_intervals
     )  # fmt: skip
     return ReportedDay(
         date=day.day, clock=clock, sunrise=day.sunrise, first_sun=day.first_sun, last_sun=day.last_sun, sunset=day.sunset,
-        noon=day.noon, noon_altitude=day.noon_altitude_deg, daylight_h=day.daylight_h, direct_h=day.direct_h,
-        masked_h=day.masked_h, sunlit=intervals, remark=day.remark,
+        noon=day.noon, noon_altitude=day.noon_altitude_deg, daylight_h=day.daylight_h, direct_h=day.direct_sun_h,
+        masked_h=day.hidden_sun_h, sunlit=intervals, remark=day.remark,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
-from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
 
 SUN_STEP_S = 300.0
@@ -64,7 +64,7 @@ def sky_figures(surroundings: Surroundings, horizon: PointHorizon, day: date, cl
 def _path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, SUN_STEP_S)
-    azimuth, altitude = angles_at(surroundings.place, to_sun)
+    azimuth, altitude = sun_angles_at(surroundings.place, to_sun)
     lit = sees_sun(surroundings, azimuth, altitude)
     return tuple(
         SunOnPath(

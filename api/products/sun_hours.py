@@ -125,7 +125,7 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
 
     window = options.windows(world)[0]
     (sun,) = window_suns(world, [window])
-    up_min = sun.times_min[sun.altitude_deg > options.least_altitude]
+    up_min = sun.times_minutes[sun.altitude_deg > options.least_altitude]
     date_text = f"{options.date.day} {options.date:%B %Y}"
     if options.quantity == "days":
         return ColorScale(f"Days with sun, {date_text}", "inferno", 0.0, 1.0, _ticks(0.0, 1.0, 1.0, lambda value: f"{value:.0f}"))

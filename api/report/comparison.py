@@ -66,7 +66,7 @@ def print_comparison(comparison: Comparison, base_command: str) -> None:
     console.print(
         f"boundary {100 * comparison.undecided_share:.2f} % of the surface (errors are not counted there), "
         f"surface {100 * comparison.simplification_share:.2f} % (difference of the rendered grid from the full raster), "
-        f"noise floor {100 * comparison.noise_floor:.3f} % {comparison.error.replace('_', ' ')}"
+        f"noise floor {100 * comparison.noise_floor:.3f} % {comparison.error_metric.replace('_', ' ')}"
     )
     if any(row.figures["cold"] for row in comparison.rows):
         console.print("?: time of the first run only, which includes compilation and allocation")

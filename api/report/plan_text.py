@@ -10,7 +10,7 @@ from skugga.api.picture_cost import SLOW_PICTURE_MS, is_over_limit, remedy, time
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_wrong_share
 from skugga.selector.planner.planner import SETTING_NAMES
 from skugga.selector.predict import TARGET_MISSED
-from skugga.shadows.algorithm import AlgorithmSettings, NamedReason
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason
 from skugga.shadows.plan import Plan, Step, Target
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 from skugga.terrain.effects import EFFECTS

@@ -203,7 +203,7 @@ def _pictures_note(encoded_pictures: Pictures) -> str:
 def _data_script(comparison: Comparison, encoded_pictures: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
     row_numbers = [k for k, f in enumerate(figures) if is_on_front(f, comparison.light)] or list(range(len(figures)))
-    row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
+    row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error_metric]))
     value = {
         "rows": encoded_pictures.rows,
         "cols": encoded_pictures.cols,
@@ -218,8 +218,8 @@ def _data_script(comparison: Comparison, encoded_pictures: Pictures) -> str:
 
 def _thumbs(comparison: Comparison, encoded_pictures: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
-    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
-    return "".join(_thumb(k, figures[k], comparison.error, encoded_pictures) for k in order)
+    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error_metric], figures[k]["ms_median"]))
+    return "".join(_thumb(k, figures[k], comparison.error_metric, encoded_pictures) for k in order)
 
 
 def _thumb(k: int, figures: RowFigures, error: str, encoded_pictures: Pictures) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_two_digits
 from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 RowFigures = dict[str, Any]
 
@@ -30,11 +30,11 @@ def format_summary(comparison: Comparison) -> list[str]:
     rows = [row.figures for row in comparison.rows if casts_shadow(row.figures, comparison.light)]
     if not rows:
         return []
-    summary = _SummaryWriter(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
+    summary = _SummaryWriter(comparison.error_metric, EXACT_NOISE_FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.error_of(f)))
     return [
         *summary.extreme_sentences(rows), *summary.cost_sentences(front), *_default_sentences(rows, comparison),
-        *_softest_sentences(rows, comparison.error),
+        *_softest_sentences(rows, comparison.error_metric),
         *summary.failure_sentences(rows), *_dominated_sentences(rows, comparison.light),
     ]  # fmt: skip
 
@@ -118,7 +118,7 @@ class _SummaryWriter:
         )
 
     def failure_sentences(self, rows: list[RowFigures]) -> list[str]:
-        failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR and self.error_of(f) <= DEFAULT_MAX_ERROR]
+        failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR_SHARE and self.error_of(f) <= DEFAULT_MAX_ERROR]
         if not failing_rows:
             return []
         worst = max(f["interior"] for f in failing_rows)
@@ -140,15 +140,15 @@ class _SummaryWriter:
 
 def _default_sentences(rows: list[RowFigures], comparison: Comparison) -> list[str]:
     """Return a sentence on the default plan: it is on a Pareto front, or another row is more accurate in no more time."""
-    default = next((f for f in rows if f["name"] == comparison.default), None)
+    default = next((f for f in rows if f["name"] == comparison.default_row_name), None)
     if default is None:
         return []
     if default["pareto"] or default["pareto_soft"]:
-        fronts = [by for front, by in (("pareto", comparison.error), ("pareto_soft", "soft_error")) if default[front]]
+        fronts = [by for front, by in (("pareto", comparison.error_metric), ("pareto_soft", "soft_error")) if default[front]]
         return [f"The default, {default['name']}, is on the front by {format_list(fronts)}: nothing is better in no more time."]
     better = min(
         (f for f in rows if f["pareto"] and f["ms_median"] <= default["ms_median"]),
-        key=lambda f: (f[comparison.error], f["ms_median"]),
+        key=lambda f: (f[comparison.error_metric], f["ms_median"]),
         default=None,
     )
     if better is None:

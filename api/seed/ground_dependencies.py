@@ -23,7 +23,7 @@ import numpy as np
 
 from skugga.api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
 from skugga.api.workers.block_views import block_of_grid
-from skugga.shadows.ground_pictures import SKY_PASS
+from skugga.shadows.ground_pictures import SKY_VIEW_PASS
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
@@ -116,7 +116,7 @@ class GroundDependencies:
         shades_ground
             Whether the picture includes the shading of the ground.
         """
-        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.effect_names else None
+        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_VIEW_PASS in plan.effect_names else None
         digests = []
         for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan), strict=True):
             digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)

@@ -277,7 +277,7 @@ class BlockTiles:
     encode_ms : float
         Duration of encoding in milliseconds.
     headline : str
-        Algorithms of the plan (``Plan.headline``), or the name of a product that needs no plan.
+        Algorithms of the plan (``Plan.algorithms_text``), or the name of a product that needs no plan.
     passes : tuple
         Name and milliseconds of each render pass.
     reach_used_m, reach_needed_m : float or None

@@ -95,7 +95,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
     array = apply_color_scale(computed.array, product, request.options, scene.world, job.format)
     if plan is None:
         return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
-    return _map_file(job, array, view, plan.headline, computed.passes, computed.reach)
+    return _map_file(job, array, view, plan.algorithms_text, computed.passes, computed.reach)
 
 
 def _single_pass(name: str, start: float) -> PassRecord:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from skugga.api.workers.jobs import BlockJob
 from skugga.api.workers.worker_state import WorkerState, plan_of_tiles
-from skugga.shadows.ground_pictures import SKY_PASS
+from skugga.shadows.ground_pictures import SKY_VIEW_PASS
 from skugga.terrain.errors import SkuggaError
 from skugga.terrain.geo.sun import apparent_position
 from skugga.terrain.ground.sky_view_factor import sky_view
@@ -24,7 +24,7 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
     name = block.level.path.stem
     try:
         scene = block.request.applied_to(state.scenes.get(block.level))
-        if SKY_PASS in plan_of_tiles(block, scene, state).effect_names:
+        if SKY_VIEW_PASS in plan_of_tiles(block, scene, state).effect_names:
             sky_view(scene.elevation, scene.world)
     except SkuggaError as error:
         log.warning("level %s cannot be drawn yet: %s", name, error)

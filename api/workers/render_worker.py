@@ -136,7 +136,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
             body = encode_exactly(
                 as_picture(computed.array, job.request.product_record, computed.picture), job.request.product_record, job.format
             )
-            facts = _picture_record(plan.headline, computed.passes, computed.reach, state, job.level)
+            facts = _picture_record(plan.algorithms_text, computed.passes, computed.reach, state, job.level)
             return Snapshot(body=body, encode_ms=(time.perf_counter() - start) * 1000.0, **facts)
 
 
@@ -231,7 +231,7 @@ def _block_record(
 ) -> dict[str, Any]:
     """Return the fields of ``BlockTiles`` on how a block was drawn: those of ``_picture_record``, and ``unprobed_class``."""
     map_class = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.measurements)
-    return {**_picture_record(plan.headline, passes, reach, state, job.level), "unprobed_class": map_class}
+    return {**_picture_record(plan.algorithms_text, passes, reach, state, job.level), "unprobed_class": map_class}
 
 
 def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:

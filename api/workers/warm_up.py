@@ -13,7 +13,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from skugga.selector.select import plan_of_view
-from skugga.shadows.registry import FALLBACK
+from skugga.shadows.registry import FALLBACK_ALGORITHM
 from skugga.shadows.render import render_frame
 from skugga.terrain.compiling.ahead_of_time import MAPS
 from skugga.terrain.compiling.hooks import declare_product
@@ -68,7 +68,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
     declare_product(MAPS)
     renderer, algorithm = NO_OPENGL, "auto"
     try:
-        renderer, algorithm = gl.device().renderer, FALLBACK
+        renderer, algorithm = gl.device().renderer, FALLBACK_ALGORITHM
     except NoOpenGLError as error:
         if needs_opengl or expect_renderer is not None:
             raise

@@ -101,10 +101,10 @@ def sweep(path: str, height_m: np.ndarray, cell_m: float) -> MaskFunction:
 
     The last argument of the command line is the number of lines per cell.
     """
-    from skugga.shadows.sweep.grid import sunlit
+    from skugga.shadows.sweep.grid import sunlit_nodes
 
     lines, cores = int(sys.argv[6]), os.cpu_count() or 1
-    return lambda azimuth_deg, altitude_deg: sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)
+    return lambda azimuth_deg, altitude_deg: sunlit_nodes(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)
 
 
 MASK_FUNCTION_FACTORIES: dict[str, Callable[[str, np.ndarray, float], MaskFunction]] = {

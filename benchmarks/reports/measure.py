@@ -64,11 +64,11 @@ def stored_figures(scene: ReportScene, comparison: Comparison, report_facts: dic
         **{
             key: report_facts[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")
         },
-        "error": comparison.error,
+        "error": comparison.error_metric,
         "cast": comparison.cast_share,
         "boundary": comparison.undecided_share,
         "noise_floor": comparison.noise_floor,
-        "default": comparison.default,
+        "default": comparison.default_row_name,
         "summary": format_summary(comparison),
         "remarks": comparison.remarks,
         "left_out": list(comparison.left_out),

@@ -143,7 +143,7 @@ def _wrong_cast_by_formula(truth_view: ViewWithTruth, size: int) -> dict[str, An
 def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
     """Return ``wrong_cast`` of ``skugga.shadows.truth.metrics.ErrorMetrics`` without computing the slower edge distances."""
     truth = truth_view.truth
-    cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
+    cast = truth.decidable & ~truth.attached_shadow_mask & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
 
 

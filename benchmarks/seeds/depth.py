@@ -22,7 +22,7 @@ from benchmarks.seeds.views import (
 )
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
-from skugga.shadows.truth.metrics import boundary
+from skugga.shadows.truth.metrics import shadow_boundary_mask
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -82,7 +82,7 @@ def _errors_by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -
     """
     plans = {bits: truth_view.plan(single_map_overrides(MAP_SIZE, bias=bias, depth_bits=bits)) for bits in DEPTH_BITS}
     dark = {bits: np.nan_to_num(truth_view.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
-    shaded = ~truth_view.truth.lit & truth_view.truth.valid & ~truth_view.truth.attached
+    shaded = ~truth_view.truth.lit & truth_view.truth.valid & ~truth_view.truth.attached_shadow_mask
     result: dict[str, Any] = {"shadow": float(shaded.sum() / truth_view.truth.valid.sum())}
     for bits, plan in plans.items():
         settings = shared_settings(truth_view, plan)
@@ -91,7 +91,7 @@ def _errors_by_bits(truth_view: ViewWithTruth, bias: str, altitude_deg: float) -
         step_m = shadow_map.uniforms["window_m"][2] * shadow_map.uniforms["depth_step"]
         max_error_m = MAX_ERROR_STEPS[bias] * step_m
         shift_px = max_error_m * np.cos(np.radians(altitude_deg)) / _pixel_m(truth_view)
-        edge = boundary(shaded, truth_view.truth.valid)
+        edge = shadow_boundary_mask(shaded, truth_view.truth.valid)
         result[str(bits)] = {
             "wrong_cast": truth_view.errors(np.where(truth_view.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
             "step_m": step_m, "texels": step_m / max(shadow_map.uniforms["texel_m"]),

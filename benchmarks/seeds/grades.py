@@ -68,7 +68,9 @@ def measure_algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, .
         plan = truth_view.plan(COMPARED_VARIANTS[key])
         visibility, texels_px = truth_view.visibility(plan), truth_view.texels_px(plan)
         figures = truth_view.errors(visibility, texels_px)
-        wrong_pixels = truth_view.truth.decidable & ~truth_view.truth.attached & ((visibility < 0.5) == truth_view.truth.lit)
+        wrong_pixels = (
+            truth_view.truth.decidable & ~truth_view.truth.attached_shadow_mask & ((visibility < 0.5) == truth_view.truth.lit)
+        )
         result[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
         result[key]["on_foliage"] = float((truth_view.buffer.kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
         result[key]["texel_px"] = float(np.median(texels_px[wrong_pixels])) if wrong_pixels.any() else 0.0

@@ -25,7 +25,7 @@ from benchmarks.seeds.verdicts import (
 )
 from benchmarks.seeds.views import Variant, ViewWithTruth, draw_variant, read_bundled_level, view_with_truth, write_and_build_scene
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
-from skugga.shadows.truth.metrics import boundary
+from skugga.shadows.truth.metrics import shadow_boundary_mask
 
 FRAME_SIZE_PX = (1280, 1024)
 """The thesis's frame size."""
@@ -70,7 +70,7 @@ def texel_sizes_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndar
     to the eye. (M. Stamminger and G. Drettakis 2002; the thesis's equation 1)
     """
     buffer, lamp, receivers = truth_view.buffer, truth_view.scene.lamps[truth_view.light], truth_view.receivers
-    edge = boundary(~truth_view.truth.lit & receivers, receivers)
+    edge = shadow_boundary_mask(~truth_view.truth.lit & receivers, receivers)
     points, normals = buffer.position_frame_m[edge].astype(np.float64), buffer.normal_frame[edge].astype(np.float64)
     source, axis, _ = lamp.in_frame(buffer.frame)
     to_light, to_eye = source - points, truth_view.perspective.in_frame(buffer.frame)[0] - points

@@ -110,7 +110,7 @@ def without_uniform_maps() -> Iterator[None]:
 
     def penalized_uniform(*arguments: Any) -> PostPerspective:
         fit = PostPerspective(*arguments)
-        return replace(fit, texel=np.inf) if fit.kind is None else fit
+        return replace(fit, texel_size=np.inf) if fit.kind is None else fit
 
     with patch.object(post_perspective, "PostPerspective", penalized_uniform):
         yield
@@ -122,7 +122,7 @@ def without_slide_back() -> Iterator[None]:
     ranked = perspective_shadow_map.post_perspectives
 
     def shortest_first(*args: Any) -> list[PostPerspective]:
-        return sorted(ranked(*args), key=lambda candidate: candidate.slide_m)
+        return sorted(ranked(*args), key=lambda candidate: candidate.slide_back_m)
 
     with without_uniform_maps(), patch.object(perspective_shadow_map, "post_perspectives", shortest_first):
         yield

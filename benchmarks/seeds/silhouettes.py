@@ -30,7 +30,7 @@ from benchmarks.seeds.verdicts import (
 from benchmarks.seeds.views import ViewWithTruth, bundled_scene, view_with_truth
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.drawing import count_volumes
-from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
+from skugga.shadows.volumes.edges import Edges, closed_part_mask, find_edges
 from skugga.shadows.volumes.layers import layer_batches
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, faces_light, orientations_of, silhouette
@@ -68,8 +68,8 @@ def _measure_volumes(level: str) -> dict[str, float]:
     truth_view = view_with_truth(bundled_scene(level), "main", SIZE_PX)
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     vertices, triangles = caster_solids(truth_view.scene.objects, truth_view.buffer.frame)
-    shared, separate_edges = edges_of(vertices, triangles), edges_without_sharing(triangles)
-    facing_rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
+    shared, separate_edges = find_edges(vertices, triangles), edges_without_sharing(triangles)
+    facing_rule = np.where(closed_part_mask(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
     orientations = orientations_of(faces_light(vertices, triangles, light), facing_rule)
     groups = layer_batches(vertices, triangles, shared, orientations, light, MAX_VOLUME_LAYERS)
 
@@ -90,7 +90,7 @@ def _measure_volumes(level: str) -> dict[str, float]:
     }  # fmt: skip
     counts = {name: _count_volumes(truth_view, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
-        "structure": lambda: closed_parts(edges_of(vertices, triangles)),
+        "structure": lambda: closed_part_mask(find_edges(vertices, triangles)),
         "build_silhouettes": lambda: build_volumes(shared),
         "build_polygons": lambda: build_volumes(separate_edges),
     }
@@ -179,7 +179,10 @@ def _measure_shadowed_eye() -> dict[str, float]:
     light = np.array(truth_view.scene.light_position(SUN, truth_view.buffer.frame))
     engine_volumes = _engine_volumes(truth_view, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
-    z_pass_volumes = [replace(volume, low_m=volume.low_m - beyond_m, high_m=volume.high_m - beyond_m) for volume in engine_volumes]
+    z_pass_volumes = [
+        replace(volume, caster_low_m=volume.caster_low_m - beyond_m, caster_high_m=volume.caster_high_m - beyond_m)
+        for volume in engine_volumes
+    ]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (z_pass_volumes, "auto"),
         "z_fail": (engine_volumes, "z_fail"),

@@ -35,7 +35,7 @@ from benchmarks.seeds.views import (
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
-from skugga.shadows.truth.metrics import block_shares, coverage_error
+from skugga.shadows.truth.metrics import block_shadow_shares, coverage_error
 from skugga.shadows.truth.truth import coverage_truth
 from skugga.terrain.cache import clear_caches
 
@@ -77,7 +77,7 @@ def measure() -> Figures:
     def quality(overrides: ShadowOverrides) -> dict[str, float]:
         visibility = truth_view.visibility(truth_view.plan(overrides))
         wrong_cast = truth_view.errors(visibility)["wrong_cast"]
-        return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - visibility), true_shares)}
+        return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shadow_shares(1.0 - visibility), true_shares)}
 
     def filtered_overrides(size: int, bits: int) -> ShadowOverrides:
         return single_map_overrides(size, depth_bits=bits, filter="auto")

@@ -16,9 +16,9 @@ from benchmarks.seeds.pictures import CaptionedPicture, CropBox, draw_crop, writ
 from benchmarks.seeds.thin import MAX_WRONG_SHARE
 from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, choose_reason, format_percent
 from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, view_with_truth, write_and_build_scene
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.shadows.volumes import volumes
-from skugga.shadows.volumes.edges import Edges, signed_sums
+from skugga.shadows.volumes.edges import Edges, signed_side_counts
 from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE_PX = (960, 768)
@@ -38,7 +38,7 @@ def assume_closed_meshes() -> Iterator[None]:
         facing = np.maximum(orientations, 0)
         outline = silhouette(triangles, edges, facing)
         meeting = np.bincount(edges.triangle_edges[edges.triangle_edges >= 0], minlength=len(edges.ends))
-        is_shared = meeting[np.flatnonzero(signed_sums(edges, facing))] == 2
+        is_shared = meeting[np.flatnonzero(signed_side_counts(edges, facing))] == 2
         return Silhouette(outline.edges[is_shared], outline.multiplicity[is_shared], outline.caps)
 
     with patch.object(volumes, "silhouette", between_two):
@@ -148,7 +148,7 @@ def make_section(figures: Figures) -> Section:
     worst_interior = max(worst(SM, "interior"), worst(PSM, "interior"))
     worst_shares = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, ASSUMED_CLOSED)}
     maps_are_right, volumes_fail = (
-        at_most(worst_interior, MAX_INTERIOR),
+        at_most(worst_interior, MAX_INTERIOR_SHARE),
         at_least(max(worst_shares[SV], worst_shares[HYBRID]), MAX_WRONG_SHARE),
     )
     claims = [
@@ -156,7 +156,7 @@ def make_section(figures: Figures) -> Section:
             f"{THESIS}, figure 57",
             "shadow maps and perspective ones do not care how the geometry is made",
             f"at most {format_percent(worst_interior)} of the picture is wrong away from shadow edges (held if at most "
-            f"{format_percent(MAX_INTERIOR)})",
+            f"{format_percent(MAX_INTERIOR_SHARE)})",
             maps_are_right,
             choose_reason(
                 maps_are_right,

@@ -16,13 +16,13 @@ from ruamel.yaml import YAML
 from skugga.api.catalogue import find_level
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import AlgorithmSettings
-from skugga.shadows.attached import attached
+from skugga.shadows.algorithm_settings import AlgorithmSettings
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.truth.cache import cached_truth
 from skugga.shadows.truth.metrics import edge_distances, error_metrics
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, lit_mask, ray_scene
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters.reach import Casters, find_casters
@@ -57,7 +57,7 @@ class ViewWithTruth:
     @cached_property
     def receivers(self) -> np.ndarray:
         """The mask of pixels that can have cast shadow (rows, cols): surface that faces the light and lies within its cone."""
-        return self.buffer.valid & ~attached(self.buffer, self.scene, self.light)
+        return self.buffer.valid & ~attached_shadow_mask(self.buffer, self.scene, self.light)
 
     @property
     def faces_away(self) -> np.ndarray:
@@ -93,7 +93,7 @@ class ViewWithTruth:
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
         """Return the light's visibility by a plan (rows, cols), with attached shadow; NaN without a surface."""
-        steps = plan.steps_under(self.light)
+        steps = plan.steps_of_light(self.light)
         return self.with_attached_shadow(
             fill_steps(steps, self.buffer, self.scene, self.casters, plan.effect_names, log or PassLog())
         )
@@ -105,7 +105,7 @@ class ViewWithTruth:
     def texels_px(self, plan: Plan) -> np.ndarray:
         """Return the pixels per texel of a plan's shadow maps on level ground (rows, cols); 0 without maps."""
         out = np.zeros(self.buffer.valid.shape)
-        for step in plan.steps_under(self.light):
+        for step in plan.steps_of_light(self.light):
             out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
         return out
 
@@ -202,5 +202,5 @@ def sees_sun_when_moved(truth_view: ViewWithTruth, buffer: GeometryBuffer, depth
     to_sun = truth_view.scene.sun.in_frame(buffer.frame)
     moved_buffer = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
     return lit_mask(
-        moved_buffer, truth_view.scene, SUN, ray_scene(truth_view.buffer, truth_view.scene, truth_view.casters, ALL_KINDS)
+        moved_buffer, truth_view.scene, SUN, ray_scene(truth_view.buffer, truth_view.scene, truth_view.casters, ALL_CASTER_KINDS)
     )

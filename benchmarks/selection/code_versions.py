@@ -22,12 +22,18 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.registry import ALGORITHMS, MODULES
+from skugga.shadows.registry import ALGORITHM_MODULES, ALGORITHMS
 
 ROOT = Path(__file__).resolve().parents[2]
 ACCEPTED = Path(__file__).with_name("code_digests.json")
 
-DECLARATIONS = {"skugga.shadows.algorithm", "skugga.shadows.plan", "skugga.shadows.registry"}
+DECLARATIONS = {
+    "skugga.shadows.algorithm",
+    "skugga.shadows.algorithm_settings",
+    "skugga.shadows.requirements",
+    "skugga.shadows.plan",
+    "skugga.shadows.registry",
+}
 
 METHODS = frozenset(name for kind in (np.ndarray, dict, list, set, str) for name in dir(kind))
 """Methods that keep their text in digests, whatever value they belong to."""
@@ -69,7 +75,7 @@ def stale_algorithms(record: Figures, step: str) -> list[str]:
 
 def code_digests() -> dict[str, str]:
     """Return a digest of each algorithm's code. Comments, docstrings, messages, imports and the names of variables do not count."""
-    return {module.ALGORITHM.name: _digest(_files_of(module)) for module in MODULES if module.ALGORITHM.passes}
+    return {module.ALGORITHM.name: _digest(_files_of(module)) for module in ALGORITHM_MODULES if module.ALGORITHM.passes}
 
 
 def unaccepted_algorithms() -> list[str]:

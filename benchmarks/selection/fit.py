@@ -127,7 +127,7 @@ def cases_of(view: Figures) -> list[FitCase]:
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
     planner = planner_of(descriptor, request_of(descriptor))
     case_by_name: dict[str, FitCase] = {}
-    for choice in portfolio(descriptor, light, planner.casting(light), planner.requested_shadows):
+    for choice in portfolio(descriptor, light, planner.casting_kinds(light), planner.requested_shadows):
         name = view["picks"].get(choice.name)
         if name in view["rows"] and name not in case_by_name:
             case_by_name[name] = FitCase(view, descriptor, planner.steps(light, choice), view["rows"][name])

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 PAR_FACTOR = 10.0
 """The penalty of a missed target, as a multiple of the slowest row that meets it."""
@@ -87,7 +87,9 @@ class GoalInstance:
         max_error = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
         return (
-            self.error(name) <= max_error and row["interior"] <= MAX_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+            self.error(name) <= max_error
+            and row["interior"] <= MAX_INTERIOR_SHARE
+            and (self.max_ms is None or row["ms"] <= self.max_ms)
         )
 
     def losses(self, strict: bool = False) -> dict[str, float]:
@@ -115,7 +117,7 @@ class GoalInstance:
     def _overshoot(self, name: str) -> float:
         row = self.rows[name]
         late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
-        return max(self.error(name) / self.goal.max_error, row["interior"] / MAX_INTERIOR, late, 1e-3)
+        return max(self.error(name) / self.goal.max_error, row["interior"] / MAX_INTERIOR_SHARE, late, 1e-3)
 
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
@@ -147,8 +149,8 @@ class PolicyScore:
     regret_met: float
     """The mean regret of the choices that met their target."""
     needless_interior_error_share: float
-    """Share of instances in which the chosen row has an interior error above ``MAX_INTERIOR``, although another row met the target
-    without one."""
+    """Share of instances in which the chosen row has an interior error above ``MAX_INTERIOR_SHARE``, although another row met the
+    target without one."""
     single: float
     """Mean loss of the single best."""
     single_met: float
@@ -179,7 +181,7 @@ def score_choices(
     met = np.array([instance.meets(choices[key]) for instance, key in zip(instances, keys, strict=True)])
     single_met = np.array([instance.meets(single[key]) for instance, key in zip(instances, keys, strict=True)])
     dirty = [
-        able and instance.rows[choices[key]]["interior"] > MAX_INTERIOR
+        able and instance.rows[choices[key]]["interior"] > MAX_INTERIOR_SHARE
         for instance, key, able in zip(instances, keys, can, strict=True)
     ]
     regret, gap = policy_losses - 1.0, float(best.mean() - 1.0)

@@ -39,7 +39,7 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     """Return by name the plans of all choices for a light, and the plans of the fixed rules for the largest error of each goal."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
-    choices = portfolio(descriptor, light, planner.casting(light), planner.requested_shadows)
+    choices = portfolio(descriptor, light, planner.casting_kinds(light), planner.requested_shadows)
     plans = {choice.name: planner.plan({light: choice}, {}) for choice in choices}
     return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
@@ -53,7 +53,7 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     names: dict[str, str] = {}
     rows_by_name: dict[str, list[tuple[list[Step], str]]] = {}
     for choice, plan in plans.items():
-        name, light_steps = name_of(plan, light), plan.steps_under(light)
+        name, light_steps = name_of(plan, light), plan.steps_of_light(light)
         same_name = rows_by_name.setdefault(name, [])
         row = next((row for steps, row in same_name if steps == light_steps), f"{name} ({choice})" if same_name else name)
         same_name.append((light_steps, row))

@@ -30,7 +30,7 @@ TARGETS = {
 }  # fmt: skip
 """The targets."""
 
-ALGORITHM_TITLES = {each.name: each.plural for each in selectable_algorithms()}
+ALGORITHM_TITLES = {each.name: each.plural_name for each in selectable_algorithms()}
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:

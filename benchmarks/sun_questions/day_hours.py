@@ -185,7 +185,7 @@ def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]
     scene = build_scene(load_level(dem.path))
     day = astronomical_day(scene)
     times = np.arange(RAY_STEP_S / 120.0, day.window.minutes, RAY_STEP_S / 60.0)
-    enu = day.direction(times) @ scene.world.earth_from_anchor
+    enu = day.directions_at(times) @ scene.world.earth_from_anchor
     scene.close()
     return np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0, np.degrees(np.arcsin(enu[:, 2]))
 

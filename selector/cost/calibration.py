@@ -141,7 +141,7 @@ def run_job(job: CalibrationJob) -> None:
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
     left_ms = (time.perf_counter() - start) * 1000.0
     passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
-    pass_of = ALGORITHMS[step.algorithm].cost.passes
+    pass_of = ALGORITHMS[step.algorithm].cost.pass_of_part
     *earlier_parts, last = sorted(job.work, key=lambda part: pass_of.get(_base_part(part)) is None)
     for part in earlier_parts:
         part_ms = passes_ms[pass_of[_base_part(part)]]

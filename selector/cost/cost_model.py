@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.unmeasured import NO_RATES_REASON, UnmeasuredError
-from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.facts.descriptor import Descriptor

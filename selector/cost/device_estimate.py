@@ -28,8 +28,8 @@ SOFTWARE_RASTERISERS = ("llvmpipe", "softpipe", "swiftshader")
 """Words in OpenGL's renderer string, in lower case, of devices that the rates of the typical device, a CPU, suit."""
 
 BENCHMARK_VIEWS: dict[str, Callable[[Algorithm], bool]] = {
-    "few_balls_small": lambda algorithm: algorithm.is_served and algorithm.needs_opengl,
-    "hills_map": lambda algorithm: algorithm.is_served and not algorithm.needs_opengl,
+    "few_balls_small": lambda algorithm: algorithm.is_selectable and algorithm.needs_opengl,
+    "hills_map": lambda algorithm: algorithm.is_selectable and not algorithm.needs_opengl,
 }
 """Calibration views of the benchmark, and which algorithms are timed on them."""
 

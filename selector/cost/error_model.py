@@ -39,7 +39,7 @@ from skugga.selector.gaussian_estimate import SharedVariance, logistic_probabili
 from skugga.shadows.algorithm import ErrorConstants
 from skugga.shadows.plan import Step
 from skugga.shadows.registry import ALGORITHMS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, Casting
@@ -112,10 +112,10 @@ class ExpectedErrors:
     def probability_over(self, max_error: float) -> float:
         """Return the probability, in [0, 1], that the errors of a picture exceed a limit.
 
-        The limits are ``max_error`` for the wrong share of the cast shadow, and ``MAX_INTERIOR`` for the interior error.
+        The limits are ``max_error`` for the wrong share of the cast shadow, and ``MAX_INTERIOR_SHARE`` for the interior error.
         """
         error = logistic_probability_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
-        inside = logistic_probability_over(log_interior(self.interior) - log_interior(MAX_INTERIOR), self.interior_spread)
+        inside = logistic_probability_over(log_interior(self.interior) - log_interior(MAX_INTERIOR_SHARE), self.interior_spread)
         return max(error, inside)  # interior errors are errors, too
 
 
@@ -225,7 +225,7 @@ def error_group_of(descriptor: Descriptor, step: Step) -> str:
 def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants | None:
     """Return the constants of a step's error group; ``None`` if none were fitted and its algorithm has none."""
     group = error_group_of(descriptor, step)
-    return model.constants(group) or ALGORITHMS[step.algorithm].accuracy.constants.get(group)
+    return model.constants(group) or ALGORITHMS[step.algorithm].accuracy.error_constants.get(group)
 
 
 def step_wrong_share(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:

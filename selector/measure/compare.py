@@ -80,7 +80,7 @@ class Comparison:
         One row for each candidate.
     valid
         Valid mask of the surface, bool (rows, cols).
-    error
+    error_metric
         Name of the error that is compared with the requested limit in this view.
     undecided_share
         Share of the surface, in [0, 1], for which truth is undecided, since samples within a pixel disagree.
@@ -94,7 +94,7 @@ class Comparison:
         Remarks for the reader, for example that it is night.
     left_out
         Names of the candidates that were not drawn, because of the time limit.
-    default
+    default_row_name
         Name of the default plan's row; empty if it is not among the rows.
     """
 
@@ -102,14 +102,14 @@ class Comparison:
     light: str
     rows: list[ComparisonRow]
     valid: np.ndarray
-    error: ErrorName
+    error_metric: ErrorName
     undecided_share: float
     cast_share: float
     simplification_share: float
     noise_floor: float
     remarks: list[str]
     left_out: tuple[str, ...] = ()
-    default: str = ""
+    default_row_name: str = ""
 
 
 Times = tuple[float, dict[str, float]]
@@ -302,7 +302,7 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
         return 0.0
     votes = []
     for ground in view_truth.blocks:
-        rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
+        rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_CASTER_KINDS)
         count = np.zeros(ground.buffer.valid.shape, np.float32)
         for sub_view in truth_module.jittered_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
             sample = geometry_buffer(scene, sub_view, ground.buffer.frame)
@@ -321,9 +321,9 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
     light, truth = view_truth.blocks[0].light, view_truth.full_truth
     run = run_light(scene, pictures, plan, light)
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
-        part[ground.attached] = 0.0
+        part[ground.attached_shadow_mask] = 0.0
         part[~ground.buffer.valid] = np.nan
-    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft_edges=True)
+    errors = view_truth.errors(run.parts, plan.steps_of_light(light), pixel_m, soft_edges=True)
     shown_visibility = np.nan_to_num(view_truth.assemble(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()
@@ -358,7 +358,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     The time includes antialiasing samples at edges, as in any picture. The resulting visibilities are those of whole pixels.
     """
     clear_caches("light")  # the time includes all work of a moving sun
-    steps = plan.steps_under(light)
+    steps = plan.steps_of_light(light)
     log, start = PassLog(), time.perf_counter()
     parts = []
     for picture, casters in pictures:

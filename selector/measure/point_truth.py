@@ -18,10 +18,10 @@ import numpy as np
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.probing import INTERVAL_Z
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, is_far_from_edges
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
+from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, edge_test_region, is_far_from_edges
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.casters.reach import Casters
@@ -134,7 +134,7 @@ class PictureTruth:
         rows, cols = picture.valid.shape
         while rows * cols / (2 * self.spacing_px) ** 2 >= MIN_LATTICE_POINTS:
             self.spacing_px *= 2
-        self.attached = attached(picture, scene, light)
+        self.attached_shadow_mask = attached_shadow_mask(picture, scene, light)
         self._traced, self._dark = np.zeros((rows, cols), bool), np.zeros((rows, cols), bool)
 
     @property
@@ -160,7 +160,7 @@ class PictureTruth:
     def rays(self) -> RayScene:
         """The casters for ray tracing. For a map under the sun the rays are few, so they walk the ground's cells without a BVH."""
         traverse_sheets = isinstance(self.picture.view, MapView) and self.light == SUN
-        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, traverse_sheets)
+        return ray_scene(self.picture, self.scene, self.casters, ALL_CASTER_KINDS, traverse_sheets)
 
     @cached_property
     def nodes(self) -> MapNodes | None:
@@ -176,7 +176,7 @@ class PictureTruth:
         truth = lattice.truth
         dark, true_dark = lattice.at_points(dark) & truth.valid, ~truth.lit & truth.valid
         is_wrong = truth.decidable & (dark != true_dark)
-        cast = truth.decidable & (dark | true_dark) & ~truth.attached
+        cast = truth.decidable & (dark | true_dark) & ~truth.attached_shadow_mask
         decidable_count, wrong_count, cast_count, wrong_cast_count = (
             int(np.count_nonzero(mask)) for mask in (truth.decidable, is_wrong, cast, is_wrong & cast)
         )
@@ -192,7 +192,7 @@ class PictureTruth:
             return 0
         drawing: Sequence[Step | None] = steps or [None]
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
-        distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[is_wrong]).astype(np.float64)
+        distance_px = np.maximum(MIN_INTERIOR_DISTANCE_PX, 2.0 * texel_px[is_wrong]).astype(np.float64)
         row, col = (
             first + lattice.spacing_px * index for first, index in zip(lattice.first_pixel, np.nonzero(is_wrong), strict=True)
         )

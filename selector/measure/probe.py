@@ -20,7 +20,7 @@ from skugga.selector.measure.view_truth import View
 from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.predict import PlanOptions, plan_from_options, plan_options
-from skugga.shadows.algorithm import NamedReason
+from skugga.shadows.algorithm_settings import NamedReason
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
@@ -122,8 +122,8 @@ def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[NamedR
     """Return reasons that list the drawn candidates for a light, their results, and how these changed the choice."""
     light_options, reasons = probe.options, []
     expected = {option.choice.name: option for option in light_options.options}
-    for which, (ms, measurement) in probe.drawn.items():
-        name = light_options.options[which].choice.name
+    for option_index, (ms, measurement) in probe.drawn.items():
+        name = light_options.options[option_index].choice.name
         before = f"expected: {format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)}"
         reasons.append(
             NamedReason(name=f"{light}: probed {name}", reason=f"{_errors_text(measurement)} in {format_duration(ms)} ({before})")
@@ -153,7 +153,7 @@ def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
     if not light_options.numbers:
         return text + "no candidate can draw this view"
     leader = leader_of(light_options, max_error, options.time_limits_ms()[light])
-    name_before, name_after = (light_options.options[which].choice.name for which in (probe.initial_leader, leader))
+    name_before, name_after = (light_options.options[option_index].choice.name for option_index in (probe.initial_leader, leader))
     text += (
         f"the choice remains {name_after}" if name_before == name_after else f"the choice is {name_after} instead of {name_before}"
     )

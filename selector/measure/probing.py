@@ -19,13 +19,13 @@ from math import erf, exp, log, sqrt
 from typing import Protocol
 
 from skugga.selector.cost.error_model import log_error, log_interior
-from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
+from skugga.selector.expected_loss import MAX_MISS_CHANCE_OF_LIKELY_OPTION, least_expected_loss
 from skugga.selector.gaussian_estimate import GaussianEstimate
 from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions
 from skugga.selector.ranking import relative_overshoot
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 MIN_SAVING = 0.03
 """Minimum expected gain of a candidate that is drawn next.
@@ -84,9 +84,9 @@ class ErrorMeasurement:
     points: int
 
     def decides(self, max_error: float) -> bool:
-        """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR``."""
+        """Return whether the sample points suffice to tell if the errors stay within ``max_error`` and ``MAX_INTERIOR_SHARE``."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, MIN_NOISE)
-        inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR)) / max(self._interior_noise, MIN_NOISE)
+        inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR_SHARE)) / max(self._interior_noise, MIN_NOISE)
         return max(over, inside_over) < -DECISION_Z or over > DECISION_Z or inside_over > DECISION_Z
 
     @property
@@ -114,13 +114,13 @@ class OptionProber(Protocol):
     def elapsed_s(self) -> float:
         """Return the seconds since the start of the probe."""
 
-    def draw(self, which: int) -> float | None:
+    def draw(self, option_index: int) -> float | None:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
 
-    def draw_s(self, which: int, ms: float) -> float:
+    def draw_s(self, option_index: int, ms: float) -> float:
         """Return the expected seconds to draw an option of which one drawing takes ``ms`` milliseconds."""
 
-    def measurement(self, which: int) -> ErrorMeasurement:
+    def measurement(self, option_index: int) -> ErrorMeasurement:
         """Return the errors of a drawn option against truth, at all sample points that were requested so far."""
 
     def add_points_s(self) -> float | None:
@@ -178,15 +178,17 @@ def probe_options(
         return budget_s is None or not drawn_ms or prober.elapsed_s() + seconds <= budget_s
 
     while True:
-        measurements = {which: prober.measurement(which) for which in drawn_ms}
+        measurements = {option_index: prober.measurement(option_index) for option_index in drawn_ms}
         posterior = prior.with_observations(
-            measurement.to_observation(prior.options[which].choice.name, drawn_ms[which])
-            for which, measurement in measurements.items()
+            measurement.to_observation(prior.options[option_index].choice.name, drawn_ms[option_index])
+            for option_index, measurement in measurements.items()
         )
         leader = leader_of(posterior, max_error, max_ms) if posterior.numbers else None
         add_points_s = prober.add_points_s() if drawn_ms else None
         undecided = {
-            which for which, measurement in measurements.items() if add_points_s is not None and not measurement.decides(max_error)
+            option_index
+            for option_index, measurement in measurements.items()
+            if add_points_s is not None and not measurement.decides(max_error)
         }
         if leader in measurements:
             gains = _gains(posterior, leader, (set(posterior.numbers) - set(drawn_ms)) | undecided, max_error, max_ms)
@@ -207,7 +209,7 @@ def probe_options(
             assert add_points_s is not None
             step_s = add_points_s
         if next_option is None or not has_time(step_s):
-            drawn = {which: (ms, measurements[which]) for which, ms in drawn_ms.items()}
+            drawn = {option_index: (ms, measurements[option_index]) for option_index, ms in drawn_ms.items()}
             return LightProbe(posterior, drawn, initial_leader, prober.elapsed_s(), leader in measurements and next_option is None)
         if next_option in drawn_ms:
             prober.add_points()
@@ -228,19 +230,23 @@ def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> 
 def _fastest_likely(options: LightOptions, leader: int, max_error: float, max_ms: float | None) -> int:
     """Return the number of the fastest option that is likely to meet the target; ``leader`` if none is."""
     likely = [
-        which
-        for which in options.numbers
-        if options.options[which].choice.name != NO_SHADOWS
-        and options.forecast(which, max_error).miss_chance(max_ms) <= LIKELY_MISS_CHANCE
+        option_index
+        for option_index in options.numbers
+        if options.options[option_index].choice.name != NO_SHADOWS
+        and options.forecast(option_index, max_error).miss_chance(max_ms) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION
     ]
-    return min(likely, key=lambda which: options.figures(which).ms, default=leader)
+    return min(likely, key=lambda option_index: options.figures(option_index).ms, default=leader)
 
 
 def _gains(
     options: LightOptions, leader: int, option_numbers: Collection[int], max_error: float, max_ms: float | None
 ) -> dict[int, float]:
     """Return the expected gains over the leader (``expected_gain``) of options by number."""
-    return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(option_numbers) if which != leader}
+    return {
+        option_index: expected_gain(options, option_index, leader, max_error, max_ms)
+        for option_index in sorted(option_numbers)
+        if option_index != leader
+    }
 
 
 def _largest_gain(gains: Mapping[int, float], least_gain: float) -> int | None:
@@ -248,34 +254,34 @@ def _largest_gain(gains: Mapping[int, float], least_gain: float) -> int | None:
 
     Of several options with the same gain it is the first one.
     """
-    best = max(gains, key=lambda which: (gains[which], -which), default=None)
+    best = max(gains, key=lambda option_index: (gains[option_index], -option_index), default=None)
     return best if best is not None and gains[best] > least_gain else None
 
 
-def expected_gain(options: LightOptions, which: int, leader: int, max_error: float, max_ms: float | None) -> float:
-    """Return the expected gain of option ``which`` over the leader, the best option so far, in [0, 1].
+def expected_gain(options: LightOptions, option_index: int, leader: int, max_error: float, max_ms: float | None) -> float:
+    """Return the expected gain of option ``option_index`` over the leader, the best option so far, in [0, 1].
 
     The gain is the share of the leader's time that the option saves. If the leader misses the target, it is the share of the
     leader's error. A result that is worse than the leader's counts as 0, because the leader remains the choice then.
     """
-    candidate, leader_forecast = (options.forecast(number, max_error) for number in (which, leader))
+    candidate, leader_forecast = (options.forecast(number, max_error) for number in (option_index, leader))
     meets = 1.0 - candidate.miss_chance(max_ms)
-    if leader_forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE:
-        return meets * _expected_saving(options.time, which, log(max(leader_forecast.figures.ms, 1e-9)))
+    if leader_forecast.miss_chance(max_ms) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION:
+        return meets * _expected_saving(options.time, option_index, log(max(leader_forecast.figures.ms, 1e-9)))
     # If the leader misses the target, to meet it counts as a gain of 1. Otherwise the gain is the reduction of the error.
     in_time = 1.0 - candidate.late_chance(max_ms)
     over = relative_overshoot(leader_forecast.figures, max_error, max_ms)
-    nearer = _expected_saving(options.error, which, log_error(leader_forecast.figures.error)) if over > 0.0 else 0.0
+    nearer = _expected_saving(options.error, option_index, log_error(leader_forecast.figures.error)) if over > 0.0 else 0.0
     return max(meets, in_time * nearer)
 
 
-def _expected_saving(estimate: GaussianEstimate, which: int, than_log: float) -> float:
+def _expected_saving(estimate: GaussianEstimate, option_index: int, than_log: float) -> float:
     """Return the expected relative saving of a log-normal value against a known value, whose logarithm is ``than_log``.
 
-    The log-normal value is that of candidate ``which``. A larger value counts as a saving of 0. The formula is that of a put
+    The log-normal value is that of candidate ``option_index``. A larger value counts as a saving of 0. The formula is that of a put
     option's price (F. Black and M. Scholes, 1973).
     """
-    mean, sd = float(estimate.mean[which]) - than_log, sqrt(max(float(estimate.covariance[which, which]), 0.0))
+    mean, sd = float(estimate.mean[option_index]) - than_log, sqrt(max(float(estimate.covariance[option_index, option_index]), 0.0))
     if sd == 0.0:
         return max(1.0 - exp(min(mean, 0.0)), 0.0)
     return _normal_below(-mean / sd) - exp(min(mean + sd * sd / 2.0, 50.0)) * _normal_below(-mean / sd - sd)

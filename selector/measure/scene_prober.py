@@ -18,7 +18,7 @@ from skugga.selector.measure.view_truth import MAX_UNDECIDABLE_SHARE, View
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import Planner
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shares
+from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shadow_shares
 from skugga.shadows.truth.truth import coverage_truth
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.errors import UnsupportedError
@@ -109,27 +109,27 @@ class SceneProber:
         """Return the seconds since this object was made."""
         return time.perf_counter() - self._start_s
 
-    def draw_s(self, which: int, ms: float) -> float:
+    def draw_s(self, option_index: int, ms: float) -> float:
         """Return the expected seconds to draw an option of which one drawing takes ``ms`` milliseconds."""
-        return draw_count(ms, is_warm(self._options, which, self._parts), self._warm_repeated_ms) * ms / 1000.0
+        return draw_count(ms, is_warm(self._options, option_index, self._parts), self._warm_repeated_ms) * ms / 1000.0
 
-    def draw(self, which: int) -> float | None:
+    def draw(self, option_index: int) -> float | None:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
-        plan = self._planner.plan({self._light: self._options.options[which].choice}, {})
+        plan = self._planner.plan({self._light: self._options.options[option_index].choice}, {})
         try:
             run = run_light(self._pictures.scene, self._pictures.blocks, plan, self._light)
         except UnsupportedError:
             return None
         ms = run.times[0]
-        drawn_before = is_warm(self._options, which, self._parts)
-        one_ms = ms if drawn_before else min(ms, self._options.options[which].ms)
+        drawn_before = is_warm(self._options, option_index, self._parts)
+        one_ms = ms if drawn_before else min(ms, self._options.options[option_index].ms)
         for _ in range(1, draw_count(one_ms, drawn_before, self._warm_repeated_ms)):
             ms = min(ms, run_light(self._pictures.scene, self._pictures.blocks, plan, self._light).times[0])
-        self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
+        self._parts[option_index], self._steps[option_index] = run.parts, plan.steps_of_light(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
-            part[truth.attached] = 0.0
+            part[truth.attached_shadow_mask] = 0.0
             part[~truth.picture.valid] = np.nan
-        self._dark[which] = [np.nan_to_num(part, nan=1.0) < 0.5 for part in run.parts]
+        self._dark[option_index] = [np.nan_to_num(part, nan=1.0) < 0.5 for part in run.parts]
         return ms
 
     @cached_property
@@ -159,19 +159,23 @@ class SceneProber:
                 self._points_s = time.perf_counter() - start
         return self._lattices
 
-    def measurement(self, which: int) -> ErrorMeasurement:
+    def measurement(self, option_index: int) -> ErrorMeasurement:
         """Return the errors of a drawn option against truth, at all sample points that were requested so far."""
         total = PointCounts()
         for number, picture_lattices in enumerate(self._lattices_so_far()):
             for index, lattice in enumerate(picture_lattices):
-                key = (which, number, index)
+                key = (option_index, number, index)
                 if key not in self._counted:
-                    dark = self._dark[which][number]
-                    self._counted[key] = self._truths[number].counts(lattice, dark, self._steps[which], self._pixel_m)
+                    dark = self._dark[option_index][number]
+                    self._counted[key] = self._truths[number].counts(lattice, dark, self._steps[option_index], self._pixel_m)
                 total += self._counted[key]
-        return self._coverage_measurement(which, total) if self.uses_coverage else measurement_from_counts(total, self._is_complete)
+        return (
+            self._coverage_measurement(option_index, total)
+            if self.uses_coverage
+            else measurement_from_counts(total, self._is_complete)
+        )
 
-    def _coverage_measurement(self, which: int, total: PointCounts) -> ErrorMeasurement:
+    def _coverage_measurement(self, option_index: int, total: PointCounts) -> ErrorMeasurement:
         """Return the errors of a drawn option, with the error of coverage.
 
         It is the mean difference from truth of the shadow share in blocks of pixels. ``total`` gives the interior error.
@@ -187,8 +191,8 @@ class SceneProber:
             ]
             self._coverage_s = time.perf_counter() - start
         share_errors = np.concatenate([
-            np.abs(block_shares(1.0 - part) - shares).ravel()
-            for part, shares in zip(self._parts[which], self._shares, strict=True)
+            np.abs(block_shadow_shares(1.0 - part) - shares).ravel()
+            for part, shares in zip(self._parts[option_index], self._shares, strict=True)
         ])  # fmt: skip
         share_errors = share_errors[np.isfinite(share_errors)]
         mean, half = (
@@ -227,16 +231,16 @@ class SceneProber:
         self._shares = []
 
 
-def is_warm(options: LightOptions, which: int, drawn: Collection[int]) -> bool:
-    """Return whether one of the options ``drawn`` has the algorithms of option ``which``, each for the same kinds of casters."""
-    return options.options[which].algorithm_family in {options.options[number].algorithm_family for number in drawn}
+def is_warm(options: LightOptions, option_index: int, drawn: Collection[int]) -> bool:
+    """Return whether an option in ``drawn`` has the algorithms of option ``option_index``, each for the same kinds of casters."""
+    return options.options[option_index].algorithm_family in {options.options[number].algorithm_family for number in drawn}
 
 
 def draw_count(ms: float, is_warm: bool, warm_repeated_ms: float = MAX_WARM_REPEATED_MS) -> int:
     """Return how often an option is drawn to measure its time.
 
-    ``ms`` is the expected time of one drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene before.
-    ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
+    ``ms`` is the expected time of one drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene
+    before. ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
     """
     return DRAW_REPEATS if ms < (warm_repeated_ms if is_warm else MAX_REPEATED_MS) else 1
 

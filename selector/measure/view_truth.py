@@ -10,13 +10,13 @@ from typing import Any, Literal
 import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.plan import Step
 from skugga.shadows.render import bands_of
 from skugga.shadows.truth.cache import cached_truth
 from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
-from skugga.shadows.truth.metrics import ErrorMetrics, block_shares, coverage_error, error_metrics
-from skugga.shadows.truth.truth import ALL_KINDS, AREA_LIGHT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
+from skugga.shadows.truth.metrics import ErrorMetrics, block_shadow_shares, coverage_error, error_metrics
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, AREA_LIGHT_SAMPLES, Truth, area_light_visibility, coverage_truth, ray_scene
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -57,7 +57,7 @@ class TruthBlock:
         Casters that reach the block.
     truth
         Truth of the block.
-    attached
+    attached_shadow_mask
         Pixels whose surface faces away from the light, bool (rows, cols).
     row
         First row of the block in the view.
@@ -70,7 +70,7 @@ class TruthBlock:
     light: str
     casters: Casters
     truth: Truth
-    attached: np.ndarray
+    attached_shadow_mask: np.ndarray
     row: int
     col: int
 
@@ -142,7 +142,7 @@ class ViewTruth:
         ``parts`` are visibilities, one array (rows, cols) for each block of the view.
         """
         pairs = zip(self.true_shares, parts, strict=True)
-        return float(np.mean([coverage_error(block_shares(1.0 - part), shares) for shares, part in pairs]))
+        return float(np.mean([coverage_error(block_shadow_shares(1.0 - part), shares) for shares, part in pairs]))
 
 
 def truth_of_view(
@@ -177,7 +177,7 @@ def truth_of_parts(
 
 def _joined_truth(view: View, blocks: Sequence[TruthBlock]) -> Truth:
     """Join the truth of blocks to that of the whole view."""
-    fields = ("lit", "attached", "decidable", "valid")
+    fields = ("lit", "attached_shadow_mask", "decidable", "valid")
     return Truth(*(_assemble(view, blocks, [getattr(ground.truth, field) for ground in blocks], False) for field in fields))
 
 
@@ -196,7 +196,7 @@ def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samp
     )
     if buffer is not full_buffer:
         truth = replace(truth, decidable=truth.decidable & buffer.valid, valid=truth.valid & buffer.valid)
-    return TruthBlock(scene, buffer, light, casters, truth, attached(buffer, scene, light), row, col)
+    return TruthBlock(scene, buffer, light, casters, truth, attached_shadow_mask(buffer, scene, light), row, col)
 
 
 def _area_visibility(ground: TruthBlock, spacing_px: int) -> np.ndarray:
@@ -209,8 +209,8 @@ def _area_visibility(ground: TruthBlock, spacing_px: int) -> np.ndarray:
         out[ground.truth.valid] = 0.0
     elif ground.truth.valid.any():
         points = subsampled_points(ground.buffer, spacing_px)
-        rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_KINDS)
-        visibility = area_visibility(points, ground.scene, ground.light, rays, AREA_LIGHT_SAMPLES)
+        rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_CASTER_KINDS)
+        visibility = area_light_visibility(points, ground.scene, ground.light, rays, AREA_LIGHT_SAMPLES)
         out[::spacing_px, ::spacing_px] = np.where(points.valid, visibility, np.nan)
     return out
 

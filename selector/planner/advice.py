@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from skugga.selector.choices import Choice
 from skugga.selector.planner.advice_rules import RULES, RuleInput
-from skugga.shadows.registry import FALLBACK, can_serve
+from skugga.shadows.registry import FALLBACK_ALGORITHM, can_serve
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import Shadows
@@ -33,7 +33,7 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[
 def _first_applicable_rule(case: RuleInput) -> tuple[AlgorithmName, str]:
     """Return the algorithm and the reason of the first rule that applies.
 
-    Rules are skipped if their algorithm cannot draw the case. If no rule applies, the algorithm is ``FALLBACK``.
+    Rules are skipped if their algorithm cannot draw the case. If no rule applies, the algorithm is ``FALLBACK_ALGORITHM``.
     """
     for rule in RULES:
         if (
@@ -41,4 +41,4 @@ def _first_applicable_rule(case: RuleInput) -> tuple[AlgorithmName, str]:
             and (reason := rule.reason_for(case)) is not None
         ):
             return rule.algorithm, f"{reason} ({rule.source})"
-    return FALLBACK, NO_RULE_REASON
+    return FALLBACK_ALGORITHM, NO_RULE_REASON

@@ -111,7 +111,7 @@ class RuleInput:
         return self.descriptor.lights.get(self.light)
 
     @property
-    def casters(self) -> CasterFacts | None:
+    def caster_facts(self) -> CasterFacts | None:
         """Facts of the casters, or ``None``."""
         return next((stand for stand in self.descriptor.stands if stand.kind == self.kind), None)
 
@@ -138,7 +138,7 @@ class Rule:
     source: str
 
 
-def _needs_map_settings(case: RuleInput) -> str | None:
+def _needs_map_settings_reason(case: RuleInput) -> str | None:
     taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
     unforced_values = {"filter": ("auto", *taps)}
     keys = [key for key in MAP_SETTINGS if getattr(case.requested_shadows, key) not in unforced_values.get(key, ("auto",))]
@@ -149,13 +149,13 @@ def _needs_map_settings(case: RuleInput) -> str | None:
     )
 
 
-def _heightfield(case: RuleInput) -> str | None:
+def _heightfield_reason(case: RuleInput) -> str | None:
     if case.light != SUN or case.kind != "relief" or sunlit_ground_extent_m(case.descriptor) is None:
         return None
     return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 
 
-def _needs_exact_shadows(case: RuleInput) -> str | None:
+def _needs_exact_shadows_reason(case: RuleInput) -> str | None:
     if case.requested_shadows.max_error >= TYPICAL_MAP_ERROR or case.requested_shadows.max_ms is not None:
         return None  # rules know no upper bound of the time of volumes
     return (
@@ -163,7 +163,7 @@ def _needs_exact_shadows(case: RuleInput) -> str | None:
     )
 
 
-def _needs_foliage_map(case: RuleInput) -> str | None:
+def _needs_foliage_map_reason(case: RuleInput) -> str | None:
     if case.kind == "forest":
         return "alpha-tested foliage needs a shadow map; a perspective shadow map has no finer texels on trees"
     if "forest" in case.descriptor.casters:
@@ -171,14 +171,14 @@ def _needs_foliage_map(case: RuleInput) -> str | None:
     return None
 
 
-def _few_polygons(case: RuleInput) -> str | None:
-    casters = case.casters
+def _few_polygons_reason(case: RuleInput) -> str | None:
+    casters = case.caster_facts
     if casters is None or not 0 < casters.triangles <= MAX_VOLUME_TRIANGLES or casters.closed_share < MIN_CLOSED_SHARE:
         return None
     return f"few polygons ({casters.triangles} triangles): shadow volumes are fast, and exact to the pixel"
 
 
-def _narrow_light_cone(case: RuleInput) -> str | None:
+def _narrow_light_cone_reason(case: RuleInput) -> str | None:
     if case.lamp is None or case.lamp.kind != "spot":
         return None
     across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
@@ -188,7 +188,7 @@ def _narrow_light_cone(case: RuleInput) -> str | None:
     return f"narrow light cone: a texel of the shadow map covers {texel_px:.2g} pixels at the lamp's target"
 
 
-def _lamp_near_camera(case: RuleInput) -> str | None:
+def _lamp_near_camera_reason(case: RuleInput) -> str | None:
     light_facts = case.light_facts
     if light_facts is None or light_facts.eye_to_lamp_m is None or light_facts.nearest_edge_m is None:
         return None
@@ -200,18 +200,18 @@ def _lamp_near_camera(case: RuleInput) -> str | None:
     )
 
 
-def _map_view(case: RuleInput) -> str | None:
+def _map_view_reason(case: RuleInput) -> str | None:
     return "map view: all shadow edges are equally far away" if case.descriptor.view_kind == "map" else None
 
 
-def _far_edges(case: RuleInput) -> str | None:
+def _far_edges_reason(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if texel_px is None or texel_px > MIN_COARSE_TEXEL_PX:
         return None
     return f"camera far from shadow edges: a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
 
 
-def _complex_near_shadows(case: RuleInput) -> str | None:
+def _complex_near_shadows_reason(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if (
         texel_px is None
@@ -226,7 +226,7 @@ def _complex_near_shadows(case: RuleInput) -> str | None:
     )
 
 
-def _small_visible_lit_area(case: RuleInput) -> str | None:
+def _small_visible_lit_area_reason(case: RuleInput) -> str | None:
     light_facts = case.light_facts
     if light_facts is None or light_facts.area_share > MAX_VISIBLE_LIT_SHARE:
         return None
@@ -273,37 +273,40 @@ def _near_texel_px(case: RuleInput) -> float | None:
 THESIS_SECTION = "Sindholt 2005, 8.2"
 
 RULES: tuple[Rule, ...] = (
-    Rule("settings of a map", "shadow_map", _needs_map_settings, "docs/algorithms.md"),
+    Rule("settings of a map", "shadow_map", _needs_map_settings_reason, "docs/algorithms.md"),
     Rule(
         "a heightfield is swept",
         "sweep",
-        _heightfield,
+        _heightfield_reason,
         "docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where perspective views draw fewer triangles",
     ),
-    Rule("perfect shadows", "shadow_volume", _needs_exact_shadows, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
-    Rule("foliage needs a map", "shadow_map", _needs_foliage_map, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule("perfect shadows", "shadow_volume", _needs_exact_shadows_reason, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
+    Rule("foliage needs a map", "shadow_map", _needs_foliage_map_reason, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
     Rule(
-        "few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: 0.9 to 1.3 times the time of a map there"
+        "few polygons",
+        "shadow_volume",
+        _few_polygons_reason,
+        f"{THESIS_SECTION}; docs/seeds.md: 0.9 to 1.3 times the time of a map there",
     ),
-    Rule("narrow light", "shadow_map", _narrow_light_cone, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
+    Rule("narrow light", "shadow_map", _narrow_light_cone_reason, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
     Rule(
         "lamp near the camera",
         "shadow_map",
-        _lamp_near_camera,
+        _lamp_near_camera_reason,
         f"{THESIS_SECTION}; docs/seeds.md, figure 54: edges are off by half a pixel in the mean",
     ),
-    Rule("map view", "shadow_map", _map_view, "docs/how-it-works.md: a map view has no perspective"),
-    Rule("far from every edge", "shadow_map", _far_edges, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
+    Rule("map view", "shadow_map", _map_view_reason, "docs/how-it-works.md: a map view has no perspective"),
+    Rule("far from every edge", "shadow_map", _far_edges_reason, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
     Rule(
         "complex shadows from near",
         "hybrid",
-        _complex_near_shadows,
+        _complex_near_shadows_reason,
         f"{THESIS_SECTION}; docs/seeds.md: faster than volumes in some scenes",
     ),
     Rule(
         "small part of the lit area seen",
         "perspective_shadow_map",
-        _small_visible_lit_area,
+        _small_visible_lit_area_reason,
         f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
     ),
 )

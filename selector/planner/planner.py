@@ -17,19 +17,12 @@ from skugga.selector.choices import Choice, PlanRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.shadow_request import ShadowRequest, resolve_shadow_request
-from skugga.shadows.algorithm import (
-    FALLBACK_REQUIREMENT,
-    AlgorithmSettings,
-    NamedReason,
-    Requirement,
-    SettingsRequest,
-    is_area,
-    requirements_of,
-)
+from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, SettingsRequest
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan, Step, Target, plan_steps
-from skugga.shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
-from skugga.shadows.render import passes_of
+from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM, NO_SHADOWS, algorithms_serving
+from skugga.shadows.render import pass_names_of
+from skugga.shadows.requirements import FALLBACK_REQUIREMENT, Requirement, is_area_light, requirements_of
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.cast_shadows import sun_caster_verdict, sun_verdict
 from skugga.terrain.errors import InputError, UnsupportedError
@@ -120,7 +113,7 @@ class Planner:
         Effects that are left out, with reasons.
     algorithm_override
         Algorithms that the request or the level sets, by light and kind of casters.
-    forced
+    forced_effects
         Effects that the level forces on.
     """
 
@@ -129,7 +122,7 @@ class Planner:
     effects: list[NamedReason]
     left_out: list[NamedReason]
     algorithm_override: AlgorithmOverride
-    forced: frozenset[EffectName]
+    forced_effects: frozenset[EffectName]
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[NamedReason]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
@@ -148,14 +141,14 @@ class Planner:
         """The names of the lamps that are left out, as the keys of a dictionary, in order."""
         if self.descriptor.view_kind == "map":
             return {}
-        return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
+        return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced_effects)
 
     @property
     def requested_shadows(self) -> Shadows:
         """The combined shadow settings of the request and the level."""
         return self.request.shadows
 
-    def casting(self, light: str) -> list[CasterKind]:
+    def casting_kinds(self, light: str) -> list[CasterKind]:
         """Return the kinds of casters that cast shadows under a light, as far as the descriptor tells."""
         return [assignment.kind for assignment in self._assignments(light, None) if assignment.algorithm != NO_SHADOWS]
 
@@ -214,7 +207,7 @@ class Planner:
         passes = [
             name for step in plan.steps for name in PassLog.pass_names(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)
         ]
-        return plan.model_copy(update={"passes": passes_of(plan.effect_names, passes)})
+        return plan.model_copy(update={"passes": pass_names_of(plan.effect_names, passes)})
 
     @cached_property
     def _left_out_reasons(self) -> dict[str, str]:
@@ -226,21 +219,24 @@ class Planner:
         for caster in self.descriptor.casters:
             requested, requirements = (
                 self.algorithm_override.get(light, {}).get(caster),
-                requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
+                requirements_of(self.descriptor, kind_of_light, caster, self._is_area_light(light)),
             )
-            name, reason, is_chosen_by_policy = _algorithm(
-                self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced, choice
+            name, reason, is_chosen_by_policy = _choose_algorithm(
+                self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced_effects, choice
             )
             requested_algorithm, fallback_reason = name, _fallback_reason(name, requirements)
             if fallback_reason is not None:
-                name, reason = FALLBACK, f"{self.request.requester('algorithm')} sets {requested_algorithm}, but {fallback_reason}"
+                name, reason = (
+                    FALLBACK_ALGORITHM,
+                    f"{self.request.requester('algorithm')} sets {requested_algorithm}, but {fallback_reason}",
+                )
             _check_served(name, light, caster, requirements, self.request)
             assignments.append(_Assignment(light, caster, name, reason, is_chosen_by_policy, requirements, requested_algorithm))
         return assignments
 
-    def _is_area(self, light: str) -> bool:
+    def _is_area_light(self, light: str) -> bool:
         """Return whether a light is drawn as an area light. The sun is not if the effect ``soft_edges`` is left out."""
-        return is_area(self.descriptor, light, self.requested_shadows) and not (
+        return is_area_light(self.descriptor, light, self.requested_shadows) and not (
             light == SUN and "soft_edges" in self._left_out_reasons
         )
 
@@ -266,7 +262,9 @@ class Planner:
                 self.requested_shadows.model_copy(update=open_settings),
                 self._left_out_reasons.get("soft_edges"),
             )
-            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, shadows, hard_edges_reason))
+            settings, reasons = ALGORITHMS[name].resolve_settings(
+                SettingsRequest(self.descriptor, light, shadows, hard_edges_reason)
+            )
             self._resolved_settings[key] = (
                 self._interned_settings.setdefault(settings, settings),
                 reasons,
@@ -378,7 +376,7 @@ def _without_idle_effects(
     )
 
 
-def _algorithm(
+def _choose_algorithm(
     descriptor: Descriptor,
     light: str,
     caster: CasterKind,
@@ -408,17 +406,17 @@ def _algorithm(
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return NO_SHADOWS, f"no light from {light} reaches the view", False
     if choice is None or caster not in choice.algorithm:
-        return FALLBACK, "serves every view, light and kind of casters", True
+        return FALLBACK_ALGORITHM, "serves every view, light and kind of casters", True
     return choice.algorithm[caster], choice.reason.get(caster, choice.name), True
 
 
 def _fallback_reason(name: AlgorithmName, requirements: tuple[Requirement, ...]) -> str | None:
-    """Return the reason why ``FALLBACK`` replaces an algorithm.
+    """Return the reason why ``FALLBACK_ALGORITHM`` replaces an algorithm.
 
     ``None`` means that the algorithm meets ``requirements``, or that it fails to meet one for which there is no fallback.
     """
     other_requirements = [requirement for requirement in requirements if requirement != FALLBACK_REQUIREMENT]
-    return None if ALGORITHMS[name].refusal(other_requirements) else ALGORITHMS[name].refusal(requirements)
+    return None if ALGORITHMS[name].refusal_reason(other_requirements) else ALGORITHMS[name].refusal_reason(requirements)
 
 
 def _check_served(
@@ -428,7 +426,7 @@ def _check_served(
 
     The message names the algorithms that do.
     """
-    reason = ALGORITHMS[name].refusal(requirements)
+    reason = ALGORITHMS[name].refusal_reason(requirements)
     if reason is not None:
         value, allowed = (
             f"{name} for {caster} under {light}",
@@ -445,7 +443,7 @@ def _rejection_reason(
     ``requester`` is the source of the algorithms that are set, in words. ``rejected`` holds the policy's reasons.
     """
     policy_assignments = [assignment for assignment in assignments if assignment.is_chosen_by_policy]
-    if not ALGORITHMS[name].is_served:
+    if not ALGORITHMS[name].is_selectable:
         return ALGORITHMS[name].description
     if any(assignment.requested_algorithm == name for assignment in assignments):
         return ALGORITHMS[name].refusals[FALLBACK_REQUIREMENT]
@@ -457,12 +455,12 @@ def _rejection_reason(
         return rejected[name]
     if len(policy_assignments) == 1:
         return (
-            ALGORITHMS[name].refusal(policy_assignments[0].requirements)
+            ALGORITHMS[name].refusal_reason(policy_assignments[0].requirements)
             or f"{policy_assignments[0].algorithm} was preferred: {policy_assignments[0].reason}"
         )
     kinds_by_reason: dict[str, list[str]] = {}
     for assignment in policy_assignments:
-        reason = ALGORITHMS[name].refusal(assignment.requirements) or f"{assignment.algorithm} was preferred"
+        reason = ALGORITHMS[name].refusal_reason(assignment.requirements) or f"{assignment.algorithm} was preferred"
         kinds_by_reason.setdefault(reason, []).append(
             assignment.kind if assignment.light == SUN else f"{assignment.kind} under {assignment.light}"
         )

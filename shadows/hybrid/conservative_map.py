@@ -31,7 +31,7 @@ class ConservativeMap:
 
     Attributes
     ----------
-    nearest
+    nearest_depth
         Near bound of the nearest run of casters: points in front of it are lit.
     nearest_other_depth
         Near bound of the nearest run, but of the second one if the first is a single layer without an edge. Points on a casting
@@ -40,7 +40,7 @@ class ConservativeMap:
         Far bound of the nearest run that covers the whole texel: points behind it are in shadow.
     """
 
-    nearest: np.ndarray
+    nearest_depth: np.ndarray
     nearest_other_depth: np.ndarray
     shadow_depth: np.ndarray
 
@@ -70,7 +70,7 @@ def classify_points(
     u: np.ndarray,
     v: np.ndarray,
     depth: np.ndarray,
-    slack: float | np.ndarray,
+    depth_rounding: float | np.ndarray,
     on_caster: bool | np.ndarray = False,
 ) -> np.ndarray:
     """Return the class of each point by a map: `LIT`, `SHADED` or `MASKED` (undecided), uint8 (n,).
@@ -81,15 +81,22 @@ def classify_points(
         The map.
     u, v, depth
         The points (n,), in the coordinates of the map. Points outside of it are masked.
-    slack
+    depth_rounding
         Bound of the rounding error of depths of points and triangles: a number or (n,).
     on_caster
         Whether the points lie on casting triangles of the map: one value or (n,).
     """
     n = len(depth)
-    slack, on_caster = np.broadcast_to(np.asarray(slack, float), n), np.broadcast_to(on_caster, n)
-    return _classify(
-        conservative.nearest, conservative.nearest_other_depth, conservative.shadow_depth, u, v, depth, slack, on_caster
+    depth_rounding, on_caster = np.broadcast_to(np.asarray(depth_rounding, float), n), np.broadcast_to(on_caster, n)
+    return _classify_each_point(
+        conservative.nearest_depth,
+        conservative.nearest_other_depth,
+        conservative.shadow_depth,
+        u,
+        v,
+        depth,
+        depth_rounding,
+        on_caster,
     )
 
 
@@ -149,14 +156,15 @@ def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, 
 
 
 @compiled
-def _classify(nearest, nearest_other_depth, shadow_depth, u, v, depth, slack, on_caster):
-    rows, cols = nearest.shape
+def _classify_each_point(nearest_depth, nearest_other_depth, shadow_depth, u, v, depth, depth_rounding, on_caster):
+    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``."""
+    rows, cols = nearest_depth.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):
         if 0.0 <= u[i] < cols and 0.0 <= v[i] < rows:
             row, col = int(v[i]), int(u[i])
-            if depth[i] + slack[i] < (nearest_other_depth if on_caster[i] else nearest)[row, col]:
+            if depth[i] + depth_rounding[i] < (nearest_other_depth if on_caster[i] else nearest_depth)[row, col]:
                 out[i] = LIT
-            elif depth[i] - slack[i] > shadow_depth[row, col]:
+            elif depth[i] - depth_rounding[i] > shadow_depth[row, col]:
                 out[i] = SHADED
     return out

@@ -111,16 +111,18 @@ def _draw_triangle(runs, counts, corners):
     reach = (abs(slope_u) + abs(slope_v)) * (0.5 + TEXEL_MARGIN)
     error = DEPTH_ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
     for row in range(*_texel_range(v_min - TEXEL_MARGIN, v_max + TEXEL_MARGIN, rows)):
-        low, high = _u_range(corners, row - TEXEL_MARGIN, row + 1.0 + TEXEL_MARGIN)
+        low, high = _u_range_of_triangle(corners, row - TEXEL_MARGIN, row + 1.0 + TEXEL_MARGIN)
         if low > high:
             continue
-        probe_low, probe_high = _u_range(corners, row + LAYER_PROBE[1] - PROBE_MARGIN, row + LAYER_PROBE[1] + PROBE_MARGIN)
+        probe_low, probe_high = _u_range_of_triangle(
+            corners, row + LAYER_PROBE[1] - PROBE_MARGIN, row + LAYER_PROBE[1] + PROBE_MARGIN
+        )
         for col in range(*_texel_range(low - TEXEL_MARGIN, high + TEXEL_MARGIN, cols)):
             middle = a[2] + slope_u * (col + 0.5 - a[0]) + slope_v * (row + 0.5 - a[1])
             near = max(z_min, middle - reach) - error
             far = max(near, min(z_max, middle + reach) + error)
             covers = probe_low - PROBE_MARGIN <= col + LAYER_PROBE[0] <= probe_high + PROBE_MARGIN
-            counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, 1.0 if covers else 0.0)
+            counts[row, col] = _insert_depth_run(runs[row, col], counts[row, col], near, far, 1.0 if covers else 0.0)
 
 
 @internal
@@ -145,11 +147,11 @@ def _draw_edge(runs, counts, a, b):
             if first <= last:
                 z_first, z_last = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
                 near, far = min(z_first, z_last) - error, max(z_first, z_last) + error
-                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, EDGE_RUN_LAYERS)
+                counts[row, col] = _insert_depth_run(runs[row, col], counts[row, col], near, far, EDGE_RUN_LAYERS)
 
 
 @internal
-def _insert(runs, count, near, far, layers):
+def _insert_depth_run(runs, count, near, far, layers):
     """Insert an interval of depths into a texel's runs, and return the new number of runs.
 
     The interval merges with the runs that it overlaps or touches, and their layers add up.
@@ -179,7 +181,7 @@ def _insert(runs, count, near, far, layers):
 
 
 @internal
-def _u_range(corners, low, high):
+def _u_range_of_triangle(corners, low, high):
     """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
     The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``.

@@ -19,17 +19,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from skugga.shadows.algorithm import COMPANION_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from skugga.shadows.attached import attached
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
-from skugga.shadows.hybrid.maps import classify_pixels, map_pictures
+from skugga.shadows.hybrid.maps import classify_pixels, maps_as_picture
 from skugga.shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from skugga.shadows.hybrid.work import hybrid_work
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count_volumes, faces_in_front
+from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes
 from skugga.shadows.volumes.shadow_volume import GROUND_EXCLUSION_REASON, VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
@@ -40,9 +41,10 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
+"""Names of the passes that the algorithm runs, in order."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -59,13 +61,13 @@ def fill(
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.record_pass(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
-    receiver_mask = buffer.valid & ~attached(buffer, scene, light)
+    receiver_mask = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if settings.mask == "original":
         classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
     else:
         classes = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, receiver_mask, passes, log)
-        log.keep_layer("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
-    log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
+        log.keep_layer("shadow-map", light, maps_as_picture, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
+    log.keep_layer("volumes", light, count_faces_in_front, buffer, scene, volumes)
     is_masked = classes == MASKED
     log.keep_layer("silhouettes", light, lambda: np.where(is_masked, np.uint8(255), np.uint8(0)))
     with log.record_pass(passes[3]) as record:
@@ -108,6 +110,7 @@ def _classify_by_comparison(
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``): map sizes."""
     sizes = (512, 2048) if calibration_extent != "few" and light == SUN and not descriptor.relief_m else (1024,)
     for size in sizes:
         yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]
@@ -116,27 +119,27 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 ALGORITHM = Algorithm(
     name="hybrid",
     description="a small map, and shadow volumes only where it cannot decide",
-    plural="hybrid",
-    fill=fill,
+    plural_name="hybrid",
+    fill_visibility=fill_visibility,
     passes=PASSES,
     refusals={
         **VOLUME_REFUSALS,
         "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has no hard edge (shadow_volume serves it)",
     },
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
-    settings=(HybridSettings,),
-    resolve=resolve_hybrid,
+    settings_types=(HybridSettings,),
+    resolve_settings=resolve_hybrid,
     cache_names=("skugga.shadows.hybrid.maps", *VOLUME_CACHES),
-    search=Search(
-        companion_map_sizes=COMPANION_MAP_SIZES,
+    search=SettingsSearch(
+        map_sizes_for_other_casters=MAP_SIZES_FOR_OTHER_CASTERS,
         is_excluded=has_too_much_ground,
         exclusion_reason=GROUND_EXCLUSION_REASON,
-        variants=({"mask": "original"}, {"map_size": 2048}),
+        other_variants=({"mask": "original"}, {"map_size": 2048}),
     ),
-    cost=Cost(
+    cost=CostInputs(
         hybrid_work,
-        passes={"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"},
+        pass_of_part={"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"},
         calibration_settings=_calibration_settings,
     ),
-    mark=Mark("triangle", "green"),
+    marker=PlotMarker("triangle", "green"),
 )

@@ -29,15 +29,15 @@ from skugga.terrain.scene import Scene
 HYBRID_BORDER_TEXELS = 1
 """Border of texels round the points, so that no point lies at the edge of the map."""
 
-NEAR_PLANE_SHARE = 1e-6
+NEAR_PLANE_DISTANCE_SHARE = 1e-6
 """Near plane of a lamp, as a share of the nearest point's distance along the map's axis. Nearer casters are ignored."""
 
-MIN_TEXEL_ERRORS = 256.0
+MIN_TEXEL_ROUNDING_ERRORS = 256.0
 """Minimum texel size, in float32 rounding errors of a caster's position: the margin of a texel is a share of its size."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Window:
+class _MapWindow:
     """A face of a light's map, and the points in it.
 
     Attributes
@@ -46,7 +46,7 @@ class _Window:
         Flat indices (n,) of the points.
     u, v, depth
         Their texel coordinates and depths (n,).
-    slack
+    depth_rounding
         Bound of the rounding error of depths: a number or (n,).
     rotation, translation
         Transform (3, 3), (3,) from frame points to the light's axes.
@@ -54,9 +54,9 @@ class _Window:
         Whether the light is a lamp, with perspective projection.
     near_m
         Near plane of a lamp, metres; 0 for the sun.
-    map_origin, texel
+    map_origin, texel_size
         Origin and texel size (2,) of the map in the light's axes. A point p there has the texel coordinates
-        (p - ``map_origin``) / ``texel``.
+        (p - ``map_origin``) / ``texel_size``.
     size
         Columns and rows, texels.
     """
@@ -65,23 +65,24 @@ class _Window:
     u: np.ndarray
     v: np.ndarray
     depth: np.ndarray
-    slack: np.ndarray | float
+    depth_rounding: np.ndarray | float
     rotation: np.ndarray
     translation: np.ndarray
     is_lamp: bool
     near_m: float
     map_origin: np.ndarray
-    texel: np.ndarray
+    texel_size: np.ndarray
     size: tuple[int, int]
 
     @property
-    def key(self) -> Hashable:
+    def cache_key(self) -> Hashable:
         """Cache key of the map's content, apart from the casters."""
-        arrays = (self.rotation, self.translation, self.map_origin, self.texel)
+        arrays = (self.rotation, self.translation, self.map_origin, self.texel_size)
         return self.is_lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
 
 _map_cache: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
+"""Cache of conservative maps, by window and casters."""
 
 
 def classify_pixels(
@@ -103,11 +104,11 @@ def classify_pixels(
         with log.record_pass(passes[1]) as record:
             window_map, was_cached = _cached_map(window, volumes)
             record.kept += was_cached
-            record.map_texels += window_map.nearest.size
-            record.bytes = max(record.bytes, 3 * window_map.nearest.nbytes)
+            record.map_texels += window_map.nearest_depth.size
+            record.bytes = max(record.bytes, 3 * window_map.nearest_depth.nbytes)
         with log.record_pass(passes[2]):
             classes.ravel()[window.pixels] = classify_points(
-                window_map, window.u, window.v, window.depth, window.slack, on_caster[window.pixels]
+                window_map, window.u, window.v, window.depth, window.depth_rounding, on_caster[window.pixels]
             )
     return classes
 
@@ -131,7 +132,7 @@ def _caster_mask(
     return result
 
 
-def map_pictures(
+def maps_as_picture(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, receiver_mask: np.ndarray
 ) -> np.ndarray:
     """Return the maps' nearest depths as one picture, the maps side by side: 0 is nearest to the light, 1 has no caster.
@@ -140,7 +141,7 @@ def map_pictures(
     """
     arrays = []
     for window in _windows(buffer, scene, light, map_size, receiver_mask):
-        nearest = _cached_map(window, volumes)[0].nearest
+        nearest = _cached_map(window, volumes)[0].nearest_depth
         has_caster = np.isfinite(nearest)
         low, high = min(nearest[has_caster].min(initial=np.inf), window.depth.min()), window.depth.max()
         share = np.where(has_caster, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
@@ -148,25 +149,25 @@ def map_pictures(
     return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
 
 
-def _cached_map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
+def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """Return the map of a window, and whether it comes from the cache."""
-    conservative = _map_cache.get(window.key, *volumes)
+    conservative = _map_cache.get(window.cache_key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
     corners = [_transform_to_texels(window, part.vertices[part.caps], clipped_triangles) for part in volumes]
-    edges = [_transform_to_texels(window, part.vertices[part.edges], clipped_edges) for part in volumes]
+    edges = [_transform_to_texels(window, part.vertices[part.silhouette_edges], clipped_edges) for part in volumes]
     empty = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
     conservative = conservative_map(window.size, np.concatenate([empty[0], *corners]), np.concatenate([empty[1], *edges]))
-    _map_cache.put(window.key, *volumes, value=conservative)
+    _map_cache.put(window.cache_key, *volumes, value=conservative)
     return conservative, False
 
 
-def _transform_to_texels(window: _Window, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+def _transform_to_texels(window: _MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
     light_points = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.is_lamp:
         light_points = _project_to_tangents(clip(light_points, window.near_m))
-    return np.concatenate([(light_points[..., :2] - window.map_origin) / window.texel, light_points[..., 2:]], axis=-1)
+    return np.concatenate([(light_points[..., :2] - window.map_origin) / window.texel_size, light_points[..., 2:]], axis=-1)
 
 
 def _project_to_tangents(points: np.ndarray) -> np.ndarray:
@@ -174,7 +175,7 @@ def _project_to_tangents(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
-def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_Window]:
+def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_MapWindow]:
     """Yield the faces of a light's map that contain any points."""
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
@@ -198,26 +199,26 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
     for rotation, translation, face_pixels in faces:
         if not len(face_pixels):
             continue
-        u, v, depth, low, high, largest_m = _in_light(points, face_pixels, rotation, translation, light != SUN)
+        u, v, depth, low, high, largest_m = _transform_to_light(points, face_pixels, rotation, translation, light != SUN)
         error_m = POSITION_ERROR * max(largest_m, 1.0)
         near_m, slack, error = 0.0, np.float64(4.0 * error_m), np.full(2, error_m)
         if light != SUN:
             min_distance_m = -1.0 / low[2]
-            near_m, slack = NEAR_PLANE_SHARE * min_distance_m, 4.0 * error_m * depth**2
+            near_m, slack = NEAR_PLANE_DISTANCE_SHARE * min_distance_m, 4.0 * error_m * depth**2
             error = error_m / min_distance_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
         low, high = low[:2], high[:2]
-        texel = np.maximum((high - low) / max(map_size - 2 * HYBRID_BORDER_TEXELS - 1, 1), MIN_TEXEL_ERRORS * error)
+        texel = np.maximum((high - low) / max(map_size - 2 * HYBRID_BORDER_TEXELS - 1, 1), MIN_TEXEL_ROUNDING_ERRORS * error)
         map_origin = low - HYBRID_BORDER_TEXELS * texel
         width, height = (int(n) for n in np.ceil((high - map_origin) / texel) + HYBRID_BORDER_TEXELS)
         _to_texels(u, map_origin[0], texel[0])
         _to_texels(v, map_origin[1], texel[1])
-        yield _Window(
+        yield _MapWindow(
             face_pixels, u, v, depth, slack, rotation, translation, light != SUN, near_m, map_origin, texel, (width, height),
         )  # fmt: skip
 
 
 @compiled
-def _in_light(points, pixels, rotation, translation, lamp):
+def _transform_to_light(points, pixels, rotation, translation, is_lamp):
     """Transform points (m, 3) of given indices to a light's axes, with projection for a lamp.
 
     Returns x, y and depth (n,), their lower and upper bounds (3,), and the largest absolute coordinate of the points in the frame.
@@ -231,7 +232,7 @@ def _in_light(points, pixels, rotation, translation, lamp):
         for axis in range(3):
             largest = max(largest, abs(p[axis]))
             light_point[axis] = rotation[axis, 0] * p[0] + rotation[axis, 1] * p[1] + rotation[axis, 2] * p[2] + translation[axis]
-        if lamp:
+        if is_lamp:
             light_point[0], light_point[1], light_point[2] = (
                 light_point[0] / light_point[2],
                 light_point[1] / light_point[2],
@@ -244,6 +245,7 @@ def _in_light(points, pixels, rotation, translation, lamp):
 
 
 @compiled
-def _to_texels(coordinates, map_origin, texel):
+def _to_texels(coordinates, map_origin, texel_size):
+    """Convert coordinates (n,) along one axis of a map to texels, in place."""
     for k in range(len(coordinates)):
-        coordinates[k] = (coordinates[k] - map_origin) / texel
+        coordinates[k] = (coordinates[k] - map_origin) / texel_size

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
@@ -26,15 +26,15 @@ class HybridSettings(StencilSettings):
     def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``.
 
-        Of the map they are size and depth bits: its filter, bias, culling and cascades are always the same, whatever is requested.
+        The map contributes its size and depth bits. Its filter, bias, culling and cascades are always the same.
         """
         map_overrides = self.map.as_overrides
         return super().as_overrides | {key: map_overrides[key] for key in ("map_size", "depth_bits") if key in map_overrides}
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels a side, the mask, and the settings that differ from their defaults."""
-        return [str(self.map.map_size), self.mask, *self.changed("mask")]
+        return [str(self.map.map_size), self.mask, *self.changed_values("mask")]
 
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:

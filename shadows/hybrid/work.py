@@ -13,45 +13,50 @@ from skugga.shadows.work import Work, Workload
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 
 MIN_TEXEL_SHARE = 256.0 * POSITION_ERROR
-"""Minimum texel size of a hybrid's map, as a share of the extent of the visible points (``MIN_TEXEL_ERRORS`` rounding errors)."""
+"""Minimum texel size of a hybrid's map, as a share of the extent of the visible points.
+
+The share is that of ``MIN_TEXEL_ROUNDING_ERRORS`` rounding errors.
+"""
 
 
-def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
+def hybrid_work(workload: Workload, settings: HybridSettings) -> Work:
     """Return the hybrid's work for a picture, as counts by part."""
-    texel_px, size = _texel_px(task, settings.map.map_size)
+    texel_px, size = _texel_px(workload, settings.map.map_size)
     counting = {
-        task.by_view("silhouettes"): silhouette_counts(task),
-        task.by_view("counting"): stencil_counts(task, settings, _masked_share(task, texel_px + CULLING_TILE_PX)),
+        workload.part_name_in_view("silhouettes"): silhouette_counts(workload),
+        workload.part_name_in_view("counting"): stencil_counts(
+            workload, settings, _masked_share(workload, texel_px + CULLING_TILE_PX)
+        ),
     }
     if settings.mask == "original":
-        return counting | shadow_map_work(task, settings.map)
-    _, caps, ground = volume_faces(task)
-    faces = 6.0 if task.light_kind == "omni" else 1.0
+        return counting | shadow_map_work(workload, settings.map)
+    _, caps, ground = volume_faces(workload)
+    faces = 6.0 if workload.light_kind == "omni" else 1.0
     texels = faces * size**2
     map_counts = {
-        "blocks": 1.0, "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0,
-        "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing_pixels,
+        "blocks": 1.0, "texels": texels, "texels of ground": texels if workload.caster_facts("relief") else 0.0, "texels in shadow":
+        texels * workload.facts.cast_share, "caps": caps, "ground": ground, "facing": workload.facing_pixel_count,
     }  # fmt: skip
-    mask = {"blocks": 1.0, "facing": task.facing_pixels, "pixels": task.pixels, "texels": texels}
-    return counting | {task.by_view("conservative map"): map_counts, "mask": mask}
+    mask = {"blocks": 1.0, "facing": workload.facing_pixel_count, "pixels": workload.pixel_count, "texels": texels}
+    return counting | {workload.part_name_in_view("conservative map"): map_counts, "mask": mask}
 
 
-def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
+def _texel_px(workload: Workload, map_size: int) -> tuple[float, float]:
     """Return the size of a map's texel in pixels, and the number of texels a side."""
-    extent_m = np.sqrt(task.seen_light_m2)
-    far_m = max((band.far_m for band in task.descriptor.bands), default=extent_m)
+    extent_m = np.sqrt(workload.visible_ground_projected_m2)
+    far_m = max((band.far_m for band in workload.descriptor.bands), default=extent_m)
     texel_m = max(extent_m / map_size, MIN_TEXEL_SHARE * far_m / 2.0)
-    return texel_m / task.descriptor.pixel_m, extent_m / texel_m
+    return texel_m / workload.descriptor.pixel_m, extent_m / texel_m
 
 
-def _masked_share(task: Workload, side_px: float) -> float:
+def _masked_share(workload: Workload, side_px: float) -> float:
     """Return the share of the picture in squares of ``side_px`` pixels that a shadow edge crosses; 1 without facts on casters."""
-    if not task.facts.casts:
+    if not workload.facts.casts:
         return 1.0
     log_texel_sizes = np.log2(TEXEL_SIZES_PX)
     shares = [
         band.share * np.interp(np.log2(side_px), log_texel_sizes, band.differs)
-        for kind, casting in task.facts.casts.items() if kind in task.kinds
+        for kind, casting in workload.facts.casts.items() if kind in workload.kinds
         for band in casting.bands
     ]  # fmt: skip
     return float(min(sum(shares), 1.0))

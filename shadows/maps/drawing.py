@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
+"""Settings of any kind of depth map."""
 
-M = TypeVar("M")
+AnyMap = TypeVar("AnyMap")
+"""Type of the maps that ``draw_ahead`` yields."""
 
 TEXTURE_SIZE_STEP = 512
 """Textures with a side above this number of texels have sides that are multiples of it."""
@@ -55,29 +57,29 @@ def draw_map(
     block's map is not cached, and lasts until the next map is drawn.
     """
     meshes = caster_meshes(scene, buffer, kinds)
-    trees = _map_trees(depth_map, buffer, settings.filter == "sun")
+    trees = _trees_in_map(depth_map, buffer, settings.filter == "sun")
     # A block's sheets are made for every picture of it, so its pictures are cached instead.
-    content = None if isinstance(buffer.view, MapView) else _content_key(depth_map, settings, meshes, trees)
+    content = None if isinstance(buffer.view, MapView) else _map_cache_key(depth_map, settings, meshes, trees)
     cached_target = None if content is None else gl.depth_targets.get(content)
     if cached_target is not None:
         record.kept += 1
         record.bytes = max(record.bytes, depth_map.nbytes)
         return cached_target
-    width, height = depth_map.size
+    width, height = depth_map.face_size
     texture_width, texture_height = depth_map.texture_size
     target = gl.depth_target(_rounded_texture_side(texture_width), _rounded_texture_side(texture_height), depth_map.depth_bits)
-    solid = gl.program(shader(depth_map.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
+    solid = gl.program(shader(depth_map.shader_parts[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(solid, depth_map.uniforms)
     if trees is not None:
-        vertex = shader(depth_map.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
+        vertex = shader(depth_map.shader_parts[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
         set_uniforms(leaves, {**depth_map.uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": trees.curvature})
     largest_bytes = 0
     factor, units = (settings.bias_scale * part if settings.bias == "polygon_offset" else 0.0 for part in POLYGON_OFFSET)
     with gl.depth_pass(target, (factor, units)):
-        for number, face in enumerate(depth_map.faces):
+        for number, face in enumerate(depth_map.face_rotations):
             gl.ctx.viewport = (number % 3 * width, number // 3 * height, width, height)
-            if len(depth_map.faces) > 1:
+            if len(depth_map.face_rotations) > 1:
                 face_uniforms = _face_uniforms(depth_map.uniforms, face)
                 set_uniforms(solid, face_uniforms)
                 if trees is not None:
@@ -95,7 +97,7 @@ def draw_map(
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
                 largest_bytes = max(largest_bytes, len(trees) * 40)
-    record.map_texels += depth_map.texels
+    record.map_texels += depth_map.texel_count
     record.bytes = max(record.bytes, depth_map.nbytes + largest_bytes)
     gl.check("depth map")
     if content is not None:
@@ -103,7 +105,7 @@ def draw_map(
     return target
 
 
-def draw_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[tuple[M, Framebuffer]]:
+def draw_ahead(maps: Sequence[AnyMap], draw: Callable[[AnyMap], Framebuffer]) -> Iterator[tuple[AnyMap, Framebuffer]]:
     """Yield maps with the framebuffers that ``draw`` returns, drawing one map ahead.
 
     The next map is drawn before a map is yielded. An asynchronous device then works while the map is read and sampled.
@@ -137,7 +139,7 @@ def _meshes_with_culling(
 ) -> list[tuple[Mesh, bool]]:
     """Return the meshes and ground to draw, each with whether its front faces are culled.
 
-    Front faces of closed bodies alone are culled, if ``culling`` asks for it.
+    If ``culling`` is ``front``, the front faces of closed bodies are culled, and no others.
     """
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
@@ -151,7 +153,7 @@ def _is_mirrored(depth_map: DepthMap) -> bool:
     return bool(np.linalg.det(np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
-def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
+def _map_cache_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
     """Return the cache key of a map: all that its drawing reads.
 
     Numbers are compared by value, and immutable arrays by identity.
@@ -159,10 +161,10 @@ def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh],
     all_trees = [] if depth_map.trees is None else [depth_map.trees]
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
     tree_digest = None if trees is None or trees is depth_map.trees else sha256(trees.number.tobytes()).digest()
-    return settings, depth_map.size, len(depth_map.faces), tuple(depth_map.uniforms.items()), geometry, tree_digest
+    return settings, depth_map.face_size, len(depth_map.face_rotations), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 
-def _map_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
+def _trees_in_map(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
     """Return the trees to draw into a map: those that may shade a visible point."""
     if depth_map.trees is None or depth_map.tree_bounds is None:
         return depth_map.trees

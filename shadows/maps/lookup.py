@@ -34,6 +34,7 @@ MAX_GATHERED_SHARE = 0.5
 """Share of a map view's pixels with a surface below which only these pixels are gathered and looked up."""
 
 CREASE_EPSILON = np.float32(1e-9)
+"""Amount by which the negative crease of a lifted point differs from 0, so that a crease of 0 is marked as well."""
 
 DEPTH_MAP_TEXTURE_UNIT = 5
 """Texture unit of the depth map."""
@@ -41,7 +42,7 @@ DEPTH_MAP_TEXTURE_UNIT = 5
 MIN_DEPTH_TEXTURE_UNIT = 6
 """Texture unit of the minimum depths of the depth map's blocks of texels."""
 
-POINT_LOOKUP = "shadows/maps/point_lookup"
+POINT_LOOKUP_LABEL = "shadows/maps/point_lookup"
 """Label of the CPU loop over a perspective view's points, in the record of passes."""
 
 
@@ -66,7 +67,7 @@ def look_up(
             top_crease = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
             normal_and_crease = np.concatenate([buffer.normal_frame, top_crease[..., None]], axis=-1)
             arrays = [buffer.position_frame_m, normal_and_crease, column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3)]
-            program = _program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})
+            program = _lookup_program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})
             set_uniforms(program, {"corner_frame_m": 2})
             visibility[:] = _run_lookup(gl, program, arrays, target, depth_map, record)
             return
@@ -86,7 +87,7 @@ def look_up(
                 "has_corners": corners is not None,
                 "placed": chosen.size < MAX_GATHERED_SHARE * buffer.valid.size,
             }
-            program = _program(gl, depth_map, settings, settings.filter, triangle_flags)
+            program = _lookup_program(gl, depth_map, settings, settings.filter, triangle_flags)
             first = (view.col0 - window.col0, view.row0 - window.row0)
             nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
             set_uniforms(program, {**nodes, "corner_frame_m": 3, "place": 3 if corners is None else 4})
@@ -107,35 +108,38 @@ def look_up(
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if triangle_flags["placed"] else lit.ravel()[chosen]
             visibility[facets.is_blocked] = 0.0  # a map may miss occluders nearer than a texel
             return
-        assert corners is not None and depth_map.pixels is not None
+        assert corners is not None and depth_map.point_indices is not None
         pixel_count = visibility.size if buffer.first_sample_row is None else buffer.first_sample_row * visibility.shape[1]
-        split = int(np.searchsorted(depth_map.pixels, pixel_count))
+        split = int(np.searchsorted(depth_map.point_indices, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged anyway
-        parts = (depth_map.pixels[:split], settings.filter), (depth_map.pixels[split:], sample_filter)
+        parts = (depth_map.point_indices[:split], settings.filter), (depth_map.point_indices[split:], sample_filter)
         flat_arrays = [
             a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
         ]
         if settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform:
-            depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.size, reuse_memory=True)
+            depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.face_size, reuse_memory=True)
             record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
             points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], flat_arrays[3])
             for part, filter in parts:
-                look_up_points(sun_map(depth_map, depths), _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
-                record.add_loop(POINT_LOOKUP, int(filter))
+                look_up_points(
+                    sun_map(depth_map, depths), _depth_comparison(settings, int(filter)), points, part, visibility.reshape(-1)
+                )
+                record.add_loop(POINT_LOOKUP_LABEL, int(filter))
             return
         for part, filter in parts:
             for start in range(0, len(part), LOOKUP_COLS * LOOKUP_ROWS):
                 chosen = part[start : start + LOOKUP_COLS * LOOKUP_ROWS]
-                program = _program(gl, depth_map, settings, filter, {"on_nodes": False, "has_corners": True})
+                program = _lookup_program(gl, depth_map, settings, filter, {"on_nodes": False, "has_corners": True})
                 set_uniforms(program, {"corner_frame_m": 2})
                 rows = -(-len(chosen) // LOOKUP_COLS)
                 gathered = [np.zeros((rows * LOOKUP_COLS, width), np.float32) for width in (3, 4, 9)]
-                _gather(chosen, *flat_arrays, *gathered)
+                _gather_points(chosen, *flat_arrays, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
 
 
-def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
+def _depth_comparison(settings: MapSettings, taps: int) -> DepthComparison:
+    """Return the comparison of depths by settings, with ``taps`` along a side for points on known triangles."""
     uses_triangles = settings.bias == "receiver_plane"
     # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
     taps_without_triangle = min(taps, 2) if uses_triangles else taps
@@ -144,7 +148,9 @@ def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
     )
 
 
-def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int | str, triangle_flags: dict[str, bool]) -> Program:
+def _lookup_program(
+    gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int | str, triangle_flags: dict[str, bool]
+) -> Program:
     """Return the shader program that samples a map, with all uniforms set but those of the points.
 
     ``triangle_flags`` are constants of the shader: from where it reads the triangles round a point, if they are known.
@@ -152,20 +158,20 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     from moderngl import Uniform
 
     is_disc, taps = filter == "sun", MIN_DISC_TAPS if filter == "sun" else int(filter)
-    comparison = _comparison(settings, taps)
+    comparison = _depth_comparison(settings, taps)
     constants = triangle_flags | {
-        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "uses_triangles": comparison.uses_triangles,
+        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.face_rotations), "uses_triangles": comparison.uses_triangles,
         "uses_offset": comparison.uses_offset,
         "taps": taps, "lit_by_taps": not is_disc, "taps_without_triangle": comparison.taps_without_triangle,
     }  # fmt: skip
-    fragment = shader(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
+    fragment = shader(depth_map.shader_parts[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
-        **depth_map.uniforms, "map_size": depth_map.size, "bias_scale": settings.bias_scale,
+        **depth_map.uniforms, "map_size": depth_map.face_size, "bias_scale": settings.bias_scale,
         "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_TEXTURE_UNIT,
     })  # fmt: skip
     if "face_from_lamp" in program:
-        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in depth_map.faces]
+        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in depth_map.face_rotations]
     if is_disc:
         widest_m = tuple(MAX_HALF_DISC_TEXELS * side for side in depth_map.uniforms["texel_m"])
         set_uniforms(program, {
@@ -196,7 +202,7 @@ def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, setti
     program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
     set_uniforms(program, {"depth_map": DEPTH_MAP_TEXTURE_UNIT, "block_texels": BLOCK_TEXELS})
     _bind_depths(target)
-    width, height = depth_map.size
+    width, height = depth_map.face_size
     blocks = gl.float_target(width // BLOCK_TEXELS, height // BLOCK_TEXELS)
     gl.draw_pixels(program, blocks)
     min_depth_texture = gl.texture(gl.read(blocks))
@@ -250,10 +256,10 @@ def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
 
 
 @compiled
-def _gather(chosen, position, normal, crease, corners, points, normals_and_creases, triangles):
-    """Copy a buffer's points at the indices ``chosen`` to float32 arrays: positions, normals with creases, and triangles."""
-    for n in range(len(chosen)):
-        i = chosen[n]
+def _gather_points(point_indices, position, normal, crease, corners, points, normals_and_creases, triangles):
+    """Copy a buffer's points at the indices ``point_indices`` to float32 arrays: positions, normals with creases, and triangles."""
+    for n in range(len(point_indices)):
+        i = point_indices[n]
         for k in range(3):
             points[n, k] = position[i, k]
             normals_and_creases[n, k] = normal[i, k]

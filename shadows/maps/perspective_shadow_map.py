@@ -13,9 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.post_perspective import (
     Camera,
@@ -25,13 +26,13 @@ from skugga.shadows.maps.post_perspective import (
     is_clear_of_horizon,
     post_perspectives,
     project_points,
-    texel_in_picture,
+    texel_size_in_picture,
     uniform_matrix,
 )
 from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_perspective_map
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
-from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MIN_NEAR_PLANE_SHARE, POSITION_ERROR, DepthMap, depth_steps
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MIN_NEAR_PLANE_SHARE, POSITION_ERROR, DepthMap, depth_step_count
 from skugga.shadows.maps.work import perspective_map_work
 from skugga.shadows.passes import PassLog
 from skugga.terrain.casters.casting import caster_trees, has_casters
@@ -46,6 +47,7 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
+"""Names of the passes that the algorithm runs, in order."""
 
 RECEIVER_SAMPLE_SIZE = 1024
 """Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
@@ -72,7 +74,7 @@ FRONT_DEPTH_SHARE = 0.01
 """Share of the map's depth range in front of the nearest receiver."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -86,15 +88,15 @@ def fill(
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
-        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     with log.record_pass(depth_pass) as record:  # fitting a map is part of making it
-        receivers = buffer.valid & ~attached(buffer, scene, light)
+        receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
         shaded = receivers.any() and has_casters(scene, buffer, kinds)
         fitted_maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
         record.note = next(
-            filter(None, [record.note, *(fitted_map.note for fitted_map in fitted_maps)]), ""
+            filter(None, [record.note, *(fitted_map.uniform_map_reason for fitted_map in fitted_maps)]), ""
         )  # the first note of any part of a view
     maps = [fitted_map.depth_map for fitted_map in fitted_maps]
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
@@ -110,18 +112,18 @@ class FittedMap:
         The map to draw.
     texel_px
         Size of its texels in pixels of the picture, root mean square.
-    note
+    uniform_map_reason
         The reason for a uniform map; empty otherwise.
     """
 
     depth_map: DepthMap
     texel_px: float
-    note: str
+    uniform_map_reason: str
 
 
 def perspective_maps(
     buffer: GeometryBuffer,
-    receivers: np.ndarray,
+    receiver_mask: np.ndarray,
     scene: Scene,
     light: str,
     settings: PerspectiveMapSettings,
@@ -134,16 +136,16 @@ def perspective_maps(
     keeps to this bound. If no number up to ``MAX_DISTANCE_RANGES`` does, it is the split with the smallest coarsest texels.
     """
     assert isinstance(buffer.view, PerspectiveView)
-    best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
+    best = [perspective_map(buffer, receiver_mask, scene, light, settings, trees)]
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
-    depth_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
+    depth_m = (buffer.position_frame_m[receiver_mask] - eye) @ camera_from_frame[2]
     octaves = np.log2(depth_m / depth_m.min())
     for count in range(2, MAX_DISTANCE_RANGES + 1):
         coarsest_px = max(part.texel_px for part in best)
         if coarsest_px <= MAX_TEXEL_PX or octaves.max() < count:
             break
-        range_number = np.full(receivers.shape, -1)
-        range_number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
+        range_number = np.full(receiver_mask.shape, -1)
+        range_number[receiver_mask] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
         ranges = [range_mask for range_mask in (range_number == part for part in range(count)) if range_mask.any()]
         split_maps = [perspective_map(buffer, range_mask, scene, light, settings, trees) for range_mask in ranges]
         if max(part.texel_px for part in split_maps) < coarsest_px:
@@ -153,14 +155,14 @@ def perspective_maps(
 
 def perspective_map(
     buffer: GeometryBuffer,
-    receivers: np.ndarray,
+    receiver_mask: np.ndarray,
     scene: Scene,
     light: str,
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> FittedMap:
     """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
-    chosen = np.flatnonzero(receivers)
+    chosen = np.flatnonzero(receiver_mask)
     sampled = chosen[:: max(len(chosen) // RECEIVER_SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
@@ -172,20 +174,20 @@ def perspective_map(
     outer_receivers = sample[:0]
     for _ in range(MAX_FIT_ROUNDS):
         best, *fallbacks = post_perspectives(camera, source, sample, inner, outer_receivers)
-        low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
+        low, high, outermost = _bounds_in_map(best.clip_from_frame, uniform, nearest, position, chosen)
         if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_SAMPLE_OVERSHOOT * inner:
             break
         outer_receivers = np.concatenate([outer_receivers, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
         best, *fallbacks = fallbacks
-        low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
+        low, high, _ = _bounds_in_map(best.clip_from_frame, uniform, nearest, position, chosen)
     error_m = CLIP_POSITION_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
-    widening = np.maximum(_min_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
+    widening = np.maximum(_min_map_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - widening / 2.0, high[:2] + widening / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
     texel_matrix = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     taps = 1 if settings.filter == "sun" else settings.filter
-    low[2] = min(low[2], float(_start_depths(texel_matrix, sample, triangles, error_m, taps / 2.0).min()))
+    low[2] = min(low[2], float(_latest_start_depths(texel_matrix, sample, triangles, error_m, taps / 2.0).min()))
     clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, FRONT_DEPTH_SHARE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
@@ -194,22 +196,22 @@ def perspective_map(
         "clip_rows": tuple(clip.ravel()),  # GLSL matrices are column-major: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
         "position_error": CLIP_POSITION_ERROR,
-        "depth_step": 1.0 / depth_steps(settings.depth_bits),
+        "depth_step": 1.0 / depth_step_count(settings.depth_bits),
     }
     tree_bounds = None
     if trees is not None and light == SUN:
         assert scene.light is not None
         light_from_frame = scene.light.from_frame(buffer.frame)
-        first, last = light_bounds(buffer.position_frame_m, receivers, *light_from_frame)
+        first, last = light_bounds(buffer.position_frame_m, receiver_mask, *light_from_frame)
         tree_bounds = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
-    texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
+    texel_px = texel_size_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
     depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
-    return FittedMap(depth_map, texel_px, best.note)
+    return FittedMap(depth_map, texel_px, best.uniform_map_reason)
 
 
-def _min_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
+def _min_map_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
     """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error of positions.
 
     ``error_m`` (n,) are the errors of the positions ``points`` (n, 3). The bounds apply to a single receiver, or to a few at one
@@ -221,13 +223,15 @@ def _min_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map
     return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
 
 
-def _start_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
+def _latest_start_depths(
+    matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, tap_reach_texels: float
+) -> np.ndarray:
     """Return the largest depth (n,) at which a map may begin, for each of the points (n, 3) on triangles (n, 3, 3).
 
     Depths are the z of ``matrix``, which maps to texels in x and y. A map clamps casters in front of its first depth to that depth.
     Such a caster shades a point under two conditions. The point is deeper by all that the comparison subtracts. The point's
-    triangle begins no earlier than the map at the texels up to ``reach`` beside the point. The result allows for twice the amount
-    that the shader subtracts, except for the shader's share of the whole depth range.
+    triangle begins no earlier than the map at the texels up to ``tap_reach_texels`` beside the point. The result allows for twice
+    the amount that the shader subtracts, except for the shader's share of the whole depth range.
     """
     w = horizon_distance(matrix, points)[:, None]
     in_map = project_points(matrix, points)
@@ -246,7 +250,9 @@ def _start_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, e
     grid = 1.0 / 128.0 + error_m[:, None] * per_m[:, :2]
     slack = np.minimum((slope * grid).sum(axis=1), np.ptp(corner_depths, axis=1)) + error_m * per_m[:, 2]
     depth_ratio = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
-    return in_map[:, 2] - 2.0 * slack * depth_ratio**2 - np.minimum(reach * slope.sum(axis=1), -corner_depths.min(axis=1))
+    return (
+        in_map[:, 2] - 2.0 * slack * depth_ratio**2 - np.minimum(tap_reach_texels * slope.sum(axis=1), -corner_depths.min(axis=1))
+    )
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
@@ -266,16 +272,16 @@ def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light
 
 
 @compiled
-def _bounds(matrix, plane, nearest, position, chosen):
-    """Return the bounds, in a map, of the points (m, 3) at the indices ``chosen``, and the outermost of these points.
+def _bounds_in_map(matrix, plane, min_distance, position, point_indices):
+    """Return the bounds, in a map, of the points (m, 3) at the indices ``point_indices``, and the outermost of these points.
 
     The bounds are the minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane
     ``plane`` (4,). The outermost points (5,) are indices: both ends in x and in y, and the point nearest to the map's horizon (w =
-    0). Points nearer than ``nearest`` to the plane do not count in z.
+    0). Points nearer than ``min_distance`` to the plane do not count in z.
     """
-    low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, chosen[0])
+    low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, point_indices[0])
     v = np.empty(4)
-    for i in chosen:
+    for i in point_indices:
         p = position[i]
         w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
         share = 1.0 / w
@@ -284,7 +290,7 @@ def _bounds(matrix, plane, nearest, position, chosen):
             v[k] = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) * share
         v[3] = w / plane_distance
         for k in range(4):
-            if k == 2 and plane_distance < nearest:
+            if k == 2 and plane_distance < min_distance:
                 continue
             if v[k] < low[k]:
                 low[k] = v[k]
@@ -297,18 +303,18 @@ def _bounds(matrix, plane, nearest, position, chosen):
     return low, high, outermost
 
 
-def _texel_m(
+def _texel_on_ground_m(
     scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer
 ) -> float | np.ndarray:
     """Return a texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
-    receivers = buffer.valid & ~attached(buffer, scene, light)
+    receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if not receivers.any():
         return 0.0
     trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.valid.shape)
     for fitted_map in perspective_maps(buffer, receivers, scene, light, settings, trees):
-        assert fitted_map.depth_map.pixels is not None
+        assert fitted_map.depth_map.point_indices is not None
         pixel_indices, map_rows = (
-            np.unravel_index(fitted_map.depth_map.pixels, texel_m.shape),
+            np.unravel_index(fitted_map.depth_map.point_indices, texel_m.shape),
             np.reshape(fitted_map.depth_map.uniforms["map_rows"], (4, 4)),
         )
         texel_m[pixel_indices] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[pixel_indices])
@@ -316,7 +322,7 @@ def _texel_m(
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the settings that a calibration of this extent measures (``Cost``): sizes and taps."""
+    """Yield the settings that a calibration of this extent measures (``CostInputs``): sizes and taps."""
     map_overrides = calibration_overrides(descriptor, light, calibration_extent)
     for overrides in [
         *map_overrides.sizes,
@@ -328,22 +334,22 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 ALGORITHM = Algorithm(
     name="perspective_shadow_map",
     description="depth map in post-perspective space: fine near the eye",
-    plural="perspective shadow maps",
-    fill=fill,
+    plural_name="perspective shadow maps",
+    fill_visibility=fill_visibility,
     passes=PASSES,
     refusals={
         "map": "a map view has no perspective",
         "omni": "an omni light does not fit one post-perspective map",
     },
     layers=("shadow-map",),
-    settings=(PerspectiveMapSettings,),
-    resolve=resolve_perspective_map,
+    settings_types=(PerspectiveMapSettings,),
+    resolve_settings=resolve_perspective_map,
     cache_names=("skugga.terrain.gl.depth_targets",),
-    search=Search(
+    search=SettingsSearch(
         search_space={"map_size": TUNED_MAP_SIZES},
-        compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
+        resolution_variants=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
     ),
-    cost=Cost(perspective_map_work, calibration_settings=_calibration_settings),
-    accuracy=Accuracy(texel_px=perspective_map_texel_px, texel_m=_texel_m),
-    mark=Mark("diamond", "sky"),
+    cost=CostInputs(perspective_map_work, calibration_settings=_calibration_settings),
+    accuracy=AccuracyInputs(texel_px=perspective_map_texel_px, texel_m=_texel_on_ground_m),
+    marker=PlotMarker("diamond", "sky"),
 )

@@ -24,29 +24,29 @@ class SunMap(NamedTuple):
     ----------
     depths
         uint16 in depth steps, or float32 in [0, 1], (rows, cols); rows run upwards in light space.
-    step_count
+    depth_step_count
         The largest value of ``depths``: the number of steps in the whole depth, or 1 for float32.
     light_from_frame
         (3, 3): rotation from the frame to the map.
     light_offset_m
         (3,): offset in the map, metres.
-    window_m
+    depth_range_m
         Depth of the map, metres.
     texel_m
         (2,): sides of a texel, metres.
-    error_m
+    position_error_m
         Upper bound of the float32 error of positions, metres.
     depth_step
         Step between two depths, as a share of the whole depth.
     """
 
     depths: np.ndarray
-    step_count: np.float32
+    depth_step_count: np.float32
     light_from_frame: np.ndarray
     light_offset_m: np.ndarray
-    window_m: np.float32
+    depth_range_m: np.float32
     texel_m: np.ndarray
-    error_m: np.float32
+    position_error_m: np.float32
     depth_step: np.float32
 
 
@@ -111,44 +111,47 @@ def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
 
 
 def look_up_points(
-    sun: SunMap, comparison: DepthComparison, points: LookupPoints, chosen: np.ndarray, visibility: np.ndarray
+    drawn_map: SunMap, comparison: DepthComparison, points: LookupPoints, point_indices: np.ndarray, visibility: np.ndarray
 ) -> None:
-    """Write the share of lit texels around the points at the indices ``chosen`` to ``visibility`` (n,) float32."""
-    run_in_chunks(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
+    """Write the share of lit texels around the points at the indices ``point_indices`` to ``visibility`` (n,) float32."""
+    run_in_chunks(len(point_indices), _look_up_chunk, drawn_map, comparison, points, point_indices, visibility)
 
 
 @compiled
-def _look_up(first, last, sun, comparison, points, chosen, visibility):
+def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, visibility):
+    """Write the lit share of the points ``point_indices[first:last]`` to ``visibility``."""
     uses_triangles, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
-        i = chosen[m]
-        p = _translate_to_light(sun, _rotate_to_light(sun, points.position, i, 0))
-        is_empty = uses_triangles and _is_empty(sun, p, taps)
+        i = point_indices[m]
+        p = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, points.position, i, 0))
+        is_empty = uses_triangles and _is_free_of_casters(drawn_map, p, taps)
         if uses_triangles and not is_empty:
-            lit, total_weight = _weights_on_triangle(sun, comparison, p, points.corners, i)
+            lit, total_weight = _weights_on_triangle(drawn_map, comparison, p, points.corners, i)
             if total_weight > np.float32(0.0):
                 visibility[i] = lit / total_weight
                 continue
-        moved_point = _move_off_surface(sun, comparison, p, _rotate_to_light(sun, points.normal, i, 0), abs(points.crease[i]))
+        moved_point = _move_off_surface(
+            drawn_map, comparison, p, _rotate_to_light(drawn_map, points.normal, i, 0), abs(points.crease[i])
+        )
         if is_empty:
-            if _is_empty(sun, moved_point, taps_without_triangle):
+            if _is_free_of_casters(drawn_map, moved_point, taps_without_triangle):
                 visibility[i] = np.float32(1.0)
                 continue
-            lit, total_weight = _weights_on_triangle(sun, comparison, p, points.corners, i)
+            lit, total_weight = _weights_on_triangle(drawn_map, comparison, p, points.corners, i)
             if total_weight > np.float32(0.0):
                 visibility[i] = lit / total_weight
                 continue
-        visibility[i] = _lit_share_without_triangle(sun, comparison, moved_point)
+        visibility[i] = _lit_share_without_triangle(drawn_map, comparison, moved_point)
 
 
 @internal
-def _rotate_to_light(sun, vectors, i, first):
+def _rotate_to_light(drawn_map, vectors, i, first):
     """Return the vector ``vectors[i, first : first + 3]`` along the light's axes, as a tuple.
 
     Allocating an array would cost more than all other work.
     """
     x, y, z = np.float32(vectors[i, first]), np.float32(vectors[i, first + 1]), np.float32(vectors[i, first + 2])
-    axes = sun.light_from_frame
+    axes = drawn_map.light_from_frame
     return (
         axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
         axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
@@ -157,88 +160,99 @@ def _rotate_to_light(sun, vectors, i, first):
 
 
 @internal
-def _translate_to_light(sun, rotated):
-    offset = sun.light_offset_m
+def _translate_to_light(drawn_map, rotated):
+    """Return a rotated vector (a tuple) as a position in the map, metres."""
+    offset = drawn_map.light_offset_m
     return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
 
 @internal
-def _move_off_surface(sun, comparison, p, n, crease):
+def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
     """Return a point moved along its normal, off every surface that passes through it."""
     if not comparison.uses_offset:
-        return p
-    side = np.float32(-1.0) if n[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
+        return point_m
+    side = np.float32(-1.0) if normal[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
     half, one = np.float32(0.5), np.float32(1.0)
     taps = half * np.float32(comparison.taps_without_triangle) + np.float32(1.0 / 128.0)
-    x, y = taps * sun.texel_m[0], taps * sun.texel_m[1]
-    offset = x * abs(n[0]) + y * abs(n[1]) + np.sqrt(x * x + y * y) * crease
+    x, y = taps * drawn_map.texel_m[0], taps * drawn_map.texel_m[1]
+    offset = x * abs(normal[0]) + y * abs(normal[1]) + np.sqrt(x * x + y * y) * crease
     offset /= max(one - half * crease * crease, np.float32(0.25))
-    distance = side * (comparison.bias_scale * offset + sun.error_m)
-    return p[0] + n[0] * distance, p[1] + n[1] * distance, p[2] + n[2] * distance - sun.error_m
+    distance = side * (comparison.bias_scale * offset + drawn_map.position_error_m)
+    return (
+        point_m[0] + normal[0] * distance,
+        point_m[1] + normal[1] * distance,
+        point_m[2] + normal[2] * distance - drawn_map.position_error_m,
+    )
 
 
 @internal
-def _first_tap(sun, p, count):
+def _first_tap(drawn_map, point_m, side_taps):
     """Return the first texel (column, row) of a square of taps around a point, and the square's offset from the texel's corner.
 
-    The square has ``count`` taps along a side.
+    The square has ``side_taps`` taps along a side.
     """
-    half = np.float32(0.5) * np.float32(count - 1)
-    x, y = p[0] / sun.texel_m[0] - half, p[1] / sun.texel_m[1] - half
+    half = np.float32(0.5) * np.float32(side_taps - 1)
+    x, y = point_m[0] / drawn_map.texel_m[0] - half, point_m[1] / drawn_map.texel_m[1] - half
     left, low = np.floor(x), np.floor(y)
     return np.int64(left), np.int64(low), x - left, y - low
 
 
 @internal
-def _is_empty(sun, p, count):
-    """Return whether the map holds no caster in a square of ``count`` x ``count`` taps around a point."""
-    left, low, _, _ = _first_tap(sun, p, count)
-    rows, cols = sun.depths.shape
-    for r in range(max(low, 0), min(low + count, rows)):
-        for c in range(max(left, 0), min(left + count, cols)):
-            if np.float32(sun.depths[r, c]) < sun.step_count:
+def _is_free_of_casters(drawn_map, point_m, side_taps):
+    """Return whether the map holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point."""
+    left, low, _, _ = _first_tap(drawn_map, point_m, side_taps)
+    rows, cols = drawn_map.depths.shape
+    for r in range(max(low, 0), min(low + side_taps, rows)):
+        for c in range(max(left, 0), min(left + side_taps, cols)):
+            if np.float32(drawn_map.depths[r, c]) < drawn_map.depth_step_count:
                 return False
     return True
 
 
 @internal
-def _is_lit(sun, rounding, row, col, z):
-    rows, cols = sun.depths.shape
+def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
+    """Return whether a point at ``depth_m`` is not behind the map's depth at a texel. Points outside of the map are lit."""
+    rows, cols = drawn_map.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True
-    return min(z / sun.window_m - rounding, np.float32(1.0)) <= np.float32(sun.depths[row, col]) / sun.step_count
+    return (
+        min(depth_m / drawn_map.depth_range_m - depth_rounding, np.float32(1.0))
+        <= np.float32(drawn_map.depths[row, col]) / drawn_map.depth_step_count
+    )
 
 
 @internal
-def _tap_weight(count, n, fraction):
+def _tap_weight(side_taps, tap_index, fraction):
     """Return the overlap, along one axis, of a tap with the square of count - 1 texels around the point."""
-    if n == 0:
+    if tap_index == 0:
         return np.float32(1.0) - fraction
-    return fraction if n == count - 1 else np.float32(1.0)
+    return fraction if tap_index == side_taps - 1 else np.float32(1.0)
 
 
 @internal
-def _weights_on_triangle(sun, comparison, p, corners, i):
+def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
     """Return the lit and the total weight of the taps whose texel centres lie in a point's own triangle."""
     lit, total_weight = np.float32(0.0), np.float32(0.0)
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
         return lit, total_weight
     zero, one = np.float32(0.0), np.float32(1.0)
-    ax, ay, az = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 0))
-    ex, ey, ez = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 3))
-    gx, gy, gz = _translate_to_light(sun, _rotate_to_light(sun, corners, i, 6))
+    ax, ay, az = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 0))
+    ex, ey, ez = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 3))
+    gx, gy, gz = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 6))
     ex, ey, ez, gx, gy, gz = ex - ax, ey - ay, ez - az, gx - ax, gy - ay, gz - az
-    texel = sun.texel_m
+    texel = drawn_map.texel_m
     area = ex * gy - ey * gx
     slope_x, slope_y = (ez * gy - gz * ey) / area, (gz * ex - ez * gx) / area
     grid = np.float32(1.0 / 128.0)
-    slack = abs(slope_x) * (texel[0] * grid + sun.error_m) + abs(slope_y) * (texel[1] * grid + sun.error_m)
+    slack = abs(slope_x) * (texel[0] * grid + drawn_map.position_error_m) + abs(slope_y) * (
+        texel[1] * grid + drawn_map.position_error_m
+    )
     max_slack = np.sqrt(ex * ex + ey * ey + ez * ez) + np.sqrt(gx * gx + gy * gy + gz * gz)
-    slack = min(slack, max_slack) + sun.error_m
+    slack = min(slack, max_slack) + drawn_map.position_error_m
     gx, gy, ex, ey = gx / area, gy / area, ex / area, ey / area
     scale, taps = comparison.bias_scale, comparison.taps
-    rounding = np.float32(0.5) * sun.depth_step if comparison.uses_offset else zero
-    left, low, fraction_x, fraction_y = _first_tap(sun, p, taps)
+    rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero
+    left, low, fraction_x, fraction_y = _first_tap(drawn_map, point_m, taps)
     for row in range(taps):
         offset_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - ay
         for col in range(taps):
@@ -247,29 +261,29 @@ def _weights_on_triangle(sun, comparison, p, corners, i):
             if not (u >= zero and v >= zero and u + v <= one):
                 continue
             triangle_z = az + (slope_x * offset_x + slope_y * offset_y)
-            z = p[2] * (one - scale) + triangle_z * scale - slack
+            z = point_m[2] * (one - scale) + triangle_z * scale - slack
             weight = one
             if taps > 1:
                 weight = max(_tap_weight(taps, col, fraction_x) * _tap_weight(taps, row, fraction_y), np.float32(1e-6))
-            if _is_lit(sun, rounding, low + row, left + col, z):
+            if _is_lit(drawn_map, rounding, low + row, left + col, z):
                 lit += weight
             total_weight += weight
     return lit, total_weight
 
 
 @internal
-def _lit_share_without_triangle(sun, comparison, moved_point):
+def _lit_share_without_triangle(drawn_map, comparison, moved_point):
     """Return the lit share of the taps around a point that was moved off its surface, wherever their texels lie."""
     count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
-    rounding = np.float32(0.5) * sun.depth_step if comparison.uses_offset else zero
-    left, low, fraction_x, fraction_y = _first_tap(sun, moved_point, count)
+    rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero
+    left, low, fraction_x, fraction_y = _first_tap(drawn_map, moved_point, count)
     lit, total_weight = zero, zero
     for row in range(count):
         for col in range(count):
             weight = one
             if count > 1:
                 weight = max(_tap_weight(count, col, fraction_x) * _tap_weight(count, row, fraction_y), np.float32(1e-6))
-            if _is_lit(sun, rounding, low + row, left + col, moved_point[2]):
+            if _is_lit(drawn_map, rounding, low + row, left + col, moved_point[2]):
                 lit += weight
             total_weight += weight
     return lit / total_weight

@@ -42,6 +42,7 @@ MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
 """Rotations of the map about its centre that are tried. The receivers fill the chosen one best."""
 
 NO_POINTS = np.zeros((0, 3))
+"""An empty array of points (0, 3)."""
 
 OUTLINE_DIRECTIONS = 64
 """Number of directions whose farthest receivers form the outline, for the choice of the map's rotation."""
@@ -63,10 +64,10 @@ class Camera:
     camera_from_frame: np.ndarray
 
     @property
-    def axis(self) -> np.ndarray:
+    def forward_axis(self) -> np.ndarray:
         return self.camera_from_frame[2]
 
-    def camera_points(self, points_m: np.ndarray) -> np.ndarray:
+    def to_camera(self, points_m: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in camera coordinates: right, down and forward of the eye."""
         return (points_m - self.eye_m) @ self.camera_from_frame.T
 
@@ -77,13 +78,13 @@ class Light:
 
     Attributes
     ----------
-    homogeneous
+    homogeneous_position
         (4,): the light as a homogeneous point.
     lit_point_m
         (3,): a point that the light certainly shines at: ahead of a spot, anywhere under the sun.
     """
 
-    homogeneous: np.ndarray
+    homogeneous_position: np.ndarray
     lit_point_m: np.ndarray
 
 
@@ -97,28 +98,28 @@ class PostPerspective:
         (4, 4): the matrix. It maps the sampled receivers into the inner part of -1 to 1 in x and y.
     kind
         The kind of the light after the camera's projection; ``None`` for a uniform map.
-    slide_m
+    slide_back_m
         The slide-back (distance from the real camera back to the virtual one), metres; infinity for a uniform map.
-    texel
+    texel_size
         Size in the picture of half the map's width: the root mean square over the sampled receivers, in tangents of angles.
-    note
+    uniform_map_reason
         The reason for a uniform map; empty otherwise.
     """
 
     clip_from_frame: np.ndarray
     kind: PostPerspectiveLightKind | None
-    slide_m: float
-    texel: float
-    note: str = ""
+    slide_back_m: float
+    texel_size: float
+    uniform_map_reason: str = ""
 
 
-def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_m: float) -> np.ndarray:
-    """Return the projection (4, 4) of the virtual camera, which stands ``slide_m`` behind the real one.
+def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_back_m: float) -> np.ndarray:
+    """Return the projection (4, 4) of the virtual camera, which stands ``slide_back_m`` behind the real one.
 
     ``tangent`` is that of half the angle of view. The planes' distances are measured from the real camera. Raises ``ValueError``
     unless 0 < near < far for the virtual camera.
     """
-    near, far = near_m + slide_m, far_m + slide_m
+    near, far = near_m + slide_back_m, far_m + slide_back_m
     if not 0.0 < near < far:
         raise ValueError(f"near {near}, far {far}: 0 < near < far must hold")
     projection = np.array([
@@ -127,7 +128,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
     ])  # fmt: skip
     view = np.eye(4)
     view[:3, :3] = camera.camera_from_frame
-    view[:3, 3] = np.array([0.0, 0.0, slide_m]) - camera.camera_from_frame @ camera.eye_m
+    view[:3, 3] = np.array([0.0, 0.0, slide_back_m]) - camera.camera_from_frame @ camera.eye_m
     return projection @ view
 
 
@@ -162,31 +163,35 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
 
     Its texels have one size across the sun's rays, or across a lamp's axis.
     """
-    return light_matrix(light.homogeneous, light.lit_point_m if light.homogeneous[3] else _centre(points))
+    return light_matrix(
+        light.homogeneous_position, light.lit_point_m if light.homogeneous_position[3] else _centre_of_bounds(points)
+    )
 
 
 def post_perspectives(
-    camera: Camera, light: Light, points: np.ndarray, inner: float, outer_receivers: np.ndarray = NO_POINTS
+    camera: Camera, light: Light, points: np.ndarray, inner_half_width: float, outer_receivers: np.ndarray = NO_POINTS
 ) -> list[PostPerspective]:
     """Return the candidate maps for receivers (n, 3) in front of the eye, the best one first.
 
     The last one is the uniform map. Candidates with larger texels than the uniform map are left out. The maps are chosen by
     ``points``, and also hold the points ``outer_receivers`` (m, 3). If another receiver lies beyond the horizon of a map, the
-    caller takes the next candidate. ``inner`` is the part of the map's half width that receivers may fill.
+    caller takes the next candidate. ``inner_half_width`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
-    outline = np.concatenate([points[_outline(project_points(uniform, points)[:, :2])], outer_receivers])
+    outline = np.concatenate([points[_outline_indices(project_points(uniform, points)[:, :2])], outer_receivers])
     required_points = np.concatenate([points, outer_receivers])
-    camera_points, uniform_distance = camera.camera_points(points), horizon_distance(uniform, required_points)
-    ray_axes, picture_derivatives = _in_picture(camera, light, points)
+    camera_points, uniform_distance = camera.to_camera(points), horizon_distance(uniform, required_points)
+    ray_axes, picture_derivatives = _ray_axes_and_picture_derivatives(camera, light, points)
 
     def make_candidate(
-        matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = ""
+        matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_back_m: float, uniform_map_reason: str = ""
     ) -> PostPerspective:
-        matrix = _fit_rotation(matrix, outline, inner)
-        return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, ray_axes, picture_derivatives), note)
+        matrix = _fit_rotation(matrix, outline, inner_half_width)
+        return PostPerspective(
+            matrix, kind, slide_back_m, _rms_texel_size(matrix, points, ray_axes, picture_derivatives), uniform_map_reason
+        )
 
-    off_axis_deg = _off_axis_deg(camera, light, _centre(points))
+    off_axis_deg = _off_axis_deg(camera, light, _centre_of_bounds(points))
     if off_axis_deg <= UNIFORM_MAP_CONE_DEG:
         reason = f"the light is {off_axis_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
         return [make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")]
@@ -200,8 +205,8 @@ def post_perspectives(
         view = camera_matrix(
             camera, max(float((widest / (camera_points[:, 2] + slide_m)).max()), MIN_EXTENT_SHARE), near, far, slide_m
         )
-        clip_light = view @ light.homogeneous
-        matrix = light_matrix(clip_light, _centre(project_points(view, points))) @ view
+        clip_light = view @ light.homogeneous_position
+        matrix = light_matrix(clip_light, _centre_of_bounds(project_points(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
             candidates.append(make_candidate(matrix, light_kind_in_clip_space(clip_light), float(slide_m)))
     reason = (
@@ -212,40 +217,43 @@ def post_perspectives(
     uniform_map = make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")
     return [
         *sorted(
-            (candidate for candidate in candidates if candidate.texel < uniform_map.texel), key=lambda candidate: candidate.texel
+            (candidate for candidate in candidates if candidate.texel_size < uniform_map.texel_size),
+            key=lambda candidate: candidate.texel_size,
         ),
         uniform_map,
     ]
 
 
-def texel_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
+def texel_size_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3).
 
     Sizes in the picture are tangents of angles from the view's axis.
     """
-    return float(_texel(matrix, points, *_in_picture(camera, light, points)))
+    return float(_rms_texel_size(matrix, points, *_ray_axes_and_picture_derivatives(camera, light, points)))
 
 
-def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ray_axes_and_picture_derivatives(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two directions across a light's rays at points (n, 3), and the picture's derivatives along them.
 
     The directions are unit vectors (n, 3, 2). The derivatives (n, 2, 2) are those of the picture's coordinates, per metre.
     """
-    directions = light.homogeneous[:3] - light.homogeneous[3] * points
+    directions = light.homogeneous_position[:3] - light.homogeneous_position[3] * points
     directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
     ray_axes = perpendicular_axes(directions)
-    return ray_axes, _picture_derivatives(camera, camera.camera_points(points), ray_axes)
+    return ray_axes, _picture_derivatives(camera, camera.to_camera(points), ray_axes)
 
 
-def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, front_share: float = 0.0) -> np.ndarray:
-    """Return a map's matrix, scaled so that the bounds of x and y map to -``inner`` and ``inner``.
+def fit_to_bounds(
+    matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner_half_width: float, front_share: float = 0.0
+) -> np.ndarray:
+    """Return a map's matrix, scaled so that the bounds of x and y map to -``inner_half_width`` and ``inner_half_width``.
 
     ``low`` and ``high`` (3,) are the bounds of x, y and z. Those of z map to -1 and 1, with the share ``front_share`` of that range
     in front of them.
     """
     span = np.maximum(high - low, 1e-9 * (1.0 + np.abs(high)))
     low, high = low - np.array([0.0, 0.0, front_share / (1.0 - front_share) * span[2]]), low + span
-    scale = np.array([2.0 * inner, 2.0 * inner, 2.0]) / (high - low)
+    scale = np.array([2.0 * inner_half_width, 2.0 * inner_half_width, 2.0]) / (high - low)
     out = matrix.copy()
     out[:3] = scale[:, None] * (matrix[:3] - 0.5 * (low + high)[:, None] * matrix[3])
     return out
@@ -271,31 +279,31 @@ def is_clear_of_horizon(distances: np.ndarray) -> bool:
     return bool(np.isfinite(distances).all() and distances.min() >= HORIZON_MARGIN * distances.max() > 0.0)
 
 
-def _centre(points: np.ndarray) -> np.ndarray:
+def _centre_of_bounds(points: np.ndarray) -> np.ndarray:
     """Return the centre (3,) of the bounds of points (n, 3)."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
+def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
     """Return the angle, in degrees, between the view's axis and the direction from a point (3,) to a light.
 
     The axis counts in either direction, so the angle is at most 90.
     """
-    to_light = light.homogeneous[:3] - light.homogeneous[3] * from_m
-    sine = np.linalg.norm(np.cross(camera.axis, to_light))
-    return float(np.degrees(np.arctan2(sine, abs(camera.axis @ to_light))))
+    to_light = light.homogeneous_position[:3] - light.homogeneous_position[3] * point_m
+    sine = np.linalg.norm(np.cross(camera.forward_axis, to_light))
+    return float(np.degrees(np.arctan2(sine, abs(camera.forward_axis @ to_light))))
 
 
-def _outline(image: np.ndarray) -> np.ndarray:
+def _outline_indices(image_points: np.ndarray) -> np.ndarray:
     """Return the indices of the points (n, 2) that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
 
     A homography maps the outline of points to the outline of their images.
     """
     angle = np.arange(OUTLINE_DIRECTIONS) * 2.0 * np.pi / OUTLINE_DIRECTIONS
-    return np.unique(np.argmax((image - image.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
+    return np.unique(np.argmax((image_points - image_points.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
 
 
-def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
+def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner_half_width: float) -> np.ndarray:
     """Return a matrix with the map rotated and scaled so that an outline (n, 3) fills its inner part best.
 
     The map rotates about its centre, by one of ``MAP_ROTATIONS``.
@@ -308,7 +316,7 @@ def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.n
     best = int(np.argmin((high - low).prod(axis=1)))
     out = matrix.copy()
     out[:2] = axes[best] @ matrix[:2]
-    out[:2] = fit_to_bounds(out, np.array([*low[best], -1.0]), np.array([*high[best], 1.0]), inner)[:2]
+    out[:2] = fit_to_bounds(out, np.array([*low[best], -1.0]), np.array([*high[best], 1.0]), inner_half_width)[:2]
     return out
 
 
@@ -330,14 +338,14 @@ def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np
     The points (n, 3) are in camera coordinates.
     """
     depth = camera_points[:, 2, None, None]
-    return (camera.camera_from_frame[:2] - camera_points[:, :2, None] / depth * camera.axis) / depth @ ray_axes
+    return (camera.camera_from_frame[:2] - camera_points[:, :2, None] / depth * camera.forward_axis) / depth @ ray_axes
 
 
 @compiled
-def _texel(matrix, points, ray_axes, picture_derivatives):
+def _rms_texel_size(matrix, points, ray_axes, picture_derivatives):
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3) and two directions.
 
-    It is in tangents of angles. ``ray_axes`` and ``picture_derivatives`` are those of ``_in_picture``.
+    It is in tangents of angles. ``ray_axes`` and ``picture_derivatives`` are those of ``_ray_axes_and_picture_derivatives``.
     """
     total = 0.0
     for n in range(len(points)):

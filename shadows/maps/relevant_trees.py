@@ -16,7 +16,7 @@ from skugga.terrain.compiled import CORES, compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import tree_radius
 
-RECEIVER_CELLS = 512
+RECEIVER_MASK_CELLS = 512
 """Cells of the mask along each side of a map."""
 
 
@@ -29,20 +29,20 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc
     rotation, translation, low, high = depth_map.tree_bounds
     trees = depth_map.trees
     tree_numbers = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
-    if depth_map.pixels is not None and depth_map.is_uniform and len(tree_numbers):
+    if depth_map.point_indices is not None and depth_map.is_uniform and len(tree_numbers):
         texel_m = np.array(depth_map.uniforms["texel_m"])
-        cells = np.maximum((high - low)[:2] / RECEIVER_CELLS, texel_m)
-        farthest = np.full((CORES, RECEIVER_CELLS + 1, RECEIVER_CELLS + 1), -np.inf, np.float32)
-        parts = np.linspace(0, len(depth_map.pixels), CORES + 1).astype(np.int64)
+        cells = np.maximum((high - low)[:2] / RECEIVER_MASK_CELLS, texel_m)
+        farthest = np.full((CORES, RECEIVER_MASK_CELLS + 1, RECEIVER_MASK_CELLS + 1), -np.inf, np.float32)
+        parts = np.linspace(0, len(depth_map.point_indices), CORES + 1).astype(np.int64)
         run_in_chunks(
-            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), depth_map.pixels, rotation,
+            CORES, _write_farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), depth_map.point_indices, rotation,
             translation, cells,
             farthest,
         )  # fmt: skip
         margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if samples_sun_disc else 0)) * texel_m
         is_relevant = np.empty(len(tree_numbers), np.bool_)
         run_in_chunks(
-            len(tree_numbers), _select_relevant, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells,
+            len(tree_numbers), _select_relevant_trees, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells,
             farthest.max(axis=0), margin_m, is_relevant,
         )  # fmt: skip
         tree_numbers = tree_numbers[is_relevant]
@@ -50,26 +50,31 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc
 
 
 @compiled
-def _farthest_receivers(first, last, parts, position, chosen, rotation, translation, cells, farthest):
+def _write_farthest_receivers(
+    first, last, share_starts, position, point_indices, rotation, translation, cell_size_m, farthest_depth_m
+):
     """Store in each cell of a mask the largest depth of its receivers, as seen from the sun.
 
     The receivers are divided into shares, which threads process in parallel. Each share has a mask of its own.
     """
-    rows, cols = farthest.shape[1:]
+    rows, cols = farthest_depth_m.shape[1:]
     for share in range(first, last):
-        share_cells = farthest[share]
-        for n in range(parts[share], parts[share + 1]):
-            p = position[chosen[n]]
+        share_cells = farthest_depth_m[share]
+        for n in range(share_starts[share], share_starts[share + 1]):
+            p = position[point_indices[n]]
             right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
             up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
             depth = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
-            r, c = min(max(int(up / cells[1]), 0), rows - 1), min(max(int(right / cells[0]), 0), cols - 1)
+            r, c = min(max(int(up / cell_size_m[1]), 0), rows - 1), min(max(int(right / cell_size_m[0]), 0), cols - 1)
             share_cells[r, c] = max(share_cells[r, c], np.float32(depth))
 
 
 @compiled
-def _select_relevant(first, last, base, shape, tree_numbers, rotation, translation, cells, farthest, margin_m, out):
-    rows, cols = farthest.shape
+def _select_relevant_trees(
+    first, last, base, shape, tree_numbers, rotation, translation, cell_size_m, farthest_depth_m, margin_m, out
+):
+    """Write to ``out`` which trees may shade a receiver: those in front of the farthest one in any cell that they cover."""
+    rows, cols = farthest_depth_m.shape
     middle = np.empty(3)
     for m in range(first, last):
         n = tree_numbers[m]
@@ -79,16 +84,16 @@ def _select_relevant(first, last, base, shape, tree_numbers, rotation, translati
                 rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2])
                 + translation[k]
             )  # fmt: skip
-        left = max(int(np.floor((middle[0] - radius - margin_m[0]) / cells[0])), 0)
-        right = min(int(np.floor((middle[0] + radius + margin_m[0]) / cells[0])), cols - 1)
-        low = max(int(np.floor((middle[1] - radius - margin_m[1]) / cells[1])), 0)
-        high = min(int(np.floor((middle[1] + radius + margin_m[1]) / cells[1])), rows - 1)
+        left = max(int(np.floor((middle[0] - radius - margin_m[0]) / cell_size_m[0])), 0)
+        right = min(int(np.floor((middle[0] + radius + margin_m[0]) / cell_size_m[0])), cols - 1)
+        low = max(int(np.floor((middle[1] - radius - margin_m[1]) / cell_size_m[1])), 0)
+        high = min(int(np.floor((middle[1] + radius + margin_m[1]) / cell_size_m[1])), rows - 1)
         # Points may have been moved a few texels along the rays before their look-up.
         nearest = middle[2] - radius - margin_m[0] - margin_m[1]
         is_relevant = False
         for r in range(low, high + 1):
             for c in range(left, right + 1):
-                if farthest[r, c] >= nearest:
+                if farthest_depth_m[r, c] >= nearest:
                     is_relevant = True
                     break
             if is_relevant:

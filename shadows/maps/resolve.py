@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
@@ -44,6 +44,7 @@ TUNED_MAP_SIZES = (1024, 2048, 512, 4096)
 """Map sizes that policies try, in this order."""
 
 CALIBRATED_MAP_SIZES = (512, 1024, 2048, 4096)
+"""Map sizes that a calibration measures, in texels along a side."""
 
 PERSPECTIVE_MAP_SIZE = 1024
 """Default number of texels along a side of a perspective map.
@@ -80,7 +81,7 @@ class CalibrationOverrides:
 
 
 def calibration_overrides(descriptor: Descriptor, light: str, calibration_extent: str) -> CalibrationOverrides:
-    """Return the overrides that a calibration of this extent tries (``skugga.shadows.algorithm.Cost``)."""
+    """Return the overrides that a calibration of this extent tries (``skugga.shadows.algorithm.CostInputs``)."""
     sizes = {"few": (1024, 2048)}.get(calibration_extent, CALIBRATED_MAP_SIZES if light == SUN else CALIBRATED_MAP_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if calibration_extent == "full" else ()
     return CalibrationOverrides(
@@ -105,8 +106,8 @@ def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | L
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
-    taps, taps_reasons = _taps(request)
-    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, taps_reasons, request.light_points)
+    taps, taps_reasons = _resolve_taps(request)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, taps_reasons, request.light_point_count)
 
 
 def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[NamedReason]]:
@@ -114,12 +115,12 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
     reasons: list[NamedReason] = []
-    cascade_extents = _cascades(descriptor, shadows, altitude, reasons)
-    footprints_px = [float(_ground_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in cascade_extents]
+    cascade_extents = _cascade_extents(descriptor, shadows, altitude, reasons)
+    footprints_px = [float(_footprint_on_ground_m(extent, altitude).max()) / pixel_m for _, extent, pixel_m in cascade_extents]
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
-        target_px = _target_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
-        size = _automatic_size(max(footprints_px) / target_px, MAX_AUTOMATIC_MAP_SIZE)
+        target_px = _target_texel_px(descriptor) if descriptor.bands else MAX_TEXEL_PX
+        size = _automatic_map_size(max(footprints_px) / target_px, MAX_AUTOMATIC_MAP_SIZE)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
         remark = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
         reasons.append(
@@ -169,17 +170,19 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def _taps(request: SettingsRequest) -> tuple[MapFilter, list[NamedReason]]:
+def _resolve_taps(request: SettingsRequest) -> tuple[MapFilter, list[NamedReason]]:
     """Return the taps of a lamp's map or of a perspective map, and the reasons for them.
 
     Raises ``UnsupportedError`` for the penumbra of a point light.
     """
     light, descriptor, taps = request.light, request.descriptor, request.effective_shadows.filter
     prefix = "" if light == SUN else f"{light}: "
-    if request.is_area:
+    if request.is_area_light:
         light_shape = "the sun's disc" if light == SUN else "the lamp's ball"
         return "sun", [
-            NamedReason(name=f"{prefix}filter sun", reason=f"the mean of maps from {request.light_points} points of {light_shape}")
+            NamedReason(
+                name=f"{prefix}filter sun", reason=f"the mean of maps from {request.light_point_count} points of {light_shape}"
+            )
         ]
     if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
@@ -203,7 +206,7 @@ def lamp_map_settings(
     shadows: Shadows,
     taps: MapFilter,
     taps_reasons: list[NamedReason],
-    points: int = MAX_LIGHT_POINTS,
+    light_point_count: int = MAX_LIGHT_POINTS,
 ) -> tuple[LampMapSettings, list[NamedReason]]:
     """Return the settings of a lamp's map, and the reasons for automatic values.
 
@@ -212,7 +215,7 @@ def lamp_map_settings(
     width_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
     if size == "auto":
-        size = _automatic_size(
+        size = _automatic_map_size(
             width_m / descriptor.pixel_m / MAX_TEXEL_PX,
             MAX_AUTOMATIC_MAP_SIZE // 2 if lamp.kind == "omni" else MAX_AUTOMATIC_MAP_SIZE,
         )
@@ -224,7 +227,9 @@ def lamp_map_settings(
         reason = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(NamedReason(name=f"{lamp.name}: depth_bits 32", reason=reason))
     reasons += taps_reasons
-    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=points, **_bias_and_culling(shadows)), reasons
+    return LampMapSettings(
+        map_size=size, depth_bits=bits, filter=taps, light_points=light_point_count, **_bias_and_culling(shadows)
+    ), reasons
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
@@ -243,7 +248,7 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         ),
     ]
     size, bits = shadows.map_size, shadows.depth_bits
-    taps, taps_reasons = _taps(request)
+    taps, taps_reasons = _resolve_taps(request)
     if size == "auto":
         size = PERSPECTIVE_MAP_SIZE
         reasons.append(NamedReason(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
@@ -253,40 +258,41 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
             "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
         )
         reasons.append(NamedReason(name=f"{prefix}depth_bits {bits}", reason=f"{reason}: 16 bits are too coarse far away"))
-    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_points), [
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_point_count), [
         *reasons,
         *taps_reasons,
     ]
 
 
 def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
+    """Return the bias and the culling as fields of map settings, with automatic values replaced."""
     return {
         "bias": "receiver_plane" if shadows.bias == "auto" else shadows.bias,
         "culling": "none" if shadows.culling == "auto" else shadows.culling,
     }
 
 
-def _cascades(
-    descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[NamedReason]
+def _cascade_extents(
+    descriptor: Descriptor, shadows: Shadows, altitude_rad: float, reasons: list[NamedReason]
 ) -> list[tuple[float | None, np.ndarray, float]]:
     """Return the far distance, the receivers' extent and a pixel's side of each cascade, all in metres.
 
     The far distance is ``None`` for the last cascade. The extent (3,) is in light space. The number of cascades and the automatic
-    size follow from the largest footprint of a texel (``_target_px``). Of the splits into cascades that keep to it, the one with
-    the smallest mean footprint over the visible ground is chosen. A requested size does not bound the footprint.
+    size follow from the largest footprint of a texel (``_target_texel_px``). Of the splits into cascades that keep to it, the one
+    with the smallest mean footprint over the visible ground is chosen. A requested size does not bound the footprint.
     """
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
-    bands, pixel, target_px = descriptor.bands, descriptor.pixel, _target_px(descriptor)
+    bands, pixel, target_px = descriptor.bands, descriptor.pixel, _target_texel_px(descriptor)
     extent_m, near_m, nearness = _measure_band_ranges(bands)
-    texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
+    texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude_rad)])).max(axis=-1) / pixel  # at distance 1
     options = []
     for count in range(1, 5) if shadows.cascades == "auto" else [shadows.cascades]:
-        first, last = _splits(len(bands), count)
+        first, last = _splits_into_ranges(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _automatic_size(worst / target_px, MAX_AUTOMATIC_MAP_SIZE) if shadows.map_size == "auto" else shadows.map_size
+        size = _automatic_map_size(worst / target_px, MAX_AUTOMATIC_MAP_SIZE) if shadows.map_size == "auto" else shadows.map_size
         inner = size - 2 * MAP_BORDER_TEXELS
         max_px = np.inf if shadows.map_size != "auto" else max(worst, target_px * inner)
         mean_px = np.where(worst_px <= max_px, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
@@ -304,13 +310,14 @@ def _cascades(
     return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]
 
 
-def _target_px(descriptor: Descriptor) -> float:
+def _target_texel_px(descriptor: Descriptor) -> float:
+    """Return the upper bound, in pixels, of a texel's footprint for automatic cascades."""
     return MAX_FOLIAGE_TEXEL_PX if "forest" in descriptor.casters else MAX_CASCADE_TEXEL_PX
 
 
-def _automatic_size(texels: float, max_size: int) -> int:
-    """Return the automatic map size that holds ``texels`` and the border."""
-    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), MIN_AUTOMATIC_MAP_SIZE, max_size))
+def _automatic_map_size(texel_count: float, max_size: int) -> int:
+    """Return the automatic map size that holds ``texel_count`` and the border."""
+    return int(np.clip(2 ** np.ceil(np.log2(texel_count + 2 * MAP_BORDER_TEXELS)), MIN_AUTOMATIC_MAP_SIZE, max_size))
 
 
 @cached("process", 16 * MIB)
@@ -320,8 +327,7 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
     A band is an interval of distances from the eye. Range (i, j) consists of the bands i to j, of n bands in all.
 
     - Extents (n, n, 3): sides of the range's bounds in light space, metres, rounded up to powers of ``EXTENT_ROUNDING_FACTOR``;
-    NaN where j <
-      i.
+      NaN where j < i.
     - Near distances (n,): where each band starts, metres from the eye.
     - Sums (n, n): over the range's bands, each band's share of the visible surfaces divided by its near distance.
     """
@@ -339,18 +345,18 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
 
 
 @cached("process", 16 * MIB)
-def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all ways to split bands into ``count`` ranges of consecutive bands, at most one range for each band.
+def _splits_into_ranges(band_count: int, range_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return all ways to split bands into ``range_count`` ranges of consecutive bands, at most one range for each band.
 
     The result is the numbers of the first and of the last band of each range, int64 (ways, ranges) each.
     """
-    count = min(count, bands)
-    cuts_by_split = list(combinations(range(1, bands), count - 1))
-    cuts = np.array(cuts_by_split, np.int64).reshape(len(cuts_by_split), count - 1)
-    ends = np.full((len(cuts_by_split), 1), bands)
+    range_count = min(range_count, band_count)
+    cuts_by_split = list(combinations(range(1, band_count), range_count - 1))
+    cuts = np.array(cuts_by_split, np.int64).reshape(len(cuts_by_split), range_count - 1)
+    ends = np.full((len(cuts_by_split), 1), band_count)
     return np.hstack([0 * ends, cuts]), np.hstack([cuts, ends]) - 1
 
 
-def _ground_footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:
+def _footprint_on_ground_m(extent_m: np.ndarray, altitude_rad: float) -> np.ndarray:
     """Return the sides (2,) that an extent's right and up sides cover on level ground, metres."""
-    return extent_m[:2] / np.array([1.0, np.sin(altitude)])
+    return extent_m[:2] / np.array([1.0, np.sin(altitude_rad)])

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings, AreaLightSettings
 
 MapFit = Literal["stable", "tight"]
 """Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""
@@ -59,13 +59,13 @@ class ShadowMapSettings(AlgorithmSettings):
         return super().as_overrides | {"cascades": len(self.cascades)}
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, the number of cascades, and other values that differ from their defaults."""
         several = [f"{len(self.cascades)}cascades"] if len(self.cascades) > 1 else []
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed()]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed_values()]
 
 
-class LampMapSettings(AreaSettings):
+class LampMapSettings(AreaLightSettings):
     """Settings of a spot's shadow map, or of each of an omni light's six.
 
     They are texels along a side, bits of depth, and taps along a side. The filter ``sun`` shows the penumbra of the lamp's ball, by
@@ -80,12 +80,12 @@ class LampMapSettings(AreaSettings):
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, and other values that differ from their defaults."""
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values()]
 
 
-class PerspectiveMapSettings(AreaSettings):
+class PerspectiveMapSettings(AreaLightSettings):
     """Settings of a perspective shadow map: texels along a side, bits of depth, and taps along a side.
 
     The filter ``sun`` shows the penumbra of the light's disc or ball, by a map for each of many points of it. The map always has a
@@ -101,6 +101,6 @@ class PerspectiveMapSettings(AreaSettings):
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
-    def label(self) -> list[str]:
+    def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, and other values that differ from their defaults."""
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values()]

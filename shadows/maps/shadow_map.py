@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_shadow_map
@@ -30,9 +31,10 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
+"""Names of the passes that the algorithm runs, in order."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -46,7 +48,7 @@ def fill(
     The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if isinstance(settings, LampMapSettings) and settings.filter == "sun":
-        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
@@ -70,7 +72,7 @@ def _is_tunable(descriptor: Descriptor, light: str, key: str, value: int) -> boo
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
-    """Yield the settings that a calibration of this extent measures (``Cost``): sizes, cascades and taps."""
+    """Yield the settings that a calibration of this extent measures (``CostInputs``): sizes, cascades and taps."""
     map_overrides = calibration_overrides(descriptor, light, calibration_extent)
     for overrides in [
         *map_overrides.sizes,
@@ -83,31 +85,34 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 CALIBRATED_CASCADES: tuple[dict[str, Any], ...] = (
     {"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4},
 )  # fmt: skip
+"""Overrides with several cascades that a calibration measures."""
 
-BASELINE_MAP = {"map_size": 1024, "filter": 1}
-VARIANTS: tuple[dict[str, Any], ...] = tuple(BASELINE_MAP | change for change in (
+BASELINE_OVERRIDES = {"map_size": 1024, "filter": 1}
+"""Overrides of the map from which ``REPORT_VARIANTS`` differ."""
+
+REPORT_VARIANTS: tuple[dict[str, Any], ...] = tuple(BASELINE_OVERRIDES | change for change in (
     {"cascades": 1}, {"cascades": 2}, {"cascades": 4}, {"filter": "sun"}, {"filter": 5}, {"depth_bits": 16}, {"depth_bits": 24},
     {"depth_bits": 32}, {"bias": "normal_offset"}, {"bias": "polygon_offset"}, {"fit": "tight"}, {"culling": "front"},
 ))  # fmt: skip
-"""Settings that the report varies one at a time, from the map ``BASELINE_MAP``."""
+"""Settings that the report varies one at a time, from the map ``BASELINE_OVERRIDES``."""
 
 ALGORITHM = Algorithm(
     name="shadow_map",
     description="depth map from the light, fitted to the view",
-    plural="shadow maps",
-    fill=fill,
+    plural_name="shadow maps",
+    fill_visibility=fill_visibility,
     passes=PASSES,
     layers=("shadow-map",),
-    settings=(ShadowMapSettings, LampMapSettings),
-    resolve=resolve_shadow_map,
+    settings_types=(ShadowMapSettings, LampMapSettings),
+    resolve_settings=resolve_shadow_map,
     cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.disc_samples_before_edges"),
-    search=Search(
+    search=SettingsSearch(
         search_space={"map_size": TUNED_MAP_SIZES, "cascades": (1, 2, 4)},
         is_tunable=_is_tunable,
-        compared_overrides=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
-        variants=VARIANTS,
+        resolution_variants=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
+        other_variants=REPORT_VARIANTS,
     ),
-    cost=Cost(shadow_map_work, calibration_settings=_calibration_settings),
-    accuracy=Accuracy(texel_px=shadow_map_texel_px, texel_m=shadow_map_texel_m),
-    mark=Mark("circle", "blue"),
+    cost=CostInputs(shadow_map_work, calibration_settings=_calibration_settings),
+    accuracy=AccuracyInputs(texel_px=shadow_map_texel_px, texel_m=shadow_map_texel_m),
+    marker=PlotMarker("circle", "blue"),
 )

@@ -19,7 +19,7 @@ DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 DISC_SAMPLES = 128
 """Number of samples of the disc: one bit each of four words."""
 
-EDGE_STEPS = 128
+DISC_EDGE_STEPS = 128
 """Steps along the disc's width to which the edges of occluders are rounded."""
 
 BLOCK_TEXELS = 16
@@ -34,14 +34,14 @@ MIN_DISC_TAPS = 3
 
 @cached("process", MIB)
 def disc_samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
-    """Return which samples of the disc lie before an edge, as bits, for edges at ``EDGE_STEPS + 1`` positions in [-1, 1].
+    """Return which samples of the disc lie before an edge, as bits, for edges at ``DISC_EDGE_STEPS + 1`` positions in [-1, 1].
 
-    Both arrays are uint32 (``EDGE_STEPS + 1``, 4), with one bit for each sample. Positions run to the right in the first array, and
-    upwards in the second. The samples are Vogel's spiral (1979), of equal areas.
+    Both arrays are uint32 (``DISC_EDGE_STEPS + 1``, 4), with one bit for each sample. Positions run to the right in the first
+    array, and upwards in the second. The samples are Vogel's spiral (1979), of equal areas.
     """
     number = np.arange(DISC_SAMPLES)
     angle, radius = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
-    edge = np.linspace(-1.0, 1.0, EDGE_STEPS + 1)[:, None]
+    edge = np.linspace(-1.0, 1.0, DISC_EDGE_STEPS + 1)[:, None]
     bits = [np.packbits(radius * component(angle) < edge, axis=1, bitorder="little").view("<u4") for component in (np.cos, np.sin)]
     return bits[0], bits[1]
 

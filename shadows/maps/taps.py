@@ -18,7 +18,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 
-DISC_WIDTH = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
+PENUMBRA_WIDTH_SHARE = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
 """Width of a penumbra across the light, as a share of the distance from its caster."""
 
 MAX_FINE_TEXEL_SHARE = 0.75
@@ -28,6 +28,7 @@ The sign of the gain in ``soft_error`` changes there, in measured views.
 """
 
 Taps = Literal[1, 3]
+"""Taps along a side of the filter that an automatic choice allows."""
 
 
 def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps, str]:
@@ -56,6 +57,9 @@ def fine_texel_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> flo
                 (candidate for candidate in cascades if candidate.far_m is None or band.near_m < candidate.far_m), cascades[-1]
             )
             cast_sum += cast
-            if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_TEXEL_SHARE * DISC_WIDTH * casting.thrown_m:
+            if (
+                kind != "forest"
+                and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_TEXEL_SHARE * PENUMBRA_WIDTH_SHARE * casting.thrown_m
+            ):
                 fine_sum += cast
     return fine_sum / cast_sum if cast_sum > 0.0 else None

@@ -16,14 +16,14 @@ from skugga.terrain.scene import Scene
 
 
 def shadow_map_texel_px(
-    descriptor: Descriptor, light: str, settings: ShadowMapSettings | LampMapSettings, band: CastBand, perspective: float
+    descriptor: Descriptor, light: str, settings: ShadowMapSettings | LampMapSettings, band: CastBand, texels_per_pixel: float
 ) -> float:
     """Return the side of a texel of the sun's map or a lamp's, in pixels, in a band of distances from the eye.
 
-    It is the geometric mean of both sides, perpendicular to the light. ``perspective`` is not used.
+    It is the geometric mean of both sides, perpendicular to the light. ``texels_per_pixel`` is not used.
     """
     if isinstance(settings, LampMapSettings):
-        return _uniform_px(descriptor, light, band) / settings.map_size
+        return _uniform_map_extent_px(descriptor, light, band) / settings.map_size
     ends = (cascade.far_m for cascade in settings.cascades[:-1])
     number = sum(1 for end in ends if end is not None and band.near_m >= end * (1.0 - 1e-9))
     right, up = settings.cascades[number].texel_m
@@ -31,17 +31,17 @@ def shadow_map_texel_px(
 
 
 def perspective_map_texel_px(
-    descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
+    descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, texels_per_pixel: float
 ) -> float:
     """Return the side of a perspective map's texel, in pixels, in a band of distances from the eye.
 
-    It is perpendicular to the light. ``perspective`` is the number of the map's texels per pixel's side.
+    It is perpendicular to the light. ``texels_per_pixel`` is the number of the map's texels per pixel's side.
     """
-    map_px = perspective * sqrt(descriptor.rows * descriptor.cols)
-    return min(map_px, _uniform_px(descriptor, light, band)) / settings.map_size
+    map_px = texels_per_pixel * sqrt(descriptor.rows * descriptor.cols)
+    return min(map_px, _uniform_map_extent_px(descriptor, light, band)) / settings.map_size
 
 
-def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
+def _uniform_map_extent_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
     """Return the extent of one uniform map of the light along a side, in pixels of a band."""
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if light == SUN or lamp is None:

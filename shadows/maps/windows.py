@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import border_texels
 from skugga.terrain.compiled import compiled, run_in_chunks
@@ -49,112 +49,112 @@ class DepthMap:
     ----------
     uniforms
         Uniforms of the shaders, by name.
-    size
+    face_size
         Texels (across, down) of a face.
-    faces
+    face_rotations
         Rotations (3, 3) of the faces.
     depth_bits
         Bits of depth: 16, 24 or 32.
     trees
         The casting trees; ``None`` without any.
-    pixels
+    point_indices
         Flat indices (n,) of the points that the map serves in a perspective view; ``None`` in a map view.
     tree_bounds
         Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.occluding_trees``
         takes them. ``None``: all trees matter.
-    shaders
+    shader_parts
         Names of two shader parts: the light's clip space, and the comparison of points with the map.
     """
 
     uniforms: dict[str, Any]
-    size: tuple[int, int]
-    faces: tuple[np.ndarray, ...]
+    face_size: tuple[int, int]
+    face_rotations: tuple[np.ndarray, ...]
     depth_bits: int
     trees: TreeInstances | None
-    pixels: np.ndarray | None
+    point_indices: np.ndarray | None
     tree_bounds: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
-    shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
+    shader_parts: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
 
     @property
     def texture_size(self) -> tuple[int, int]:
         """Texels (across, down) of all faces together; six lie in two rows of three."""
-        face_cols, face_rows = (3, 2) if len(self.faces) == 6 else (1, 1)
-        return self.size[0] * face_cols, self.size[1] * face_rows
+        face_cols, face_rows = (3, 2) if len(self.face_rotations) == 6 else (1, 1)
+        return self.face_size[0] * face_cols, self.face_size[1] * face_rows
 
     @property
     def is_uniform(self) -> bool:
         """Whether the texels have one size in the light's own space, rather than in the picture's."""
-        return self.shaders == DepthMap.shaders
+        return self.shader_parts == DepthMap.shader_parts
 
     @property
-    def texels(self) -> int:
-        return self.size[0] * self.size[1] * len(self.faces)
+    def texel_count(self) -> int:
+        return self.face_size[0] * self.face_size[1] * len(self.face_rotations)
 
     @property
     def nbytes(self) -> int:
-        return self.texels * (2 if self.depth_bits == 16 else 4)
+        return self.texel_count * (2 if self.depth_bits == 16 else 4)
 
 
 def sun_maps(
-    buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: TreeInstances | None, nearest_m: float = np.inf
+    buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: TreeInstances | None, nearest_caster_m: float = np.inf
 ) -> list[DepthMap]:
     """Return the maps of the cascades that have receivers.
 
-    Depths start at ``nearest_m`` (the nearest caster) if that is in front of the receivers. Surfaces that face away from the sun
-    need no map. The stable windows of a map view, however, follow all of its ground, whatever the sun.
+    Depths start at ``nearest_caster_m`` (the nearest caster) if that is in front of the receivers. Surfaces that face away from the
+    sun need no map. The stable windows of a map view, however, cover all of its ground under any sun.
     """
     view = buffer.view
     stable = isinstance(view, MapView) and settings.fit == "stable"
-    receivers = buffer.valid if stable else buffer.valid & ~attached(buffer, scene)
+    receivers = buffer.valid if stable else buffer.valid & ~attached_shadow_mask(buffer, scene)
     if len(settings.cascades) == 1 or isinstance(view, MapView):
         if not receivers.any():
             return []
-        return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, nearest_m)]
+        return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, nearest_caster_m)]
     eye, _ = view.in_frame(buffer.frame)
-    distance_m = distances(buffer.position_frame_m, eye)
+    distance_m = eye_distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
     for cascade in settings.cascades:
         far_m = np.inf if cascade.far_m is None else cascade.far_m
         cascade_receivers = receivers & (distance_m > near_m) & (distance_m <= far_m)
         if cascade_receivers.any():
-            maps.append(_sun_map(buffer, cascade_receivers, scene, cascade, settings, trees, nearest_m))
+            maps.append(_sun_map(buffer, cascade_receivers, scene, cascade, settings, trees, nearest_caster_m))
         near_m = far_m
     return maps
 
 
 def _sun_map(
     buffer: GeometryBuffer,
-    receivers: np.ndarray,
+    receiver_mask: np.ndarray,
     scene: Scene,
     cascade: Cascade,
     settings: ShadowMapSettings,
     trees: TreeInstances | None,
-    nearest_m: float,
+    nearest_caster_m: float,
 ) -> DepthMap:
-    """Return the map of a cascade for the receivers in the mask ``receivers`` (rows, cols)."""
+    """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols)."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
-    low, high = light_bounds(buffer.position_frame_m, receivers, rotation, translation)
-    error_m = POSITION_ERROR * (_extent_m(buffer, receivers) + float(np.abs(high - low).max()))
+    low, high = light_bounds(buffer.position_frame_m, receiver_mask, rotation, translation)
+    error_m = POSITION_ERROR * (_max_coordinate_m(buffer, receiver_mask) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than the float32 error of positions
         fitted_texel_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
         texel = np.minimum(texel, np.maximum(fitted_texel_m, 4.0 * error_m))
     border = np.full(2, MAP_BORDER_TEXELS)
     if settings.filter == "sun":
-        low[2] = min(low[2], nearest_m)
+        low[2] = min(low[2], nearest_caster_m)
         border += border_texels(float(high[2] - low[2]), texel)
-    first, size = _window(low, high, texel, border, stable)
+    first, size = _map_window(low, high, texel, border, stable)
     for axis in (0, 1):  # a block wider than planned gets coarser texels instead of a map too large for the device
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + MAP_SIZE_STEP):
             texel[axis] *= 2.0
-            first, size = _window(low, high, texel, border, stable)
+            first, size = _map_window(low, high, texel, border, stable)
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
         tap_reach_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
         low[2] -= _depth_margin_m(
-            buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receivers, rotation, tap_reach_m
+            buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receiver_mask, rotation, tap_reach_m
         )
-    steps = depth_steps(settings.depth_bits)
+    steps = depth_step_count(settings.depth_bits)
     front_margin_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(
         texel.max()
     )  # keeps receivers clear of depth 0
@@ -170,7 +170,7 @@ def _sun_map(
         "error_m": error_m,
         "depth_step": 1.0 / steps,
     }
-    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(receivers)
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(receiver_mask)
     tree_bounds = rotation, offset_m, np.zeros(3), window_m
     return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, tree_bounds)
 
@@ -183,7 +183,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
     tangent = half * size / (size - 2 * MAP_BORDER_TEXELS)
     face_from_frame = np.stack([face @ rotation for face in faces])
-    nearest_m, farthest_m = _depth_range(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
+    nearest_m, farthest_m = _depth_range_m(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
         return None
     near, far = max(0.98 * nearest_m, MIN_NEAR_PLANE_SHARE * farthest_m), 1.02 * farthest_m
@@ -193,15 +193,15 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "light_offset_m": tuple(-rotation @ position),
         "tangent": tangent,
         "near_far_m": (near, far),
-        "error_m": POSITION_ERROR * (_extent_m(buffer, buffer.valid) + float(np.abs(position).max())),
-        "depth_step": 1.0 / depth_steps(settings.depth_bits),
+        "error_m": POSITION_ERROR * (_max_coordinate_m(buffer, buffer.valid) + float(np.abs(position).max())),
+        "depth_step": 1.0 / depth_step_count(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.valid)
     return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
 
 
 @compiled
-def _depth_range(points, mask, position, faces, tangent):
+def _depth_range_m(points, mask, position, faces, tangent):
     """Return the smallest and largest depth, metres, of the masked points (rows, cols, 3) in a lamp's faces (n, 3, 3).
 
     Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
@@ -222,15 +222,16 @@ def _depth_range(points, mask, position, faces, tangent):
     return nearest, farthest
 
 
-def distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
+def eye_distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """Return the distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN at invalid points."""
     out = np.empty(points.shape[:2], np.float32)
-    run_in_chunks(len(points), _distances, points, eye, out)
+    run_in_chunks(len(points), _write_eye_distances, points, eye, out)
     return out
 
 
 @compiled
-def _distances(first, last, points, eye, out):
+def _write_eye_distances(first, last, points, eye, out):
+    """Write the distances of points (rows, cols, 3) from an eye (3,) to ``out``, for the rows from ``first`` to ``last``."""
     for i in range(first, last):
         for j in range(points.shape[1]):
             p = points[i, j]
@@ -253,6 +254,7 @@ def _depth_margin_m(
 
 @compiled
 def _write_depth_margins(first, last, normal, corners, position, mask, rotation, tap_reach_m, out):
+    """Write the largest depth margin of each row's points to ``out`` (rows,), metres (``_depth_margin_m``)."""
     for i in range(first, last):
         margin_m = 0.0
         for j in range(mask.shape[1]):
@@ -272,18 +274,18 @@ def _write_depth_margins(first, last, normal, corners, position, mask, rotation,
         out[i] = margin_m
 
 
-def _extent_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
+def _max_coordinate_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
     """Return the largest coordinate of the points in ``mask`` and of their triangles, whose corners may be outside of the view."""
     extent_m = float(np.abs(light_bounds(buffer.position_frame_m, mask, np.eye(3), np.zeros(3))).max())
     if buffer.corners_frame_m is None:
         return extent_m
     farthest = np.empty(len(mask), np.float32)
-    run_in_chunks(len(mask), _farthest_corners, buffer.corners_frame_m, mask, farthest)
+    run_in_chunks(len(mask), _write_max_corner_coordinates, buffer.corners_frame_m, mask, farthest)
     return max(extent_m, float(farthest.max(initial=0.0)))
 
 
 @compiled
-def _farthest_corners(first, last, corners, mask, out):
+def _write_max_corner_coordinates(first, last, corners, mask, out):
     """Write the largest corner coordinate of each row of masked pixels (rows, cols, 9)."""
     for i in range(first, last):
         largest = np.float32(0.0)
@@ -294,35 +296,35 @@ def _farthest_corners(first, last, corners, mask, out):
         out[i] = largest
 
 
-def depth_steps(depth_bits: int) -> int:
+def depth_step_count(depth_bits: int) -> int:
     """Return the number of steps from depth 0 to depth 1. 32-bit floats count as 24 bits, since these are their steps near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
-def _window(
-    low: np.ndarray, high: np.ndarray, texel: np.ndarray, border: np.ndarray, stable: bool
+def _map_window(
+    low: np.ndarray, high: np.ndarray, texel_m: np.ndarray, border_texels_xy: np.ndarray, is_stable: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first texel (2,) and the size (2,), in texels, of a map over light-space bounds and a border.
 
     A stable map lies on a lattice of texels through the origin of light space.
     """
-    first = (np.floor(low[:2] / texel) if stable else low[:2] / texel) - border
-    size = np.floor(high[:2] / texel - first).astype(np.int64) + 1 + border
+    first = (np.floor(low[:2] / texel_m) if is_stable else low[:2] / texel_m) - border_texels_xy
+    size = np.floor(high[:2] / texel_m - first).astype(np.int64) + 1 + border_texels_xy
     return first, -(-size // MAP_SIZE_STEP) * MAP_SIZE_STEP
 
 
-def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
+def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
     """Return the position of depth 0 and the depth step, in metres of light space, on a lattice of steps.
 
     The step is doubled until the depths reach ``high_m``, if the plan expected a smaller range.
     """
     while True:
         near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
-        if near + steps * step_m >= high_m:
+        if near + step_count * step_m >= high_m:
             return near, step_m
         step_m *= 2.0
 
 
-def _tight_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
+def _tight_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
     """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds."""
-    return low_m, (high_m - low_m) / steps * (1.0 + 1e-6)
+    return low_m, (high_m - low_m) / step_count * (1.0 + 1e-6)

@@ -13,58 +13,64 @@ from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
 
-Windows = list[tuple[float, float]]
+MapWindows = list[tuple[float, float]]
 """Number of texels of each of a light's maps, and its area across the light in square metres."""
 
 
-def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSettings) -> Work:
+def shadow_map_work(workload: Workload, settings: ShadowMapSettings | LampMapSettings) -> Work:
     """Return the work of the sun's maps, or of a lamp's."""
     if isinstance(settings, ShadowMapSettings):
-        windows = sun_windows(task.descriptor, settings)
-        return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing_pixels)}
+        windows = sun_windows(workload.descriptor, settings)
+        return {
+            workload.part_name_in_view("shadow_map"): _map_counts(workload, windows, settings.filter, workload.facing_pixel_count)
+        }
     if settings.filter == "sun":
-        return scale_work(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
-    faces = 6 if task.light_kind == "omni" else 1
-    windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
-    return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.visible_pixels)}
+        return scale_work(shadow_map_work(workload, settings.model_copy(update={"filter": 1})), settings.light_points)
+    faces = 6 if workload.light_kind == "omni" else 1
+    windows = [(float(settings.map_size**2), workload.level_ground_projected_m2)] * faces
+    return {f"shadow_map, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.visible_pixel_count)}
 
 
-def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
+def perspective_map_work(workload: Workload, settings: PerspectiveMapSettings) -> Work:
     """Return the work of a perspective map."""
     if settings.filter == "sun":
-        return scale_work(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
-    windows = [(float(settings.map_size**2), task.seen_light_m2)]
-    return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing_pixels)}
+        return scale_work(perspective_map_work(workload, settings.model_copy(update={"filter": 1})), settings.light_points)
+    windows = [(float(settings.map_size**2), workload.visible_ground_projected_m2)]
+    return {
+        f"perspective_shadow_map, {workload.light_kind}": _map_counts(
+            workload, windows, settings.filter, workload.facing_pixel_count
+        )
+    }
 
 
-def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: float) -> Counts:
-    """Return the counts of drawing depth maps and looking ``looked_up`` points up in them.
+def _map_counts(workload: Workload, windows: MapWindows, filter: int | str, lookup_count: float) -> Counts:
+    """Return the counts of drawing depth maps and looking ``lookup_count`` points up in them.
 
     They are counted together, since a device may defer the drawing until the look-up needs it.
     """
     count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
     leaves, trees = 0.0, 0.0
     for window_texels, window_m2 in windows:
-        leaves += window_texels * task.tree_layers if task.trees else 0.0
-        trees += task.trees_within(window_m2) if task.light == SUN else task.trees
+        leaves += window_texels * workload.tree_layers if workload.tree_count else 0.0
+        trees += workload.trees_within(window_m2) if workload.light == SUN else workload.tree_count
     counts = {
-        "blocks": 1.0, "maps": count, "fitted pixels": task.pixels * count, f"look-ups, filter {filter}": looked_up,
+        "blocks": 1.0, "maps": count, "fitted pixels": workload.pixel_count * count, f"look-ups, filter {filter}": lookup_count,
         # A processor's cache holds a smaller share of a larger map.
-        "look-ups by texels": looked_up * texels / max(count, 1.0) / 2.0**20,
-        "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0, "texels of leaves": leaves,
+        "look-ups by texels": lookup_count * texels / max(count, 1.0) / 2.0**20,
+        "texels": texels, "texels of ground": texels if workload.caster_facts("relief") else 0.0, "texels of leaves": leaves,
         # The share of a map that casters cover. It is unknown for a lamp.
-        "texels in shadow": texels * task.facts.cast_share if task.light == SUN else 0.0,
-        "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
+        "texels in shadow": texels * workload.facts.cast_share if workload.light == SUN else 0.0,
+        "triangles": count * workload.triangle_count("meshes"), "trees": count * workload.tree_count,
     }  # fmt: skip
-    ground = {"ground": count * task.ground_triangles}
-    if task.is_map_view:  # the nodes of the block are read whatever casts
-        ground |= {"pixels": task.pixels, "nodes": task.nodes}
+    ground = {"ground": count * workload.ground_triangle_count}
+    if workload.is_map_view:  # the nodes of the block are read whatever casts
+        ground |= {"pixels": workload.pixel_count, "nodes": workload.node_count}
     else:
         ground["trees drawn"] = trees
     return counts | ground
 
 
-def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
+def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> MapWindows:
     """Return the number of texels of each of the sun's maps, and its area perpendicular to the light, square metres.
 
     The maps are predicted from a descriptor, as ``skugga.shadows.maps.windows`` makes them.

@@ -17,20 +17,20 @@ class Directions(NamedTuple):
 
     Attributes
     ----------
-    azimuth
+    azimuth_deg
         (n,) degrees, ascending in [0, 360).
     sine, cosine
         (n,): sine and cosine of the azimuths.
-    first
+    first_in_bin
         int (AZIMUTH_BINS + 1,): the index of the first direction at or after the start of each bin.
     input_index
         int (n,): the index of each direction in the caller's order.
     """
 
-    azimuth: np.ndarray
+    azimuth_deg: np.ndarray
     sine: np.ndarray
     cosine: np.ndarray
-    first: np.ndarray
+    first_in_bin: np.ndarray
     input_index: np.ndarray
 
 
@@ -45,16 +45,16 @@ def sort_directions(azimuth_deg: np.ndarray) -> Directions:
 
 
 @internal
-def direction_range(directions, low, high):
-    """Return a range [begin, end) of indices that contains all directions with azimuths from ``low`` to ``high`` degrees.
+def direction_range(directions, low_deg, high_deg):
+    """Return a range [begin, end) of indices that contains all directions with azimuths from ``low_deg`` to ``high_deg`` degrees.
 
-    ``low`` lies in [0, 360). The caller takes indices modulo the number of directions, since a range may include north. The range
-    may contain a few directions outside of the interval.
+    ``low_deg`` lies in [0, 360). The caller takes indices modulo the number of directions, since a range may include north. The
+    range may contain a few directions outside of the interval.
     """
-    count = len(directions.azimuth)
-    if high - low >= 360.0:
+    count = len(directions.azimuth_deg)
+    if high_deg - low_deg >= 360.0:
         return 0, count
-    begin = directions.first[int(low * (AZIMUTH_BINS / 360.0))]
-    revolutions = int(high // 360.0)
-    last = min(int((high - 360.0 * revolutions) * (AZIMUTH_BINS / 360.0)) + 1, AZIMUTH_BINS)
-    return begin, directions.first[last] + count * revolutions
+    begin = directions.first_in_bin[int(low_deg * (AZIMUTH_BINS / 360.0))]
+    revolutions = int(high_deg // 360.0)
+    last = min(int((high_deg - 360.0 * revolutions) * (AZIMUTH_BINS / 360.0)) + 1, AZIMUTH_BINS)
+    return begin, directions.first_in_bin[last] + count * revolutions

@@ -130,7 +130,10 @@ def horizon_profile(surroundings: Surroundings, azimuth_deg: np.ndarray | None =
     ground = relief_horizon(surroundings.scene, surroundings.place, azimuth_deg)
     solids, leaves = _highest_objects(surroundings, sort_directions(azimuth_deg))
     return PointHorizon(
-        np.asarray(azimuth_deg, np.float64), _degrees(ground.tangent), _degrees(solids.tangent), _degrees(leaves.tangent)
+        np.asarray(azimuth_deg, np.float64),
+        _degrees_of_tangent(ground.tangent),
+        _degrees_of_tangent(solids.tangent),
+        _degrees_of_tangent(leaves.tangent),
     )
 
 
@@ -142,7 +145,7 @@ def sees_sun(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: 
     azimuth, altitude = (np.asarray(v, np.float64) for v in (azimuth_deg, altitude_deg))
     lit = altitude > 0.0
     up = np.flatnonzero(lit)
-    lit[up] = ~is_ground_occluded(surroundings.scene, surroundings.place, azimuth[up], _tangent(altitude[up]))
+    lit[up] = ~is_ground_occluded(surroundings.scene, surroundings.place, azimuth[up], _tangent_of_altitude(altitude[up]))
     left = np.flatnonzero(lit)
     lit[left] = is_clear_of_objects(surroundings, azimuth[left], altitude[left])
     return lit
@@ -153,7 +156,7 @@ def is_clear_of_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, alt
     free = np.ones(len(azimuth_deg), bool)
     for kind in ("meshes", "forest"):
         left = np.flatnonzero(free)
-        (sighted,) = _nearest_occluders(surroundings, azimuth_deg[left], _tangent(altitude_deg[left]), (kind,))
+        (sighted,) = _nearest_occluders(surroundings, azimuth_deg[left], _tangent_of_altitude(altitude_deg[left]), (kind,))
         free[left] = sighted.object_index < 0
     return free
 
@@ -167,9 +170,9 @@ def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_
     azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
     ground = relief_horizon(surroundings.scene, surroundings.place, azimuth)
     highest = _highest_objects(surroundings, sort_directions(azimuth))
-    nearest = _nearest_occluders(surroundings, azimuth, _tangent(altitude))
+    nearest = _nearest_occluders(surroundings, azimuth, _tangent_of_altitude(altitude))
     occluders: list[SunCaster | None] = []
-    for n, tangent in enumerate(_tangent(altitude)):
+    for n, tangent in enumerate(_tangent_of_altitude(altitude)):
         candidates: list[tuple[float, SunCaster]] = []
         if altitude[n] > 0.0 and tangent <= ground.tangent[n]:
             candidates.append((float(ground.tangent[n]), _ground_caster(surroundings.place, ground, n)))
@@ -183,6 +186,7 @@ def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_
 
 
 def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
+    """Return the trees that are visible from a place; ``None`` without any."""
     if scene.objects.trees is None:
         return None
     frame = scene.world.frame_near_earth(place.eye_earth_m)
@@ -198,7 +202,7 @@ def _highest_objects(surroundings: Surroundings, directions: Directions) -> tupl
 
     The results have the order of the azimuths before they were sorted.
     """
-    count = len(directions.azimuth)
+    count = len(directions.azimuth_deg)
     solids, leaves = empty_sighting(count), empty_sighting(count)
     highest_solids(surroundings.point_enu_m, surroundings.triangles, directions, solids)
     if surroundings.trees is not None:
@@ -225,39 +229,47 @@ def _nearest_occluders(
     return sightings
 
 
-def _in_input_order(sighted: Sighting, directions: Directions) -> Sighting:
+def _in_input_order(sighting: Sighting, directions: Directions) -> Sighting:
+    """Return a sighting in the order of the azimuths before they were sorted."""
     out = empty_sighting(len(directions.input_index))
-    for target, ordered in zip(out, sighted, strict=True):
+    for target, ordered in zip(out, sighting, strict=True):
         target[directions.input_index] = ordered
     return out
 
 
 def _solid_kind(surroundings: Surroundings, triangle: int) -> CasterType:
+    """Return the kind of the solid to which a triangle belongs."""
     return "building" if surroundings.is_building[triangle] else "mesh"
 
 
 def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaster:
+    """Return the ground that forms the horizon in direction ``n`` as a caster."""
     azimuth, distance = float(ground.azimuth_deg[n]), float(ground.distance_m[n])
     lon = lat = None
     if place.lon_deg is not None:
         lon, lat, _ = place.ellipsoid.fwd(place.lon_deg, place.lat_deg, azimuth, distance)
-    return SunCaster("relief", distance, azimuth, float(_degrees(ground.tangent[n])), float(ground.height_m[n]), lon, lat)
+    return SunCaster(
+        "relief", distance, azimuth, float(_degrees_of_tangent(ground.tangent[n])), float(ground.height_m[n]), lon, lat
+    )
 
 
-def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighted: Sighting, n: int) -> SunCaster:
-    azimuth, distance = np.radians(azimuth_deg), float(sighted.distance[n])
-    enu = np.array([distance * np.sin(azimuth), distance * np.cos(azimuth), distance * float(sighted.tangent[n])])
+def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighting: Sighting, n: int) -> SunCaster:
+    """Return the object seen in direction ``n`` as a caster."""
+    azimuth, distance = np.radians(azimuth_deg), float(sighting.distance_m[n])
+    enu = np.array([distance * np.sin(azimuth), distance * np.cos(azimuth), distance * float(sighting.tangent[n])])
     point = place.eye_earth_m + place.earth_from_enu @ enu
     lon = lat = None
     height = float(point[2])
     if place.lon_deg is not None:
         lon, lat, height = (float(v) for v in geodetic(point, place.ellipsoid))
-    return SunCaster(kind, distance, float(azimuth_deg), float(_degrees(sighted.tangent[n])), height, lon, lat)
+    return SunCaster(kind, distance, float(azimuth_deg), float(_degrees_of_tangent(sighting.tangent[n])), height, lon, lat)
 
 
-def _tangent(altitude_deg: np.ndarray) -> np.ndarray:
+def _tangent_of_altitude(altitude_deg: np.ndarray) -> np.ndarray:
+    """Return the tangents of altitudes in degrees."""
     return np.tan(np.radians(np.minimum(altitude_deg, 90.0 - 1e-9)))
 
 
-def _degrees(tangent: np.ndarray) -> np.ndarray:
+def _degrees_of_tangent(tangent: np.ndarray) -> np.ndarray:
+    """Return the angles, degrees, with the given tangents."""
     return np.degrees(np.arctan(tangent))

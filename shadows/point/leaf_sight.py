@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.point.directions import Directions, direction_range
-from skugga.shadows.point.solid_sight import MIN_DISTANCE_M, Sighting, azimuth_of
+from skugga.shadows.point.solid_sight import MIN_DISTANCE_M, Sighting, azimuth_deg_of
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
@@ -31,7 +31,7 @@ class VisibleTrees(NamedTuple):
         As in ``TreeInstances``.
     enu_from_frame
         (3, 3): rotation from the frame to east, north and up.
-    eye_frame
+    eye_frame_m
         (3,) metres: the eye in the frame.
     min_azimuth_deg, max_azimuth_deg
         (n,) degrees: azimuths between which each tree lies.
@@ -47,7 +47,7 @@ class VisibleTrees(NamedTuple):
     variant: np.ndarray
     curvature: float
     enu_from_frame: np.ndarray
-    eye_frame: np.ndarray
+    eye_frame_m: np.ndarray
     min_azimuth_deg: np.ndarray
     max_azimuth_deg: np.ndarray
     max_tangent: np.ndarray
@@ -78,7 +78,7 @@ def _trees_above_eye(base, shape, enu_rotation, origin):
     count = 0
     foot = np.empty(3)
     for m in range(len(base)):
-        _to_enu(enu_rotation, origin, base[m, 0], base[m, 1], base[m, 2], foot)
+        _frame_to_enu(enu_rotation, origin, base[m, 0], base[m, 1], base[m, 2], foot)
         top = foot[2] + shape[m, 2]
         if top <= 0.0:
             continue
@@ -87,7 +87,7 @@ def _trees_above_eye(base, shape, enu_rotation, origin):
         low, high, steepest = 0.0, 360.0, np.inf
         if distance > half:
             spread = np.degrees(np.arcsin(half / distance))
-            low = (azimuth_of(foot) - spread) % 360.0
+            low = (azimuth_deg_of(foot) - spread) % 360.0
             high, steepest = low + 2.0 * spread, top / (distance - half)
         number[count], bounds[0, count], bounds[1, count], bounds[2, count] = m, low, high, steepest
         count += 1
@@ -96,7 +96,7 @@ def _trees_above_eye(base, shape, enu_rotation, origin):
 
 def highest_leaves(trees: VisibleTrees, directions: Directions, sighting: Sighting) -> None:
     """Replace entries of ``sighting`` by the highest leaves in their directions, where these have larger elevation angles."""
-    _sight_trees(trees, directions, sighting.tangent, True, sighting)
+    _update_with_trees(trees, directions, sighting.tangent, True, sighting)
 
 
 def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndarray, sighting: Sighting) -> None:
@@ -104,15 +104,16 @@ def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndar
 
     ``tangent`` (n,) is the tangent of each ray's elevation angle, in the order of ``directions``.
     """
-    _sight_trees(trees, directions, tangent, False, sighting)
+    _update_with_trees(trees, directions, tangent, False, sighting)
 
 
 @compiled
-def _sight_trees(trees, directions, tangent, highest, sighting):
-    count = len(directions.azimuth)
+def _update_with_trees(trees, directions, tangent, seeks_highest, sighting):
+    """Update the entries of ``sighting`` with all trees (``highest_leaves``, ``nearest_leaves``)."""
+    count = len(directions.azimuth_deg)
     if count == 0:
         return
-    enu_rotation, origin = trees.enu_from_frame, trees.eye_frame
+    enu_rotation, origin = trees.enu_from_frame, trees.eye_frame_m
     corner, quad = np.empty((4, 3)), np.empty((3, 3, 3))
     for m in range(len(trees.base)):
         begin, end = direction_range(directions, trees.min_azimuth_deg[m], trees.max_azimuth_deg[m])
@@ -125,7 +126,7 @@ def _sight_trees(trees, directions, tangent, highest, sighting):
                 for q in range(3):
                     for e in range(4):
                         x, y, z = tree_corner(trees.base[m], trees.shape[m], trees.yaw_cos_sin[m], trees.curvature, q, e)
-                        _to_enu(enu_rotation, origin, x, y, z, corner[e])
+                        _frame_to_enu(enu_rotation, origin, x, y, z, corner[e])
                     for d in range(3):
                         quad[q, 0, d] = corner[0, d]
                         quad[q, 1, d] = corner[1, d] - corner[0, d]
@@ -133,13 +134,13 @@ def _sight_trees(trees, directions, tangent, highest, sighting):
                 has_quads = True
             for q in range(3):
                 layer = 2 * trees.variant[m] + (1 if q == 2 else 0)
-                _sight_quad(
-                    quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], highest, sighting, n, m
+                _update_with_quad(
+                    quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], seeks_highest, sighting, n, m
                 )
 
 
 @internal
-def _to_enu(enu_rotation, origin, x, y, z, out):
+def _frame_to_enu(enu_rotation, origin, x, y, z, out):
     """Convert a point of the frame to metres east, north and up from the eye, and write it to ``out`` (3,)."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
@@ -147,12 +148,12 @@ def _to_enu(enu_rotation, origin, x, y, z, out):
 
 
 @internal
-def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
+def _update_with_quad(quad, alpha, sine, cosine, tangent, seeks_highest, sighting, n, m):
     """Update the entry ``n`` of ``sighting`` with the leaves of one quad of tree ``m``.
 
     ``quad`` (3, 3) holds the quad's first corner, its side to the right and its side up, in metres east, north and up from the eye.
-    ``sine`` and ``cosine`` are those of the direction's azimuth. ``highest`` asks for the highest leaf, otherwise for the leaf on
-    the ray with ``tangent``.
+    ``sine`` and ``cosine`` are those of the direction's azimuth. If ``seeks_highest``, the highest leaf counts, otherwise the
+    leaf on the ray with ``tangent``.
     """
     first, right, up = quad[0], quad[1], quad[2]
     offset = first[0] * cosine - first[1] * sine
@@ -186,7 +187,7 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
     z0, z1 = first[2] + u0 * right[2] + v0 * up[2], first[2] + u1 * right[2] + v1 * up[2]
     if s0 <= MIN_DISTANCE_M and s1 <= MIN_DISTANCE_M:
         return
-    if highest:
+    if seeks_highest:
         _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m)
         return
     over, under = z0 - tangent * s0, z1 - tangent * s1
@@ -194,8 +195,8 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, sighting, n, m):
         return
     share = over / (over - under)
     s = s0 + share * (s1 - s0)
-    if MIN_DISTANCE_M < s < sighting.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-        sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = tangent, s, m
+    if MIN_DISTANCE_M < s < sighting.distance_m[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
+        sighting.tangent[n], sighting.distance_m[n], sighting.object_index[n] = tangent, s, m
 
 
 @internal
@@ -224,7 +225,7 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
         if z <= sighting.tangent[n] * s:
             return
         if _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
-            sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = z / s, s, m
+            sighting.tangent[n], sighting.distance_m[n], sighting.object_index[n] = z / s, s, m
             return
 
 

@@ -51,7 +51,7 @@ class PointPlace:
     earth_from_enu: np.ndarray
 
     @property
-    def eye_m(self) -> float:
+    def eye_elevation_m(self) -> float:
         """Height of the eye, metres."""
         return self.ground_m + self.height_m
 
@@ -68,7 +68,7 @@ MAX_COORDINATE = 1e9
 """Upper bound of coordinates. It equals that of bounds, since rows and columns of nodes are integers."""
 
 
-def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
+def place_at(scene: Scene, coordinates: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
     """Return the place at coordinates, on the ground or above it.
 
     The ground is the one that casts shadows: the triangles, or the tops of columns, of ``skugga.terrain.ground``.
@@ -77,10 +77,10 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     ----------
     scene
         The scene.
-    at
+    coordinates
         Longitude and latitude in degrees. In a flat world, metres east and north of its centre. With ``crs``, x and y in that CRS.
     crs
-        The CRS of ``at``; ``None``: the default above.
+        The CRS of ``coordinates``; ``None``: the default above.
     height_m
         Height of the eye above the ground, metres.
 
@@ -92,17 +92,17 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     if not 0.0 <= height_m <= MAX_EYE_HEIGHT_M:
         raise InputError("height", height_m, f"0 to {MAX_EYE_HEIGHT_M:.0f} metres above the ground")
     ground = paged_relief(scene)
-    x, y = _on_grid(scene, ground, at, crs)
-    allowed = _allowed_places(scene, at, crs)
+    x, y = _grid_coordinates(scene, ground, coordinates, crs)
+    allowed = _allowed_places_text(scene, coordinates, crs)
     if not max(abs(x), abs(y)) <= MAX_COORDINATE:
-        raise InputError(POINT_PARAMETER, f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT_PARAMETER, f"{coordinates[0]:.10g},{coordinates[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, has_ground = ground.ground_at(row, col)
     if not has_ground or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
-        ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
+        ground_m = float(scene.elevation.ground_m(*_raster_coordinates(scene, ground, x, y)))
         has_ground = bool(np.isfinite(ground_m))
     if not has_ground:
-        raise InputError(POINT_PARAMETER, f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT_PARAMETER, f"{coordinates[0]:.10g},{coordinates[1]:.10g}", allowed)
     foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None
     if not scene.world.flat:
@@ -113,39 +113,42 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     return PointPlace(float(x), float(y), lon, lat, row, col, ground_m, height_m, scene.world.ellipsoid, eye, axes)
 
 
-def _on_grid(scene: Scene, ground: PagedRelief, at: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
+def _grid_coordinates(scene: Scene, ground: PagedRelief, coordinates: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
     """Return coordinates in the CRS of the ground's grid."""
     if scene.world.flat and crs is None:
-        return scene.geolocator.xy(at)
+        return scene.geolocator.xy(coordinates)
     if crs is not None:
-        east, north = axes_of(crs).xy(*at)
-        at = float(east), float(north)
+        east, north = axes_of(crs).xy(*coordinates)
+        coordinates = float(east), float(north)
     if crs == ground.grid.crs:
-        return at
+        return coordinates
     try:
-        x, y = transformer(crs or LONGITUDE_LATITUDE, ground.grid.crs).transform(*at)
+        x, y = transformer(crs or LONGITUDE_LATITUDE, ground.grid.crs).transform(*coordinates)
     except ProjError:
         return np.nan, np.nan
     return float(x), float(y)
 
 
-def _in_raster(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[float, float]:
+def _raster_coordinates(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[float, float]:
+    """Convert coordinates in the grid's CRS to the CRS of the raster."""
     if ground.grid.crs == scene.elevation.crs:
         return x, y
     return transformer(ground.grid.crs, scene.elevation.crs).transform(x, y)
 
 
-def _allowed_places(scene: Scene, at: tuple[float, float], crs: CRS | None) -> str:
+def _allowed_places_text(scene: Scene, coordinates: tuple[float, float], crs: CRS | None) -> str:
     """Return the allowed coordinates as a phrase for an error message.
 
-    If ``at`` lies within the level's bounds, the phrase says that the raster has no height there.
+    If ``coordinates`` lies within the level's bounds, the phrase states that the raster has no height there.
     """
     if scene.world.flat or scene.bounds_lon_lat is None:
         return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat
     bounds = f"longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"
     is_within = (
-        crs is None and south <= at[1] <= north and any(west <= at[0] + shift_deg <= east for shift_deg in (-360.0, 0.0, 360.0))
+        crs is None
+        and south <= coordinates[1] <= north
+        and any(west <= coordinates[0] + shift_deg <= east for shift_deg in (-360.0, 0.0, 360.0))
     )
     if is_within:
         return f"a cell with a height: within the level's bounds ({bounds}) its raster has none there"

@@ -28,6 +28,7 @@ TILE_QUADS = 16
 """Quads per side of a tile, the part of a page whose maximum height is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
+"""Tiles along a side of a page."""
 
 MAX_PAGES = 1024
 """Number of pages, 0.26 MB each, above which the next request empties the cache. One request may read more."""
@@ -41,36 +42,36 @@ class PagedLevel:
     ----------
     level
         Level of detail.
-    bound_m
+    page_bound_m
         float32 (m, n): upper bound of each page's heights; -inf without ground.
     first_row, first_col
-        Row and column of the page of ``bound_m[0, 0]``, counted in pages from the grid's origin.
+        Row and column of the page of ``page_bound_m[0, 0]``, counted in pages from the grid's origin.
     page_index
-        int32 (m, n): index of each page in ``height_m`` and ``high_m``; -1 if it is not read.
+        int32 (m, n): index of each page in ``height_m`` and ``tile_max_m``; -1 if it is not read.
     height_m
         float32 (pages, 257, 257), metres: heights; NaN without ground.
-    high_m
+    tile_max_m
         float32 (pages, 16, 16), metres: the maximum height of each tile.
     page_count
         Number of pages that have been read.
     """
 
     level: int
-    bound_m: np.ndarray
+    page_bound_m: np.ndarray
     first_row: int
     first_col: int
     page_index: np.ndarray
     height_m: np.ndarray
-    high_m: np.ndarray
+    tile_max_m: np.ndarray
     page_count: int = 0
 
-    def put(self, row: int, col: int, height_m: np.ndarray) -> None:
-        """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``bound_m``."""
+    def store_page(self, row: int, col: int, height_m: np.ndarray) -> None:
+        """Store the heights (257, 257) of the page at ``row`` and ``col`` of ``page_bound_m``."""
         if self.page_count == len(self.height_m):
             capacity = max(2 * self.page_count, 16)
-            self.height_m, self.high_m = _enlarged_copy(self.height_m, capacity), _enlarged_copy(self.high_m, capacity)
+            self.height_m, self.tile_max_m = _enlarged_copy(self.height_m, capacity), _enlarged_copy(self.tile_max_m, capacity)
         self.height_m[self.page_count] = height_m
-        self.high_m[self.page_count] = _tile_max(height_m)
+        self.tile_max_m[self.page_count] = _tile_max(height_m)
         self.page_index[row, col] = self.page_count
         self.page_count += 1
 
@@ -117,18 +118,18 @@ class PagedRelief:
     def level(self, level: int) -> PagedLevel:
         """Return the ground at one level of detail."""
         if level not in self.levels:
-            bound, first_row, first_col = _bounds(self, level)
+            bound, first_row, first_col = _page_bounds(self, level)
             side, empty = PATCH_QUADS + 1, np.full(bound.shape, -1, np.int32)
             pages = np.empty((0, side, side), np.float32), np.empty((0, PAGE_TILES, PAGE_TILES), np.float32)
             self.levels[level] = PagedLevel(level, bound, first_row, first_col, empty, *pages)
         return self.levels[level]
 
-    def read(self, level: int, needed_pages: np.ndarray) -> None:
+    def read_pages(self, level: int, needed_pages: np.ndarray) -> None:
         """Read the pages of a level of detail that are True in ``needed_pages``, bool (m, n)."""
         pages, side = self.level(level), PATCH_QUADS + 1
         for row, col in zip(*np.nonzero(needed_pages & (pages.page_index < 0)), strict=True):
             first = (row + pages.first_row) * PATCH_QUADS, (col + pages.first_col) * PATCH_QUADS
-            pages.put(row, col, self.nodes(level, *first, side, side))
+            pages.store_page(row, col, self.nodes(level, *first, side, side))
 
     def nodes(self, level: int, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
         """Return the heights (rows, cols) in metres of a window of nodes, or of columns, at a level of detail.
@@ -207,7 +208,7 @@ def detail_distance_ranges(farthest_nodes: float) -> list[tuple[float, float]]:
     return ends
 
 
-def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
+def _page_bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
     """Return upper bounds of the heights of pages at a level of detail, float32 (m, n) in metres, and the first page.
 
     The first page is given by its row and column, counted in pages from the grid's origin.
@@ -270,17 +271,18 @@ def _tile_max(height):
 
 
 @compiled
-def quad_height(nw, ne, sw, se, fr, fc):
-    """Return the height in a quad at ``fr`` of the way from north to south and ``fc`` of the way from west to east.
+def quad_height(nw, ne, sw, se, down_share, right_share):
+    """Return the height of the ground at a position in a quad.
 
+    The position is ``down_share`` of the way from north to south and ``right_share`` of the way from west to east.
     ``nw``, ``ne``, ``sw`` and ``se`` are the heights of its corners. The quad is cut into two triangles along its higher diagonal
     (``skugga.terrain.ground.sheet``). The result is NaN in a triangle with a missing corner.
     """
     rising = ne + sw
     if nw + se > rising or np.isnan(rising):
-        if fr < fc:
-            return nw + fc * (ne - nw) + fr * (se - ne)
-        return nw + fr * (sw - nw) + fc * (se - sw)
-    if fr + fc <= 1.0:
-        return nw + fc * (ne - nw) + fr * (sw - nw)
-    return se + (1.0 - fc) * (sw - se) + (1.0 - fr) * (ne - se)
+        if down_share < right_share:
+            return nw + right_share * (ne - nw) + down_share * (se - ne)
+        return nw + down_share * (sw - nw) + right_share * (se - sw)
+    if down_share + right_share <= 1.0:
+        return nw + right_share * (ne - nw) + down_share * (sw - nw)
+    return se + (1.0 - right_share) * (sw - se) + (1.0 - down_share) * (ne - se)

@@ -4,7 +4,7 @@ A line is the geodesic of its azimuth on the ellipsoid. It leaves the vertical p
 tangent plane like a circle with the ellipsoid's radius in that azimuth (Euler's formula, 1/R = cos^2 A / M + sin^2 A / N). After
 100 km the drop is accurate to 0.1 m, a millionth of a radian (0.04 m at the latitudes from 0 to 80).
 
-The positions on the grid are exact for ``EXACT_AZIMUTHS`` azimuths and a few distances. Between these azimuths a trigonometric
+The positions on the grid are exact for ``EXACT_AZIMUTH_COUNT`` azimuths and a few distances. Between these azimuths a trigonometric
 polynomial interpolates them. Few harmonics suffice, because each one belongs to a further power of the distance divided by the
 earth's radius. At a pole of a grid in degrees this fails, and the positions are computed for every azimuth. Between two distances
 a line is straight on the grid. Each distance is an eighth larger than the one before. So the error is at most a few
@@ -28,7 +28,7 @@ from skugga.terrain.ground.elevation import Elevation
 FIRST_DISTANCE_M, DISTANCE_GROWTH = 500.0, 1.125
 """The first distance in metres at which positions of lines are computed, and the factor from one distance to the next."""
 
-EXACT_AZIMUTHS, HARMONICS = 20, 8
+EXACT_AZIMUTH_COUNT, HARMONIC_COUNT = 20, 8
 """Number of azimuths with exact positions, and number of harmonics of the polynomial that interpolates between them."""
 
 HARMONICS_TOLERANCE_NODES = 1e-3
@@ -66,64 +66,65 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
     count = max(int(np.ceil(np.log(max(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))), 1)
     distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
     if ground.world.flat:
-        row, col = _flat_nodes(ground, place, azimuth_deg, distance)
+        row, col = _nodes_on_flat_world(ground, place, azimuth_deg, distance)
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
-    polynomials = _azimuth_polynomials(ground.world, ground.elevation, ground.grid, place, count)
-    distance = distance[: polynomials.real.shape[1] // 2]
-    if polynomials.is_smooth:
-        nodes = _between_exact_azimuths(polynomials.real, polynomials.imaginary, np.radians(azimuth_deg)).reshape(
-            -1, len(distance), 2
-        )
+    polynomials = _sight_line_polynomials(ground.world, ground.elevation, ground.grid, place, count)
+    distance = distance[: polynomials.real_coefficients.shape[1] // 2]
+    if polynomials.is_accurate:
+        nodes = _interpolate_azimuths(
+            polynomials.real_coefficients, polynomials.imaginary_coefficients, np.radians(azimuth_deg)
+        ).reshape(-1, len(distance), 2)
         nodes[:, 0] = place.row, place.col
     else:
-        nodes = _globe_nodes(ground.grid, place, azimuth_deg, distance)
-    return SightLines(azimuth_deg, distance, nodes[..., 0].copy(), nodes[..., 1].copy(), _curvature(place, azimuth_deg))
+        nodes = _nodes_on_globe(ground.grid, place, azimuth_deg, distance)
+    return SightLines(azimuth_deg, distance, nodes[..., 0].copy(), nodes[..., 1].copy(), _curvature_per_m(place, azimuth_deg))
 
 
 @dataclass(frozen=True, eq=False)
-class AzimuthPolynomials:
+class SightLinePolynomials:
     """Trigonometric polynomials in the azimuth that give the rows and columns of lines of sight at k distances.
 
     They interpolate between the exact lines at a few azimuths.
 
     Attributes
     ----------
-    real, imaginary
+    real_coefficients, imaginary_coefficients
         (m, 2 k): real and imaginary parts of the coefficients, for m harmonics.
-    is_smooth
+    is_accurate
         Whether the polynomials are accurate between these azimuths.
     """
 
-    real: np.ndarray
-    imaginary: np.ndarray
-    is_smooth: bool
+    real_coefficients: np.ndarray
+    imaginary_coefficients: np.ndarray
+    is_accurate: bool
 
 
 @cached("scene", 4 * MIB)
-def _azimuth_polynomials(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> AzimuthPolynomials:
+def _sight_line_polynomials(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> SightLinePolynomials:
     """Return the polynomials for lines of sight from a place, at ``count`` + 2 distances.
 
     Distances beyond the edge of the area where the grid's CRS is defined are left out. The result is cached, since a report uses
     one place several times.
     """
     distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
-    nodes = _globe_nodes(grid, place, np.arange(EXACT_AZIMUTHS) * (360.0 / EXACT_AZIMUTHS), distance)
+    nodes = _nodes_on_globe(grid, place, np.arange(EXACT_AZIMUTH_COUNT) * (360.0 / EXACT_AZIMUTH_COUNT), distance)
     finite = np.isfinite(nodes).all(axis=(0, 2))
     nodes = nodes[:, : int(np.argmin(finite)) if not finite.all() else len(distance)]
-    harmonics = np.fft.rfft(nodes, axis=0).reshape(EXACT_AZIMUTHS // 2 + 1, -1) / EXACT_AZIMUTHS
-    is_smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * EXACT_AZIMUTHS < HARMONICS_TOLERANCE_NODES)
-    return AzimuthPolynomials(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), is_smooth)
+    harmonics = np.fft.rfft(nodes, axis=0).reshape(EXACT_AZIMUTH_COUNT // 2 + 1, -1) / EXACT_AZIMUTH_COUNT
+    is_smooth = bool(np.abs(harmonics[HARMONIC_COUNT:]).max(initial=0.0) * EXACT_AZIMUTH_COUNT < HARMONICS_TOLERANCE_NODES)
+    return SightLinePolynomials(harmonics[:HARMONIC_COUNT].real.copy(), harmonics[:HARMONIC_COUNT].imag.copy(), is_smooth)
 
 
-def _flat_nodes(
+def _nodes_on_flat_world(
     ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns (n, k) on the grid of a flat world, at distances (k,) towards azimuths (n,) in degrees."""
     azimuth = np.radians(azimuth_deg)[:, None]
     units = distance_m / (ground.world.metres_per_unit * ground.grid.step)
     return place.row - units * np.cos(azimuth) / ground.grid.stretch, place.col + units * np.sin(azimuth)
 
 
-def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
+def _nodes_on_globe(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Return rows and columns (n, k, 2) on a grid, at distances (k,) in metres towards azimuths (n,) in degrees.
 
     They are NaN where the grid's CRS is not defined.
@@ -142,7 +143,7 @@ def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distanc
     return np.where(np.isfinite(nodes), nodes, np.nan)
 
 
-def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
+def _curvature_per_m(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
     """Return the ellipsoid's curvature (n,), 1 / metres, in vertical planes with azimuths (n,) in degrees."""
     assert place.lat_deg is not None
     a, es = place.ellipsoid.a, place.ellipsoid.es
@@ -153,7 +154,7 @@ def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _between_exact_azimuths(real, imaginary, azimuth):
+def _interpolate_azimuths(real, imaginary, azimuth):
     """Return the values (n, k) of trigonometric polynomials with coefficients (m, k) at azimuths (n,) in radians."""
     out = np.empty((len(azimuth), real.shape[1]))
     for n in range(len(azimuth)):

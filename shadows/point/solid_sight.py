@@ -25,14 +25,14 @@ class Sighting(NamedTuple):
     ----------
     tangent
         (n,): tangent of the elevation angle of the point that is seen.
-    distance
+    distance_m
         (n,), metres: horizontal distance of the point from the eye; inf without an object.
     object_index
         (n,): index of the object, a triangle or a tree; -1 without one.
     """
 
     tangent: np.ndarray
-    distance: np.ndarray
+    distance_m: np.ndarray
     object_index: np.ndarray
 
 
@@ -46,7 +46,7 @@ def highest_solids(point_enu_m: np.ndarray, triangles: np.ndarray, directions: D
 
     ``triangles`` (m, 3) holds indices of points. ``point_enu_m`` (k, 3) are metres east, north and up from the eye.
     """
-    _sight_triangles(point_enu_m, triangles, directions, sighting.tangent, True, sighting)
+    _update_with_triangles(point_enu_m, triangles, directions, sighting.tangent, True, sighting)
 
 
 def nearest_solids(
@@ -57,12 +57,13 @@ def nearest_solids(
     ``tangent`` (n,) is the tangent of each ray's elevation angle, in the order of ``directions``. The other parameters are those of
     ``highest_solids``.
     """
-    _sight_triangles(point_enu_m, triangles, directions, tangent, False, sighting)
+    _update_with_triangles(point_enu_m, triangles, directions, tangent, False, sighting)
 
 
 @compiled
-def _sight_triangles(point, triangles, directions, tangent, highest, sighting):
-    count = len(directions.azimuth)
+def _update_with_triangles(point, triangles, directions, tangent, seeks_highest, sighting):
+    """Update the entries of ``sighting`` with all triangles (``highest_solids``, ``nearest_solids``)."""
+    count = len(directions.azimuth_deg)
     if count == 0:
         return
     azimuth = np.empty(3)
@@ -71,7 +72,7 @@ def _sight_triangles(point, triangles, directions, tangent, highest, sighting):
         if _is_overhead(a, b, c):
             low, high = 0.0, 360.0
         else:
-            azimuth[0], azimuth[1], azimuth[2] = azimuth_of(a), azimuth_of(b), azimuth_of(c)
+            azimuth[0], azimuth[1], azimuth[2] = azimuth_deg_of(a), azimuth_deg_of(b), azimuth_deg_of(c)
             low, high = azimuth[0], azimuth[0]
             for k in range(1, 3):
                 unwrapped = azimuth[0] + (azimuth[k] - azimuth[0] + 540.0) % 360.0 - 180.0
@@ -83,13 +84,13 @@ def _sight_triangles(point, triangles, directions, tangent, highest, sighting):
         begin, end = direction_range(directions, low, high)
         for k in range(begin, end):
             n = k % count
-            _sight_triangle(a, b, c, directions.sine[n], directions.cosine[n], tangent[n], highest, sighting, n, m)
+            _update_with_triangle(a, b, c, directions.sine[n], directions.cosine[n], tangent[n], seeks_highest, sighting, n, m)
 
 
 @internal
-def azimuth_of(p):
+def azimuth_deg_of(point):
     """Return the azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
-    angle = np.degrees(np.arctan2(p[0], p[1])) % 360.0
+    angle = np.degrees(np.arctan2(point[0], point[1])) % 360.0
     return angle if angle < 360.0 else 0.0
 
 
@@ -101,10 +102,11 @@ def _is_overhead(a, b, c):
 
 
 @internal
-def _sight_triangle(a, b, c, sine, cosine, tangent, highest, sighting, n, m):
+def _update_with_triangle(a, b, c, sine, cosine, tangent, seeks_highest, sighting, n, m):
     """Update the entry ``n`` of ``sighting`` with the triangle ``m`` with the corners ``a``, ``b`` and ``c``.
 
-    ``sine`` and ``cosine`` are those of the direction's azimuth. ``tangent`` and ``highest`` are those of ``sight_segment``.
+    ``sine`` and ``cosine`` are those of the direction's azimuth. ``tangent`` and ``seeks_highest`` are those of
+    ``update_with_segment``.
     """
     crossings = 0
     s0 = z0 = s1 = z1 = 0.0
@@ -122,16 +124,16 @@ def _sight_triangle(a, b, c, sine, cosine, tangent, highest, sighting, n, m):
             s1, z1 = s, z
         crossings += 1
     if crossings == 2:
-        sight_segment(s0, z0, s1, z1, tangent, highest, sighting, n, m)
+        update_with_segment(s0, z0, s1, z1, tangent, seeks_highest, sighting, n, m)
 
 
 @internal
-def sight_segment(s0, z0, s1, z1, tangent, highest, sighting, n, m):
+def update_with_segment(s0, z0, s1, z1, tangent, seeks_highest, sighting, n, m):
     """Update the entry ``n`` of ``sighting`` with a straight segment of object ``m`` in the vertical plane of a direction.
 
-    The segment leads from the distance ``s0`` and the height ``z0`` above the eye to ``s1`` and ``z1``, metres. If ``highest``, it
-    replaces the entry if its elevation angle is larger. Otherwise it does so if the ray with ``tangent`` meets it at a smaller
-    distance.
+    The segment leads from the distance ``s0`` and the height ``z0`` above the eye to ``s1`` and ``z1``, metres. If
+    ``seeks_highest``, it replaces the entry if its elevation angle is larger. Otherwise it does so if the ray with ``tangent``
+    meets it at a smaller distance.
     """
     if s0 > s1:
         s0, z0, s1, z1 = s1, z1, s0, z0
@@ -140,14 +142,14 @@ def sight_segment(s0, z0, s1, z1, tangent, highest, sighting, n, m):
     if s0 < MIN_DISTANCE_M:
         z0 = z0 + (MIN_DISTANCE_M - s0) / (s1 - s0) * (z1 - z0)
         s0 = MIN_DISTANCE_M
-    if highest:
+    if seeks_highest:
         for s, z in ((s0, z0), (s1, z1)):
             if z > sighting.tangent[n] * s:
-                sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = z / s, s, m
+                sighting.tangent[n], sighting.distance_m[n], sighting.object_index[n] = z / s, s, m
     else:
         over, under = z0 - tangent * s0, z1 - tangent * s1
         if (over > 0.0) == (under > 0.0) and over != 0.0 and under != 0.0:
             return
         s = s0 + (over / (over - under) if over != under else 0.0) * (s1 - s0)
-        if s < sighting.distance[n]:
-            sighting.tangent[n], sighting.distance[n], sighting.object_index[n] = tangent, s, m
+        if s < sighting.distance_m[n]:
+            sighting.tangent[n], sighting.distance_m[n], sighting.object_index[n] = tangent, s, m

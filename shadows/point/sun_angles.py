@@ -28,7 +28,7 @@ def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
         raise InputError(
             "time", Problem(f"a time does not define the sun here, since {world.off_earth_reason}"), "Use azimuth and altitude"
         )
-    return _directions(world, np.asarray(utc_s, np.float64))
+    return _sun_directions_on_earth(world, np.asarray(utc_s, np.float64))
 
 
 def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -43,11 +43,12 @@ def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tu
 
 @cached("process", 16 * MIB)
 def _cached_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times and directions of ``sun_samples``."""
     utc_s = np.append(np.arange(begin_s, end_s, step_s), end_s)
-    return utc_s, _directions(world, utc_s)
+    return utc_s, _sun_directions_on_earth(world, utc_s)
 
 
-def angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sun_angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the azimuths and the altitudes, (n,) degrees each, of earth-fixed directions (n, 3) at a place."""
     east, north, up = (to_sun_earth @ place.earth_from_enu).T
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, np.hypot(east, north)))
@@ -58,7 +59,8 @@ def scene_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
     return None if scene.sun is None else position_at(scene.sun.to_sun_earth, place.earth_from_enu)
 
 
-def _directions(world: World, utc_s: np.ndarray) -> np.ndarray:
+def _sun_directions_on_earth(world: World, utc_s: np.ndarray) -> np.ndarray:
+    """Return the directions of ``sun_directions``."""
     times = np.rint(np.asarray(utc_s) * 1e6).astype(np.int64).astype("datetime64[us]")
     path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
     azimuth, altitude = np.radians(path.azimuth_deg), np.radians(path.altitude_deg)

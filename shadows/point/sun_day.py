@@ -13,12 +13,17 @@ from datetime import UTC, date, datetime, tzinfo
 import numpy as np
 
 from skugga.shadows.point.horizon import SunCaster, Surroundings, sees_sun, sun_occluders
-from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
 
 STEP_S = 60.0
+"""Seconds between two samples of a day's sun."""
+
 FINE_STEP_S = 2.0
+"""Seconds between two samples around a change between sun and shade."""
+
 SUN_HOURS_STEP_S = 300.0
+"""Seconds between two samples of ``sampled_sun_hours``."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +69,11 @@ class SunDay:
         Start of the first and end of the last interval of direct sun; ``None`` without any.
     daylight_h
         Hours with the sun up.
-    direct_h
+    direct_sun_h
         Hours of direct sun.
-    masked_h
+    hidden_sun_h
         Hours with the sun up, but hidden.
-    sunlit
+    sunlit_intervals
         The intervals of direct sun.
     remark
         Explanation of values of ``None``, such as polar night; ``None`` if there is nothing to explain.
@@ -82,9 +87,9 @@ class SunDay:
     first_sun: datetime | None
     last_sun: datetime | None
     daylight_h: float
-    direct_h: float
-    masked_h: float
-    sunlit: tuple[SunlitInterval, ...]
+    direct_sun_h: float
+    hidden_sun_h: float
+    sunlit_intervals: tuple[SunlitInterval, ...]
     remark: str | None
 
 
@@ -95,14 +100,14 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, STEP_S)
-    azimuth, altitude = angles_at(surroundings.place, to_sun)
+    azimuth, altitude = sun_angles_at(surroundings.place, to_sun)
     lit = sees_sun(surroundings, azimuth, altitude)
 
     def moment_of(second: float) -> datetime:
         return datetime.fromtimestamp(round(second), UTC).astimezone(clock)
 
     up = altitude > 0.0
-    rises, sets = (_crossings(times_s, altitude, rising) for rising in (True, False))
+    rises, sets = (_horizon_crossings_s(times_s, altitude, rising) for rising in (True, False))
     changes = np.flatnonzero(lit[1:] != lit[:-1])
     at = _change_times_s(surroundings, times_s, azimuth, altitude, lit, changes)
     bounds = np.concatenate([[begin] if lit[0] else [], at, [end] if lit[-1] else []])
@@ -124,54 +129,60 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
         first_sun=sunlit[0].begin if sunlit else None,
         last_sun=sunlit[-1].end if sunlit else None,
         daylight_h=daylight / 3600.0,
-        direct_h=direct / 3600.0,
-        masked_h=max(daylight - direct, 0.0) / 3600.0,
-        sunlit=sunlit,
+        direct_sun_h=direct / 3600.0,
+        hidden_sun_h=max(daylight - direct, 0.0) / 3600.0,
+        sunlit_intervals=sunlit,
         remark=_remark(up, bool(sunlit), len(rises), len(sets)),
     )
 
 
-def _remark(up: np.ndarray, shines: bool, rises: int, sets: int) -> str | None:
-    if not up.any():
+def _remark(is_up: np.ndarray, has_direct_sun: bool, sunrise_count: int, sunset_count: int) -> str | None:
+    """Return a sentence that explains missing times of sunrise, sunset or direct sun; ``None`` if none is missing.
+
+    ``is_up`` (n,) tells whether the sun is up at each sample.
+    """
+    if not is_up.any():
         return "polar night: the sun stays below the level horizon all day"
-    if up.all():
-        ending = "" if shines else ", but terrain or objects hide it all day"
+    if is_up.all():
+        ending = "" if has_direct_sun else ", but terrain or objects hide it all day"
         return f"polar day: the sun does not set{ending}"
-    if not shines:
+    if not has_direct_sun:
         return "the sun rises, but terrain or objects hide it all day"
-    if not (rises and sets):
-        return f"the sun does not {'set' if rises else 'rise'} on this day"
+    if not (sunrise_count and sunset_count):
+        return f"the sun does not {'set' if sunrise_count else 'rise'} on this day"
     return None
 
 
-def _crossings(times_s: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.ndarray:
-    """Return the times, in seconds, at which the sun's altitude crosses 0 upwards (``rising``) or downwards.
+def _horizon_crossings_s(times_s: np.ndarray, altitude_deg: np.ndarray, is_rising: bool) -> np.ndarray:
+    """Return the times, in seconds, at which the sun's altitude crosses 0 upwards (``is_rising``) or downwards.
 
     The altitude is interpolated linearly between samples.
     """
     up = altitude_deg > 0.0
-    n = np.flatnonzero(up[1:] & ~up[:-1] if rising else ~up[1:] & up[:-1])
+    n = np.flatnonzero(up[1:] & ~up[:-1] if is_rising else ~up[1:] & up[:-1])
     share = altitude_deg[n] / (altitude_deg[n] - altitude_deg[n + 1])
     return times_s[n] + share * (times_s[n + 1] - times_s[n])
 
 
-def _daylight_s(times_s: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
+def _daylight_s(
+    times_s: np.ndarray, altitude_deg: np.ndarray, is_up: np.ndarray, sunrises_s: np.ndarray, sunsets_s: np.ndarray
+) -> float:
     """Return the total time in seconds during which the sun is up."""
-    begins = np.concatenate([[times_s[0]] if up[0] else [], rises])
-    ends = np.concatenate([sets, [times_s[-1]] if up[-1] else []])
+    begins = np.concatenate([[times_s[0]] if is_up[0] else [], sunrises_s])
+    ends = np.concatenate([sunsets_s, [times_s[-1]] if is_up[-1] else []])
     return float(np.sum(ends - begins))
 
 
-def _culmination_s(times_s: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
-    """Return the time in seconds of the sun's highest altitude, near sample ``n``, which is the highest one.
+def _culmination_s(times_s: np.ndarray, altitude_deg: np.ndarray, highest_index: int) -> float:
+    """Return the time in seconds of the sun's highest altitude, near sample ``highest_index``, which is the highest one.
 
     It is the vertex of the parabola through this sample and its two neighbours.
     """
-    if not 0 < n < len(times_s) - 1:
-        return float(times_s[n])
-    before, at, after = altitude_deg[n - 1 : n + 2]
+    if not 0 < highest_index < len(times_s) - 1:
+        return float(times_s[highest_index])
+    before, at, after = altitude_deg[highest_index - 1 : highest_index + 2]
     bend = before - 2.0 * at + after
-    return float(times_s[n] + (0.5 * (before - after) / bend if bend else 0.0) * STEP_S)
+    return float(times_s[highest_index] + (0.5 * (before - after) / bend if bend else 0.0) * STEP_S)
 
 
 def _change_times_s(
@@ -179,25 +190,27 @@ def _change_times_s(
     times_s: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
-    lit: np.ndarray,
-    changes: np.ndarray,
+    is_lit: np.ndarray,
+    change_indices: np.ndarray,
 ) -> np.ndarray:
     """Return the times, in seconds, at which direct sun begins or ends.
 
-    ``changes`` holds the indices of the samples with a change before the next sample. The sun is assumed to move evenly between two
-    samples.
+    ``change_indices`` holds the indices of the samples with a change before the next sample. The sun is assumed to move evenly
+    between two samples.
     """
-    if not len(changes):
+    if not len(change_indices):
         return np.zeros(0)
     count = int(STEP_S / FINE_STEP_S)
     share = np.arange(1, count) / count
-    turned = (azimuth_deg[changes + 1] - azimuth_deg[changes] + 180.0) % 360.0 - 180.0
-    azimuth = azimuth_deg[changes, None] + share * turned[:, None]
-    altitude = altitude_deg[changes, None] + share * (altitude_deg[changes + 1] - altitude_deg[changes])[:, None]
+    turned = (azimuth_deg[change_indices + 1] - azimuth_deg[change_indices] + 180.0) % 360.0 - 180.0
+    azimuth = azimuth_deg[change_indices, None] + share * turned[:, None]
+    altitude = (
+        altitude_deg[change_indices, None] + share * (altitude_deg[change_indices + 1] - altitude_deg[change_indices])[:, None]
+    )
     is_sunlit = sees_sun(surroundings, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
-    is_sunlit = np.concatenate([is_sunlit, lit[changes + 1, None]], axis=1)
-    first = np.argmax(is_sunlit != lit[changes, None], axis=1)  # the first of several changes
-    return times_s[changes] + (first + 0.5) / count * (times_s[changes + 1] - times_s[changes])
+    is_sunlit = np.concatenate([is_sunlit, is_lit[change_indices + 1, None]], axis=1)
+    first = np.argmax(is_sunlit != is_lit[change_indices, None], axis=1)  # the first of several changes
+    return times_s[change_indices] + (first + 0.5) / count * (times_s[change_indices + 1] - times_s[change_indices])
 
 
 def _occluders_at(
@@ -205,14 +218,15 @@ def _occluders_at(
     times_s: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
-    lit: np.ndarray,
-    changes: np.ndarray,
+    is_lit: np.ndarray,
+    change_indices: np.ndarray,
 ) -> list[SunCaster | None]:
     """Return the caster that hides the sun just before or after each change between sun and shade.
 
-    ``changes`` holds the indices of the samples with a change before the next sample. The caster is that at the sample in shade.
+    ``change_indices`` holds the indices of the samples with a change before the next sample. The caster is that at the sample in
+    shade.
     """
-    dark = np.where(lit[changes], changes + 1, changes)
+    dark = np.where(is_lit[change_indices], change_indices + 1, change_indices)
     return sun_occluders(surroundings, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
 
 
@@ -224,5 +238,5 @@ def sampled_sun_hours(surroundings: Surroundings, day: date, clock: tzinfo) -> f
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     _, to_sun = sun_samples(surroundings.scene.world, begin + SUN_HOURS_STEP_S / 2, end, SUN_HOURS_STEP_S)
-    azimuth, altitude = angles_at(surroundings.place, to_sun[:-1])
+    azimuth, altitude = sun_angles_at(surroundings.place, to_sun[:-1])
     return float(sees_sun(surroundings, azimuth, altitude).sum() * SUN_HOURS_STEP_S / 3600.0)

@@ -14,11 +14,14 @@ import numpy as np
 
 from skugga.shadows.point.horizon import Surroundings, is_clear_of_objects
 from skugga.shadows.point.horizon_walk import relief_horizon
-from skugga.shadows.point.sun_angles import angles_at, sun_directions
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_directions
 from skugga.terrain.geo.clock import day_bounds, has_day
 
 YEAR_STEP_S = 300.0
+"""Seconds between two samples of a year's sun."""
+
 HORIZON_STEP_DEG = 0.1
+"""Degrees of azimuth between two exact positions of the horizon by ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +34,13 @@ class SunYear:
         The n dates.
     daylight_h
         (n,): hours with the sun up.
-    direct_h
+    direct_sun_h
         (n,): hours of direct sun on the point.
     """
 
     days: tuple[date, ...]
     daylight_h: np.ndarray
-    direct_h: np.ndarray
+    direct_sun_h: np.ndarray
 
 
 def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
@@ -50,7 +53,7 @@ def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
     midnight = np.array([day_bounds(day, clock)[0].astimezone(UTC).timestamp() for day in days])
     end = day_bounds(days[-1], clock)[1].astimezone(UTC).timestamp()
     times_s = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
-    azimuth, altitude = angles_at(surroundings.place, sun_directions(surroundings.scene.world, times_s))
+    azimuth, altitude = sun_angles_at(surroundings.place, sun_directions(surroundings.scene.world, times_s))
     up = altitude > 0.0
     lit = up & (altitude > _interpolated_relief_deg(surroundings, azimuth))
     above = np.flatnonzero(lit)

@@ -16,8 +16,8 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic, quadratic_fit
 from skugga.shadows.sun_hours.suns import WindowSun, block_sample_positions
-from skugga.shadows.sweep.grid import GridOrientation
-from skugga.shadows.sweep.rays import patch_windows
+from skugga.shadows.sweep.ground_windows import patch_windows
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.casters.reach import Patch
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
@@ -46,47 +46,47 @@ class WalkedGround(NamedTuple):
 
     Attributes
     ----------
-    height
+    height_m
         float32, metres: the heights of all grids, one grid after the other.
-    tile_max
+    tile_max_m
         float32, metres: the maximum heights of the tiles and of the blocks of all grids.
-    origin
-        int64 (k, 8): for each grid, the index of its first height in ``height`` and of its first tile in ``tile_max``; its first
-        row and column; its number of rows and of columns; the distance of its nodes, in nodes of the finest grid; and the index of
-        its first block in ``tile_max``.
-    grid_max
+    grid_layouts
+        int64 (k, 8): for each grid, the index of its first height in ``height_m`` and of its first tile in ``tile_max_m``; its
+        first row and column; its number of rows and of columns; the distance of its nodes, in nodes of the finest grid; and the
+        index of its first block in ``tile_max_m``.
+    grid_max_m
         (k,), metres: the maximum height of each grid.
     """
 
-    height: np.ndarray
-    tile_max: np.ndarray
-    origin: np.ndarray
-    grid_max: np.ndarray
+    height_m: np.ndarray
+    tile_max_m: np.ndarray
+    grid_layouts: np.ndarray
+    grid_max_m: np.ndarray
 
 
 class SunTrack(NamedTuple):
     """The direction to the sun over a block of cells between two moments.
 
-    The cells are in the order of a turned grid, which is rotated and mirrored so that the sun stands before row 0.
+    The cells are in the order of a sun-aligned grid, which is rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
-    begin, end
+    begin_minutes, end_minutes
         The two moments, minutes.
-    towards
+    direction_coefficients
         (3, TRACK_TIMES, 6): coefficients of quadratics over the cells, at the two moments and midway between them. They give rows
         per metre towards the sun, columns per metre towards the sun, and the tangent of the sun's altitude.
-    grid_from_turned
-        int64 (2, 3): affine map from turned positions to rows and to columns of the grid. Each row holds an offset, a step per
-        turned row and a step per turned column.
+    grid_from_sun_aligned
+        int64 (2, 3): affine map from sun-aligned positions to rows and to columns of the grid. Each row holds an offset, a step per
+        sun-aligned row and a step per sun-aligned column.
     last_index
-        (2,): index of the last turned row and of the last turned column, at least 1.
+        (2,): index of the last sun-aligned row and of the last sun-aligned column, at least 1.
     """
 
-    begin: float
-    end: float
-    towards: np.ndarray
-    grid_from_turned: np.ndarray
+    begin_minutes: float
+    end_minutes: float
+    direction_coefficients: np.ndarray
+    grid_from_sun_aligned: np.ndarray
     last_index: np.ndarray
 
 
@@ -94,11 +94,11 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     """Return the heights of a block and of patches of ground beside it, with the maxima of their tiles."""
     view, block = nodes.view, nodes.surface
     windows: dict[int, list[NodeHeights]] = {0: [block]}
-    for detail in sorted({patch.lod for patch in patches}):
-        surface = scene.surface(view.grid.coarser(detail))
-        detail_patches = [patch for patch in patches if patch.lod == detail]
-        windows.setdefault(detail, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(detail_patches))
-    spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
+    for lod in sorted({patch.lod for patch in patches}):
+        surface = scene.surface(view.grid.coarser(lod))
+        patches_of_lod = [patch for patch in patches if patch.lod == lod]
+        windows.setdefault(lod, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(patches_of_lod))
+    spans = {lod: _bounding_window(windows_of_detail) for lod, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [
         [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (TILE_QUADS, BLOCK_QUADS)]
@@ -107,36 +107,37 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     height, tile_max = np.full(sum(sizes), np.nan, np.float32), np.empty(int(np.sum(counts)), np.float32)
     origin, grid_max = np.zeros((len(spans), 8), np.int64), np.empty(len(spans))
     begin = tile_begin = 0
-    for n, (detail, (row0, col0, rows, cols)) in enumerate(spans.items()):
+    for n, (lod, (row0, col0, rows, cols)) in enumerate(spans.items()):
         grid, block_begin = height[begin : begin + rows * cols].reshape(rows, cols), tile_begin + counts[n][0]
-        for window in windows[detail]:
+        for window in windows[lod]:
             _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
         tops, block_tops = tile_max[tile_begin:block_begin], tile_max[block_begin : block_begin + counts[n][1]]
-        _highest_of_tiles(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
-        _highest_of_tiles(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
+        _write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
+        _write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
         grid_max[n] = block_tops.max(initial=-np.inf)
-        origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**detail, block_begin
+        origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**lod, block_begin
         begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
     return WalkedGround(height, tile_max, origin, grid_max)
 
 
-def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
+def _bounding_window(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
     """Return the bounding rectangle of windows: its first row and column, and its number of rows and of columns."""
     row0, col0 = min(w.row0 for w in windows), min(w.col0 for w in windows)
     return row0, col0, max(w.row0 + w.shape[0] for w in windows) - row0, max(w.col0 + w.shape[1] for w in windows) - col0
 
 
 def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
+    """Copy the heights of a window of nodes to the upper left corner of ``out``."""
     rows, cols = window.shape
     out[:rows, :cols] = window.height_m
 
 
 def sun_track(
-    day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, time_range_min: tuple[float, float]
+    day: WindowSun, nodes: BareNodes, world: World, orientation: GridOrientation, time_range_minutes: tuple[float, float]
 ) -> SunTrack:
-    """Return the direction to the sun over a block's cells, in the order of a turned grid, between two moments.
+    """Return the direction to the sun over a block's cells, in the order of a sun-aligned grid, between two moments.
 
-    ``time_range_min`` holds the moments, minutes after the start of the day's window of time.
+    ``time_range_minutes`` holds the moments, minutes after the start of the day's window of time.
     """
     view = nodes.view
     row, col = (values.ravel() for values in block_sample_positions(view))
@@ -145,7 +146,7 @@ def sun_track(
     point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
     up, down, right = up[0], point[2] - point[1], point[4] - point[3]
     towards = np.empty((3, TRACK_TIMES, len(row)))
-    for n, sun in enumerate(day.direction(np.linspace(*time_range_min, TRACK_TIMES))):
+    for n, sun in enumerate(day.directions_at(np.linspace(*time_range_minutes, TRACK_TIMES))):
         rise = up @ sun
         flat = sun - rise[:, None] * up
         length = np.linalg.norm(flat, axis=1)
@@ -155,14 +156,18 @@ def sun_track(
         on_down, on_right = (np.sum(flat * axis, axis=1) / length for axis in (down, right))
         square = a * c - b * b
         towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
-    i, j = orientation.to_turned(row, col, view.rows, view.cols)
-    shape = (view.cols, view.rows) if orientation.swapped else (view.rows, view.cols)
-    turned = np.array([0, 1, 0]), np.array([0, 0, 1])
-    first, after_row, after_col = np.stack(orientation.from_turned(*turned, view.rows, view.cols), axis=1)
-    grid_from_turned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
+    i, j = orientation.to_sun_aligned(row, col, view.rows, view.cols)
+    shape = (view.cols, view.rows) if orientation.axes_swapped else (view.rows, view.cols)
+    sun_aligned = np.array([0, 1, 0]), np.array([0, 0, 1])
+    first, after_row, after_col = np.stack(orientation.from_sun_aligned(*sun_aligned, view.rows, view.cols), axis=1)
+    grid_from_sun_aligned = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
     last_index = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
     return SunTrack(
-        float(time_range_min[0]), float(time_range_min[1]), towards @ quadratic_fit(i, j, shape).T, grid_from_turned, last_index
+        float(time_range_minutes[0]),
+        float(time_range_minutes[1]),
+        towards @ quadratic_fit(i, j, shape).T,
+        grid_from_sun_aligned,
+        last_index,
     )
 
 
@@ -171,13 +176,13 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     """Return the tangent of the sun's altitude less that of the horizon, and the change per minute of the sun's tangent.
 
     They hold at the moment ``minutes``, for an eye ``eye_height_m`` metres above the node at row ``i`` and column ``j`` of the
-    turned grid.
+    sun-aligned grid.
     """
-    affine, a = track.grid_from_turned, track.towards
+    affine, a = track.grid_from_sun_aligned, track.direction_coefficients
     row, col = affine[0, 0] + i * affine[0, 1] + j * affine[0, 2], affine[1, 0] + i * affine[1, 1] + j * affine[1, 2]
     y, x = i / track.last_index[0], j / track.last_index[1]
-    span = track.end - track.begin
-    u = (minutes - track.begin) / span
+    span = track.end_minutes - track.begin_minutes
+    u = (minutes - track.begin_minutes) / span
     w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # Lagrange weights of the three moments
     down = w0 * evaluate_quadratic(a[0, 0], y, x) + w1 * evaluate_quadratic(a[0, 1], y, x) + w2 * evaluate_quadratic(a[0, 2], y, x)
     right = w0 * evaluate_quadratic(a[1, 0], y, x) + w1 * evaluate_quadratic(a[1, 1], y, x) + w2 * evaluate_quadratic(a[1, 2], y, x)
@@ -189,16 +194,16 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
 
 
 @compiled
-def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
+def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_metre, min_tangent):
     """Return the tangent of the horizon angle in one direction, or ``min_tangent`` if that is larger.
 
-    The eye is ``eye_height_m`` metres above the node at ``row`` and ``col``. A step of one metre in the direction leads ``down``
-    rows and ``right`` columns further on the finest grid.
+    The eye is ``eye_height_m`` metres above the node at ``row`` and ``col``. A step of one metre in the direction leads
+    ``rows_per_metre`` rows and ``cols_per_metre`` columns further on the finest grid.
     """
     height, tile_max, origin, grid_max = ground
     best = min_tangent
-    swapped = abs(right) > abs(down)
-    main_step, cross_step = (right, down) if swapped else (down, right)
+    swapped = abs(cols_per_metre) > abs(rows_per_metre)
+    main_step, cross_step = (cols_per_metre, rows_per_metre) if swapped else (rows_per_metre, cols_per_metre)
     main_sign, cross_sign = (1 if main_step > 0.0 else -1), (1 if cross_step > 0.0 else -1)
     slope = abs(cross_step / main_step)
     per_rising, per_falling, per_side = 1.0 / (1.0 + slope), 1.0 / max(1.0 - slope, 1e-9), 1.0 / max(slope, 1e-9)
@@ -283,20 +288,21 @@ def horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent):
 
 
 @internal
-def _max_tangent(best, height, eye_m, far):
-    """Return the maximum of the tangent ``best`` and of the tangent up to ground of ``height`` metres, ``far`` metres away."""
-    rise = height - eye_m - EARTH_DROP_PER_M2 * far * far
-    return rise / far if rise > best * far else best
+def _max_tangent(best_tangent, height_m, eye_m, distance_m):
+    """Return the larger of ``best_tangent`` and the tangent up to ground of height ``height_m`` at distance ``distance_m``."""
+    rise = height_m - eye_m - EARTH_DROP_PER_M2 * distance_m * distance_m
+    return rise / distance_m if rise > best_tangent * distance_m else best_tangent
 
 
 @compiled
-def _highest_of_tiles(height, top, side):
-    rows, cols = height.shape
-    for a in range(top.shape[0]):
-        for b in range(top.shape[1]):
+def _write_tile_max(height_m, tile_max_m, tile_quads):
+    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground."""
+    rows, cols = height_m.shape
+    for a in range(tile_max_m.shape[0]):
+        for b in range(tile_max_m.shape[1]):
             highest = np.float32(-np.inf)
-            for i in range(a * side, min(a * side + side + 1, rows)):
-                for j in range(b * side, min(b * side + side + 1, cols)):
-                    if height[i, j] > highest:
-                        highest = height[i, j]
-            top[a, b] = highest
+            for i in range(a * tile_quads, min(a * tile_quads + tile_quads + 1, rows)):
+                for j in range(b * tile_quads, min(b * tile_quads + tile_quads + 1, cols)):
+                    if height_m[i, j] > highest:
+                        highest = height_m[i, j]
+            tile_max_m[a, b] = highest

@@ -26,11 +26,11 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
-from skugga.shadows.sweep.grid import GridOrientation, copy_into
+from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_OCCLUDER_CLEARANCE = np.float32(1e6)
-"""Clearance that stands for the absence of any occluder."""
+"""Clearance of a cell without any occluder."""
 
 SHADOW_SIDE_WEIGHT = 0.75
 """Weight of the time extrapolated from clearances in shadow, against that from clearances in the sun."""
@@ -57,26 +57,26 @@ class SunSpells(NamedTuple):
 
     Attributes
     ----------
-    spell_start_min
+    spell_start_minutes
         Start of the current spell, minutes after the start of the day's window of time; -1 in shade.
-    day_min
+    day_minutes
         Minutes of sun on the current date.
-    first_min, last_min
+    first_minutes, last_minutes
         Earliest and latest clock time of sun on any date, minutes from midnight; NaN without sun.
-    longest_min
+    longest_minutes
         The longest spell on any date, minutes.
-    total_min
+    total_minutes
         Minutes of sun on all complete dates.
     day_count
         Number of dates with enough sun.
     """
 
-    spell_start_min: np.ndarray
-    day_min: np.ndarray
-    first_min: np.ndarray
-    last_min: np.ndarray
-    longest_min: np.ndarray
-    total_min: np.ndarray
+    spell_start_minutes: np.ndarray
+    day_minutes: np.ndarray
+    first_minutes: np.ndarray
+    last_minutes: np.ndarray
+    longest_minutes: np.ndarray
+    total_minutes: np.ndarray
     day_count: np.ndarray
 
 
@@ -103,17 +103,17 @@ class ClockReading(NamedTuple):
 
     Attributes
     ----------
-    start
+    start_minutes
         Reading at the window's start, minutes from midnight.
-    change_min
+    change_minutes
         Time of the clock change, minutes after the window's start.
-    advance_min
+    advance_minutes
         Minutes by which the clock is put forward then; 0 without a change.
     """
 
-    start: float
-    change_min: float
-    advance_min: float
+    start_minutes: float
+    change_minutes: float
+    advance_minutes: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +142,16 @@ def empty_spells(shape: tuple[int, int]) -> SunSpells:
     return SunSpells(initial[0], zeros[0], initial[1], initial[2], zeros[1], zeros[2], zeros[3])
 
 
-def turned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
+def sun_aligned_spells(spells: SunSpells, before: GridOrientation, after: GridOrientation) -> SunSpells:
     """Return spells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
-    return SunSpells(*(turned_copy(values, before, after) for values in spells))
+    return SunSpells(*(sun_aligned_copy(values, before, after) for values in spells))
 
 
-def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
+def sun_aligned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
     """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
-    view = after.turned(before.restored(values))
+    view = after.sun_aligned_view(before.grid_order_view(values))
     out = np.empty(view.shape, view.dtype)
-    copy_into(view, out)
+    copy_in_blocks(view, out)
     return out
 
 
@@ -159,7 +159,7 @@ def add_sun_between(
     spells: SunSpells,
     moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample],
     clock: ClockReading,
-    fit: np.ndarray,
+    fit_matrix: np.ndarray,
     is_first_step: bool,
     walk_input: WalkInput | None,
     cores: int,
@@ -168,20 +168,20 @@ def add_sun_between(
 
     The outer two moments improve the estimate of crossings. At the start of a span (an interval with the sun up) the first moment
     equals the second one, and at its end the fourth equals the third one. ``is_first_step`` tells whether this is the first time
-    step of a span. ``fit`` is the ``quadratic_fit`` for ``ClearanceSample.above_floor_sine``. ``walk_input``, unless it is
+    step of a span. ``fit_matrix`` is the ``quadratic_fit`` for ``ClearanceSample.above_floor_sine``. ``walk_input``, unless it is
     ``None``, refines the crossings by walks.
     """
     before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
     floored = min(float(start_moment.above_floor_sine.min()), float(end_moment.above_floor_sine.min())) <= 0.0
-    floors = np.stack([fit @ start_moment.above_floor_sine, fit @ end_moment.above_floor_sine])
+    floors = np.stack([fit_matrix @ start_moment.above_floor_sine, fit_matrix @ end_moment.above_floor_sine])
 
-    def band(rows: slice) -> None:
+    def add_band(rows: slice) -> None:
         part = SunSpells(*(values[rows] for values in spells))
         four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
-        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day_min), clock, walk_input)
+        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day_minutes), clock, walk_input)
 
-    _in_bands(band, len(spells.day_min), cores)
+    _run_in_bands(add_band, len(spells.day_minutes), cores)
 
 
 def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
@@ -189,53 +189,63 @@ def end_spells(spells: SunSpells, minutes: float, clock: ClockReading) -> None:
     _end_all_spells(spells, minutes, clock)
 
 
-def end_day(spells: SunSpells, threshold_min: float) -> None:
+def end_day(spells: SunSpells, threshold_minutes: float) -> None:
     """Add the current date's minutes of sun to the total, and set them to 0 for the next date.
 
-    A date with at least ``threshold_min`` minutes of sun counts in ``SunSpells.day_count``.
+    A date with at least ``threshold_minutes`` minutes of sun counts in ``SunSpells.day_count``.
     """
-    np.add(spells.total_min, spells.day_min, out=spells.total_min)
-    np.add(spells.day_count, spells.day_min >= np.float32(threshold_min), out=spells.day_count, casting="unsafe")
-    spells.day_min[:] = 0.0
+    np.add(spells.total_minutes, spells.day_minutes, out=spells.total_minutes)
+    np.add(spells.day_count, spells.day_minutes >= np.float32(threshold_minutes), out=spells.day_count, casting="unsafe")
+    spells.day_minutes[:] = 0.0
 
 
-def clearances(ray_height: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
+def compute_clearances(
+    ray_height: np.ndarray, shadow_ray_heights: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int
+) -> np.ndarray:
     """Compute the clearances of eyes above the cells' nodes into ``out`` float32 (n, m), and return it.
 
-    ``ray_height`` and ``shade`` (n, m), metres, are those of ``NodeClearance`` (``skugga.shadows.sweep.sweep``). ``eye_height_m``
-    is the height of the eyes, converted to ray height.
+    ``ray_height`` and ``shadow_ray_heights`` (n, m), metres, are those of ``NodeClearance`` (``skugga.shadows.sweep.sweep``).
+    ``eye_height_m`` is the height of the eyes, converted to ray height.
     """
 
-    def band(rows: slice) -> None:
-        _compute_clearances(ray_height[rows], shade[rows], np.float32(eye_height_m), out[rows])
+    def write_band(rows: slice) -> None:
+        _write_clearances(ray_height[rows], shadow_ray_heights[rows], np.float32(eye_height_m), out[rows])
 
-    _in_bands(band, len(out), cores)
+    _run_in_bands(write_band, len(out), cores)
     return out
 
 
-def _in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
+def _run_in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
+    """Call ``work`` with consecutive slices that cover ``rows`` rows, on several threads."""
     map_on_cores(work, (slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)), cores)
 
 
 @compiled
-def _compute_clearances(ray_height, shade, eye_height_m, out):
+def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
+    """Write ray heights less shadow heights plus the height of the eyes to ``out`` (rows, cols), metres."""
     rows, cols = out.shape
     for i in range(rows):
-        ray_height_row, shade_row, out_row = ray_height[i], shade[i], out[i]
+        ray_height_row, shade_row, out_row = ray_height[i], shadow_ray_heights[i], out[i]
         for j in range(cols):
             clearance = ray_height_row[j] - shade_row[j] + eye_height_m
             out_row[j] = NO_OCCLUDER_CLEARANCE if clearance > NO_OCCLUDER_CLEARANCE else clearance
 
 
 @compiled
-def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, floored, first_row, count, clock, walk_input):
+def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, crosses_floor, first_row, count, clock, walk_input):
+    """Add the sun of some rows between two moments to ``spells``.
+
+    ``before``, ``start``, ``stop`` and ``after`` (rows, cols) are the clearances at the four moments ``times`` (4,), minutes.
+    ``floors`` (2, 6) are quadratics of the sun's height above the floor at the two middle moments. The rows begin at ``first_row``
+    of ``count`` rows. ``crosses_floor`` tells whether the sun may be below the floor at a cell.
+    """
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
     for i in range(rows):
         for j in range(cols):
             e0, e1 = start[i, j], stop[i, j]
             lit0, lit1 = e0 >= 0.0, e1 >= 0.0
-            if lit0 == lit1 and not is_first_step and not floored:
+            if lit0 == lit1 and not is_first_step and not crosses_floor:
                 continue
             if np.isnan(e0) or np.isnan(e1):
                 continue
@@ -250,7 +260,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, f
                     begin = crossing
             elif not lit0:
                 end = t0 - 1.0
-            if floored:
+            if crosses_floor:
                 y, x = (first_row + i) / max(count - 1, 1), j / max(cols - 1, 1)
                 s0, s1 = evaluate_quadratic(floors[0], y, x), evaluate_quadratic(floors[1], y, x)
                 if s0 <= 0.0 and s1 <= 0.0:
@@ -259,7 +269,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, f
                     begin = max(t0 if lit1 and s0 < -FLOOR_MARGIN_SINE else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
                 elif s1 <= 0.0:
                     end = min(t1 if lit0 and s1 < -FLOOR_MARGIN_SINE else end, t0 + (t1 - t0) * s0 / (s0 - s1))
-            since = np.float64(spells.spell_start_min[i, j])
+            since = np.float64(spells.spell_start_minutes[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
                 _end_spell(spells, i, j, since, t0, clock)
                 since = -1.0
@@ -269,7 +279,7 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, f
                 if end < t1:
                     _end_spell(spells, i, j, since, end, clock)
                     since = -1.0
-            spells.spell_start_min[i, j] = since
+            spells.spell_start_minutes[i, j] = since
 
 
 @internal
@@ -314,15 +324,20 @@ def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
         if not low < following < high:
             following = 0.5 * (low + high)
         before, clearance_before = t, clearance
-        t, correction_min = following, abs(following - t)
-        if correction_min < CROSSING_TOLERANCE_MINUTES:
+        t, correction_minutes = following, abs(following - t)
+        if correction_minutes < CROSSING_TOLERANCE_MINUTES:
             break
     return t
 
 
 @internal
-def _clock_time(clock, t):
-    return t + clock.start + (clock.advance_min if clock.advance_min != 0.0 and t >= clock.change_min else 0.0)
+def _clock_time(clock, minutes):
+    """Return the clock's reading, minutes from midnight, at ``minutes`` after the window's start."""
+    return (
+        minutes
+        + clock.start_minutes
+        + (clock.advance_minutes if clock.advance_minutes != 0.0 and minutes >= clock.change_minutes else 0.0)
+    )
 
 
 @internal
@@ -331,21 +346,22 @@ def _end_spell(spells, i, j, since, until, clock):
     length = until - since
     if length <= 0.0:
         return
-    spells.day_min[i, j] += length
-    spells.longest_min[i, j] = max(spells.longest_min[i, j], length)
+    spells.day_minutes[i, j] += length
+    spells.longest_minutes[i, j] = max(spells.longest_minutes[i, j], length)
     begun, ended = _clock_time(clock, since), _clock_time(clock, until)
-    if not spells.first_min[i, j] <= begun:
-        spells.first_min[i, j] = begun
-    if not spells.last_min[i, j] >= ended:
-        spells.last_min[i, j] = ended
+    if not spells.first_minutes[i, j] <= begun:
+        spells.first_minutes[i, j] = begun
+    if not spells.last_minutes[i, j] >= ended:
+        spells.last_minutes[i, j] = ended
 
 
 @compiled
 def _end_all_spells(spells, until, clock):
-    rows, cols = spells.spell_start_min.shape
+    """End the current spells of all cells at the moment ``until``, minutes."""
+    rows, cols = spells.spell_start_minutes.shape
     for i in range(rows):
         for j in range(cols):
-            since = np.float64(spells.spell_start_min[i, j])
+            since = np.float64(spells.spell_start_minutes[i, j])
             if since >= 0.0:
                 _end_spell(spells, i, j, since, until, clock)
-                spells.spell_start_min[i, j] = -1.0
+                spells.spell_start_minutes[i, j] = -1.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent, sun_track, walked_ground
 from skugga.shadows.sun_hours.suns import WindowSun, sun_spans
-from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.scene import Scene
@@ -35,31 +35,32 @@ MAX_MISSED_MINUTES = 0.006
 Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
 """
 
-IDENTITY_ORIENTATION = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+IDENTITY_ORIENTATION = GridOrientation(axes_swapped=False, rows_reversed=False, cols_reversed=False)
+"""The orientation that leaves a grid unchanged."""
 
 
-def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
+def sampling_step_minutes(scene: Scene, nodes: BareNodes, day: WindowSun, min_altitude_deg: float, height_m: float) -> float:
     """Return the minutes between two samples of a day's sun, for a block of ground without objects.
 
-    Points ``height_m`` metres above the ground are tested, while the sun is above ``least_altitude_deg``. Ground beside the block
+    Points ``height_m`` metres above the ground are tested, while the sun is above ``min_altitude_deg``. Ground beside the block
     is ignored. It is far from most cells, and distant ground casts shadows that last longer than a step.
     """
-    missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MINUTES))
-    return LONG_STEP_MINUTES if missed_min.mean() <= MAX_MISSED_MINUTES else SHORT_STEP_MINUTES
+    missed_of_cells = missed_minutes(lit_by_minute(scene, nodes, day, min_altitude_deg, height_m), int(LONG_STEP_MINUTES))
+    return LONG_STEP_MINUTES if missed_of_cells.mean() <= MAX_MISSED_MINUTES else SHORT_STEP_MINUTES
 
 
-def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
+def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, min_altitude_deg: float, height_m: float) -> np.ndarray:
     """Return whether some cells of a block see the sun, for each minute that it is up: bool (cells, minutes).
 
-    The arguments are those of ``sampling_step_min``. At most ``MAX_SAMPLED_CELLS`` cells are chosen at random.
+    The arguments are those of ``sampling_step_minutes``. At most ``MAX_SAMPLED_CELLS`` cells are chosen at random.
     """
     rows, cols = np.nonzero(nodes.shows_ground)
     sample = np.random.default_rng(0).choice(len(rows), min(MAX_SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[sample], cols[sample]], axis=1)
     ground = walked_ground(scene, nodes, ())
     parts = [np.empty((len(cells), 0), bool)]
-    for span in sun_spans(day, nodes.view, scene.world, least_altitude_deg, TRACK_INTERVAL_MINUTES):
-        first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
+    for span in sun_spans(day, nodes.view, scene.world, min_altitude_deg, TRACK_INTERVAL_MINUTES):
+        first, last = span.sample_minutes(0), span.sample_minutes(len(span.samples_minutes) - 1)
         for begin in np.arange(first, last, TRACK_INTERVAL_MINUTES):
             times = np.arange(begin, min(begin + TRACK_INTERVAL_MINUTES, last))
             track = sun_track(
@@ -69,26 +70,27 @@ def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude
     return np.concatenate(parts, axis=1)
 
 
-def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
-    """Return the absolute errors of a day's minutes of sun at n cells, if only every ``step``-th minute is sampled: (n,).
+def missed_minutes(lit: np.ndarray, step_minutes: int) -> np.ndarray:
+    """Return the absolute errors of a day's minutes of sun at n cells, if only every ``step_minutes``-th minute is sampled: (n,).
 
     ``lit`` bool (n, minutes) is the truth. If two successive samples differ, the first change between them is assumed to be located
     exactly. If they are equal, all changes between them are missed.
     """
-    error_min = np.zeros(len(lit))
-    for begin in range(0, lit.shape[1] - 1, step):
-        end = min(begin + step, lit.shape[1] - 1)
+    error_minutes = np.zeros(len(lit))
+    for begin in range(0, lit.shape[1] - 1, step_minutes):
+        end = min(begin + step_minutes, lit.shape[1] - 1)
         inside = lit[:, begin:end]
         before, after = lit[:, begin], lit[:, end]
         first_change = np.where((inside != before[:, None]).any(axis=1), (inside != before[:, None]).argmax(axis=1), end - begin)
         same_until = np.where(before == after, end - begin, first_change)
-        counted_min = np.where(before, same_until, end - begin - same_until)
-        error_min += counted_min - inside.sum(axis=1)
-    return np.abs(error_min)
+        counted_minutes = np.where(before, same_until, end - begin - same_until)
+        error_minutes += counted_minutes - inside.sum(axis=1)
+    return np.abs(error_minutes)
 
 
 @compiled
 def _sunlit_by_minute(ground: WalkedGround, track: SunTrack, cells: np.ndarray, height_m: float, times: np.ndarray) -> np.ndarray:
+    """Return whether cells (n, 2) see the sun at ``times`` (k,), minutes: bool (n, k)."""
     lit = np.empty((len(cells), len(times)), np.bool_)
     for n in range(len(cells)):
         for k in range(len(times)):

@@ -7,8 +7,9 @@ margin by which each cell sees the sun. The times at which clearances change the
 times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it
 is visible.
 
-The sweep uses a turned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the turned grid
-from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis of the grid.
+The sweep uses a sun-aligned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the
+sun-aligned grid from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis
+of the grid.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ from skugga.shadows.sun_hours.spells import (
     SunSpells,
     WalkInput,
     add_sun_between,
-    clearances,
+    compute_clearances,
     empty_spells,
     end_day,
     end_spells,
-    turned_copy,
-    turned_spells,
+    sun_aligned_copy,
+    sun_aligned_spells,
 )
-from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_min
+from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
-from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.reach import Patch, find_sun_casters
 from skugga.terrain.compiled import CORES
@@ -80,19 +81,19 @@ class SunRules:
 
     Attributes
     ----------
-    step_min
+    step_minutes
         Minutes between two samples; ``None``: each block's ground determines it.
     threshold_h
         Minimum hours of sun of a day that counts in ``SunHours.days``.
-    least_altitude_deg
+    min_altitude_deg
         Minimum apparent altitude of the sun at a cell. A lower sun does not count.
     height_m
         Height above the ground for which sun is computed, metres.
     """
 
-    step_min: float | None = None
+    step_minutes: float | None = None
     threshold_h: float = 2.0
-    least_altitude_deg: float = 0.0
+    min_altitude_deg: float = 0.0
     height_m: float = 0.0
 
 
@@ -167,60 +168,61 @@ def sun_hours(
     valid = block.valid()
     block_spells = _BlockSpells(view, IDENTITY_ORIENTATION, empty_spells((view.rows, view.cols)))
     if valid.any():
-        step_min = rules.step_min or block.step_min(days[len(days) // 2])
+        step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
         for day in days:
             clock = ClockReading(day.window.clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
-            for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
+            for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
                 block_spells = _add_span(block_spells, block, day, span, clock)
             end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
-    spells = turned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
+    spells = sun_aligned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
 
-    def shown(values: np.ndarray) -> np.ndarray:
+    def mask_invalid(values: np.ndarray) -> np.ndarray:
         return np.where(valid, values, np.float32(np.nan))
 
-    hours = spells.total_min / np.float32(60.0 * max(len(days), 1))
+    hours = spells.total_minutes / np.float32(60.0 * max(len(days), 1))
     return SunHours(
-        shown(hours),
-        shown(spells.first_min),
-        shown(spells.last_min),
-        shown(spells.longest_min / np.float32(60.0)),
-        shown(spells.day_count),
+        mask_invalid(hours),
+        mask_invalid(spells.first_minutes),
+        mask_invalid(spells.last_minutes),
+        mask_invalid(spells.longest_minutes / np.float32(60.0)),
+        mask_invalid(spells.day_count),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _BlockSpells:
-    """The sun at a block's cells up to a moment, in the order of a turned grid.
+    """The sun at a block's cells up to a moment, in the order of a sun-aligned grid.
 
     Attributes
     ----------
     view
         The block.
     orientation
-        How the grid is turned.
+        How the grid is sun_aligned.
     spells
-        The intervals of sun so far, (n, m) in the order of the turned grid.
+        The intervals of sun so far, (n, m) in the order of the sun-aligned grid.
     """
 
     view: MapView
     orientation: GridOrientation
     spells: SunSpells
 
-    def turned(self, orientation: GridOrientation) -> _BlockSpells:
+    def reoriented(self, orientation: GridOrientation) -> _BlockSpells:
+        """Return the sun at the cells in the order of another orientation."""
         return (
             self
             if orientation == self.orientation
-            else _BlockSpells(self.view, orientation, turned_spells(self.spells, self.orientation, orientation))
+            else _BlockSpells(self.view, orientation, sun_aligned_spells(self.spells, self.orientation, orientation))
         )
 
     @property
-    def fit(self) -> np.ndarray:
-        """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the turned grid."""
+    def fit_matrix(self) -> np.ndarray:
+        """The ``quadratic_fit`` for values at ``block_sample_positions``, in the order of the sun-aligned grid."""
         row, col = block_sample_positions(self.view)
-        i, j = self.orientation.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
-        return quadratic_fit(i, j, self.spells.day_min.shape)
+        i, j = self.orientation.to_sun_aligned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
+        return quadratic_fit(i, j, self.spells.day_minutes.shape)
 
 
 def _add_span(
@@ -230,23 +232,23 @@ def _add_span(
     moments: list[ClearanceSample] = []
     is_first_step = True
 
-    def add(four: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
-        walk_input = block.walk_input(day, (four[1].minutes, four[2].minutes), block_spells.orientation)
-        add_sun_between(block_spells.spells, four, clock, block_spells.fit, is_first_step, walk_input, CORES)
+    def add_step(four_moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
+        walk_input = block.walk_input(day, (four_moments[1].minutes, four_moments[2].minutes), block_spells.orientation)
+        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, CORES)
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
         if orientation != block_spells.orientation:
-            moments = [replace(m, clearance=turned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
-            block_spells = block_spells.turned(orientation)
-        moments.append(ClearanceSample(float(span.samples_min[number]), clearance, span.above_floor_sine[number].ravel()))
+            moments = [replace(m, clearance=sun_aligned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
+            block_spells = block_spells.reoriented(orientation)
+        moments.append(ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel()))
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
-            add((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
+            add_step((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
             is_first_step = False
         del moments[:-3]
     start_moment, end_moment = moments[-2:]
-    add((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
-    end_spells(block_spells.spells, float(span.samples_min[-1]), clock)
+    add_step((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
+    end_spells(block_spells.spells, float(span.samples_minutes[-1]), clock)
     return block_spells
 
 
@@ -263,9 +265,9 @@ class _TerrainBlock:
         """Return the valid mask: cells (rows, cols) that show ground."""
         return self._nodes.shows_ground
 
-    def step_min(self, day: WindowSun) -> float:
+    def step_minutes(self, day: WindowSun) -> float:
         """Return the minutes between two samples that are accurate enough on a representative day."""
-        return sampling_step_min(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
+        return sampling_step_minutes(self._scene, self._nodes, day, self._rules.min_altitude_deg, self._height_m)
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, how the grid is turned and the clearances (n, m) of its cells.
@@ -273,16 +275,16 @@ class _TerrainBlock:
         An array is overwritten four moments later.
         """
         arrays: list[np.ndarray] = []
-        for minutes, patches in self._casters(day, span):
+        for minutes, patches in self._casters_by_moment(day, span):
             self._recent_patches.append(patches)
             node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES_PER_COLUMN)
             spare = arrays.pop(0) if len(arrays) == 4 else None
             if spare is None or spare.shape != node_clearance.ray_height_m.shape:
                 spare = np.empty(node_clearance.ray_height_m.shape, np.float32)
             arrays.append(
-                clearances(
+                compute_clearances(
                     node_clearance.ray_height_m,
-                    node_clearance.shade_m,
+                    node_clearance.shadow_ray_height_m,
                     self._height_m * node_clearance.ray_height_per_metre,
                     spare,
                     CORES,
@@ -290,32 +292,34 @@ class _TerrainBlock:
             )
             yield node_clearance.orientation, arrays[-1]
 
-    def walk_input(self, day: WindowSun, time_range_min: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
+    def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
 
-        ``time_range_min`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells' turned grid.
+        ``time_range_minutes`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells'
+        sun-aligned grid.
         """
-        if time_range_min[1] - time_range_min[0] <= MIN_WALK_STEP_MINUTES:
+        if time_range_minutes[1] - time_range_minutes[0] <= MIN_WALK_STEP_MINUTES:
             return None
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:
             self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
         return WalkInput(
-            self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, time_range_min), self._height_m
+            self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, time_range_minutes), self._height_m
         )
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
-        return replace(self._scene, sun=day.sun(minutes, self._scene.world))
+        """Return the scene with the sun at a moment of a day."""
+        return replace(self._scene, sun=day.sun_at(minutes, self._scene.world))
 
-    def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
+    def _casters_by_moment(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
         """Yield each moment of a span in minutes, with the patches of ground that may cast shadows on the block at that moment."""
-        first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
+        first, last = span.sample_minutes(0), span.sample_minutes(len(span.samples_minutes) - 1)
         end = -np.inf
         before: tuple[Patch, ...] = ()
         after: tuple[Patch, ...] = ()
-        for number in range(len(span.samples_min)):
-            minutes = span.sample_min(number)
+        for number in range(len(span.samples_minutes)):
+            minutes = span.sample_minutes(number)
             if not self._has_all_ground and minutes >= end:
                 begin = np.floor(minutes / CASTER_SEARCH_STEP_MINUTES) * CASTER_SEARCH_STEP_MINUTES
                 before = after if begin == end else self._patches(day, float(np.clip(begin, first, last)))
@@ -324,6 +328,7 @@ class _TerrainBlock:
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
     def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
+        """Return the ground beside the block that may shade it at a moment."""
         return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 
@@ -340,20 +345,21 @@ class _RenderedBlock:
         """Return the valid mask: cells (rows, cols) that show a surface."""
         return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).valid
 
-    def step_min(self, day: WindowSun) -> float:
+    def step_minutes(self, day: WindowSun) -> float:
         """Return the minutes between two samples, which are the same for all days."""
         return RENDERED_STEP_MINUTES
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, ``IDENTITY_ORIENTATION`` and the clearances (rows, cols) of the cells."""
-        for number in range(len(span.samples_min)):
-            frame = self._render(day.sun(span.sample_min(number), self._scene.world))
+        for number in range(len(span.samples_minutes)):
+            frame = self._render(day.sun_at(span.sample_minutes(number), self._scene.world))
             yield IDENTITY_ORIENTATION, frame.visibilities[SUN] - np.float32(0.5)
 
-    def walk_input(self, day: WindowSun, time_range_min: tuple[float, float], orientation: GridOrientation) -> None:
+    def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
 
     def _render(self, sun: Sun) -> Frame:
+        """Render the block under a sun."""
         scene = replace(self._scene, sun=sun)
         return render_frame(scene, self._view, self._plan_of(scene))
 

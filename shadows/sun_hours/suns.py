@@ -20,7 +20,7 @@ from skugga.terrain.geo.sun import Sun, direction_enu
 from skugga.terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
 from skugga.terrain.geo.world import World
 
-BLOCK_SAMPLES = 5
+BLOCK_SAMPLES_PER_SIDE = 5
 """Number of rows, and of columns, of a lattice of positions that represent a block of cells."""
 
 MIN_REFRACTED_DEG = -0.8333
@@ -41,7 +41,7 @@ class WindowSun:
     ----------
     window
         The window.
-    times_min
+    times_minutes
         (n,): minutes after the window's start.
     to_sun_earth
         (n, 3): earth-fixed unit vectors towards the apparent sun.
@@ -49,30 +49,30 @@ class WindowSun:
         (n, 3): earth-fixed unit vectors towards the sun without refraction.
     azimuth_deg, altitude_deg
         (n,), degrees: apparent azimuths and altitudes at the level's anchor.
-    lift_deg
+    refraction_deg
         (n,), degrees: refraction, by which the apparent sun is higher than the true one.
     """
 
     window: DailyWindow
-    times_min: np.ndarray
+    times_minutes: np.ndarray
     to_sun_earth: np.ndarray
     to_sun_unrefracted_earth: np.ndarray
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
-    lift_deg: np.ndarray
+    refraction_deg: np.ndarray
 
-    def direction(self, minutes: np.ndarray) -> np.ndarray:
+    def directions_at(self, minutes: np.ndarray) -> np.ndarray:
         """Return unit vectors (k, 3) towards the sun, at minutes (k,) after the window's start."""
-        towards = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.to_sun_earth.T], axis=1)
+        towards = np.stack([np.interp(minutes, self.times_minutes, axis) for axis in self.to_sun_earth.T], axis=1)
         return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
-    def sun(self, minutes: float, world: World) -> Sun:
+    def sun_at(self, minutes: float, world: World) -> Sun:
         """Return the sun at ``minutes`` after the window's start."""
-        towards = self.direction(np.array([minutes]))[0]
+        towards = self.directions_at(np.array([minutes]))[0]
         east, north, up = world.earth_from_anchor.T @ towards
         azimuth = float(np.degrees(np.arctan2(east, north))) % 360.0
         altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
-        return Sun(azimuth, altitude, towards, None, float(np.interp(minutes, self.times_min, self.lift_deg)))
+        return Sun(azimuth, altitude, towards, None, float(np.interp(minutes, self.times_minutes, self.refraction_deg)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,22 +83,23 @@ class SunSpan:
 
     Attributes
     ----------
-    samples_min
+    samples_minutes
         (k,): sampled moments, minutes after the window's start.
     above_floor_sine
-        (k, BLOCK_SAMPLES, BLOCK_SAMPLES): the sine of the sun's altitude less that of the floor, at positions of the block.
+        (k, BLOCK_SAMPLES_PER_SIDE, BLOCK_SAMPLES_PER_SIDE): the sine of the sun's altitude less that of the floor, at positions of
+        the block.
     """
 
-    samples_min: np.ndarray
+    samples_minutes: np.ndarray
     above_floor_sine: np.ndarray
 
-    def sample_min(self, number: int) -> float:
+    def sample_minutes(self, number: int) -> float:
         """Return the moment, in minutes, for which the sun of sample ``number`` is computed.
 
         At the ends of the span it is moved inwards by ``HORIZON_OFFSET_MINUTES``.
         """
-        first, last = self.samples_min[0] + HORIZON_OFFSET_MINUTES, self.samples_min[-1] - HORIZON_OFFSET_MINUTES
-        return float(np.clip(self.samples_min[number], first, max(first, last)))
+        first, last = self.samples_minutes[0] + HORIZON_OFFSET_MINUTES, self.samples_minutes[-1] - HORIZON_OFFSET_MINUTES
+        return float(np.clip(self.samples_minutes[number], first, max(first, last)))
 
 
 def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
@@ -136,19 +137,20 @@ def refracted_sine(sine: np.ndarray) -> np.ndarray:
 
 
 def block_sample_positions(view: MapView) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and the columns of a lattice of positions that represent a block: (BLOCK_SAMPLES, BLOCK_SAMPLES) each.
+    """Return the rows and the columns of a lattice of positions that represent a block.
 
-    They are counted in pixels from the block's first pixel.
+    Each array is (BLOCK_SAMPLES_PER_SIDE, BLOCK_SAMPLES_PER_SIDE). Rows and columns are counted in pixels from the block's first
+    pixel.
     """
-    row, col = (np.linspace(0.0, count - 1.0, BLOCK_SAMPLES) for count in (view.rows, view.cols))
+    row, col = (np.linspace(0.0, count - 1.0, BLOCK_SAMPLES_PER_SIDE) for count in (view.rows, view.cols))
     rows, cols = np.meshgrid(row, col, indexing="ij")
     return rows, cols
 
 
-def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, step_min: float) -> list[SunSpan]:
+def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, step_minutes: float) -> list[SunSpan]:
     """Return the spans during which the sun is above a minimum altitude somewhere in a block, with their sampled moments.
 
-    ``floor_deg`` is the minimum apparent altitude. ``step_min`` is the time between two samples, minutes.
+    ``floor_deg`` is the minimum apparent altitude. ``step_minutes`` is the time between two samples, minutes.
     """
     row, col = block_sample_positions(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
@@ -156,16 +158,18 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
     heights = refracted_sine(day.to_sun_unrefracted_earth @ up.T) - floor
     spells = []
-    for first, last in _above_zero(day.times_min, heights.max(axis=1)):
-        steps = np.arange(np.ceil(first / step_min), np.floor(last / step_min) + 1.0) * step_min
-        floor_crossings = [t for spell in _above_zero(day.times_min, heights.min(axis=1)) for t in spell if first < t < last]
+    for first, last in _above_zero(day.times_minutes, heights.max(axis=1)):
+        steps = np.arange(np.ceil(first / step_minutes), np.floor(last / step_minutes) + 1.0) * step_minutes
+        floor_crossings = [t for spell in _above_zero(day.times_minutes, heights.min(axis=1)) for t in spell if first < t < last]
         knots = [first]
         for moment in sorted([*steps, *floor_crossings]):
             if moment - knots[-1] >= MIN_SPACING_MINUTES and last - moment >= MIN_SPACING_MINUTES:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
-        above_floor_sine = np.stack([np.interp(moments, day.times_min, heights_at_point) for heights_at_point in heights.T], axis=1)
-        above_floor_sine = above_floor_sine.reshape(-1, BLOCK_SAMPLES, BLOCK_SAMPLES)
+        above_floor_sine = np.stack(
+            [np.interp(moments, day.times_minutes, heights_at_point) for heights_at_point in heights.T], axis=1
+        )
+        above_floor_sine = above_floor_sine.reshape(-1, BLOCK_SAMPLES_PER_SIDE, BLOCK_SAMPLES_PER_SIDE)
         spells.append(SunSpan(moments, above_floor_sine))
     return spells
 
@@ -178,13 +182,13 @@ def _above_zero(times: np.ndarray, values: np.ndarray) -> list[tuple[float, floa
     over = np.concatenate([[False], values > 0.0, [False]])
     starts, ends = np.flatnonzero(over[1:] & ~over[:-1]), np.flatnonzero(over[:-1] & ~over[1:]) - 1
 
-    def zero(a: int, b: int) -> float:
+    def zero_crossing(a: int, b: int) -> float:
         return float(times[a] + (times[b] - times[a]) * values[a] / (values[a] - values[b]))
 
     spells = []
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        first = float(times[0]) if start == 0 else zero(start - 1, start)
-        last = float(times[-1]) if end == len(times) - 1 else zero(end, end + 1)
+        first = float(times[0]) if start == 0 else zero_crossing(start - 1, start)
+        last = float(times[-1]) if end == len(times) - 1 else zero_crossing(end, end + 1)
         if last > first:
             spells.append((first, last))
     return spells

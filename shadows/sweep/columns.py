@@ -1,7 +1,7 @@
 """The sun's shadows of upright columns (``skugga.terrain.ground.columns``), by one ray per column.
 
 Over smooth ground the shadow between two rays can be interpolated. At walls it cannot: a ray either meets a column or passes beside
-it. So each column has its own ray, from the middle of its top. The ray is followed towards the sun over the turned grid
+it. So each column has its own ray, from the middle of its top. The ray is followed towards the sun over the sun-aligned grid
 (``skugga.shadows.sweep.lines``), row by row. Over a cell the ray is lowest where it enters. There its height is compared with the
 cell's flat top. A ray that touches a corner or runs along a border meets the cell.
 
@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.points import evaluate_cubic
+from skugga.shadows.sweep.position_cubics import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters
 from skugga.terrain.compiled import compiled, internal, map_on_cores
@@ -42,12 +42,14 @@ HEIGHT_TOLERANCE_M = 1e-6
 """Metres by which a column must be higher than a ray to block it. The tolerance covers the float64 rounding of equal heights."""
 
 NO_COLUMN = np.float32(-1e30)
+"""Height of a cell without a column, metres: lower than any ray."""
 
 POINTS_PER_CHUNK = 2**15
+"""Number of points that a thread processes at a time."""
 
 
-class TurnedColumns(NamedTuple):
-    """Upright columns (n, m) on a turned grid (rotated and mirrored so that the sun stands before row 0).
+class SunAlignedColumns(NamedTuple):
+    """Upright columns (n, m) on a sun-aligned grid (rotated and mirrored so that the sun stands before row 0).
 
     The cubics (n + 1, 4) are functions of t, the position across the sun's rays. One holds along the border before each row, and
     the last one along the border after the last row.
@@ -70,7 +72,7 @@ class TurnedColumns(NamedTuple):
         (n + 1, 4): the change of the ray height per metre of height.
     reference_height_m
         Metres: the reference height of ``column_of_t``.
-    side
+    cell_size
         Size of a cell, in cells of the finest level of detail.
     """
 
@@ -82,7 +84,7 @@ class TurnedColumns(NamedTuple):
     ray_height_at_zero: np.ndarray
     ray_height_per_metre: np.ndarray
     reference_height_m: float
-    side: float
+    cell_size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,34 +93,34 @@ class ColumnGround:
 
     Attributes
     ----------
-    detail
-        Level of detail: a cell is 2**detail cells of full detail wide.
+    lod
+        Level of detail: a cell is 2**lod cells of full detail wide.
     row0, col0
         Row and column of the first cell on the grid of this level of detail, before turning.
     shape
         Rows and columns before turning.
     columns
-        The turned columns.
-    towards_at_zero
+        The sun-aligned columns.
+    sunward_at_zero
         (n + 1, 4), metres: cubics in t of the distance towards the sun, at height 0.
-    towards_per_metre
+    sunward_per_metre
         (n + 1, 4): cubics in t of the change of this distance per metre of height.
     """
 
-    detail: int
+    lod: int
     row0: int
     col0: int
     shape: tuple[int, int]
-    columns: TurnedColumns
-    towards_at_zero: np.ndarray
-    towards_per_metre: np.ndarray
+    columns: SunAlignedColumns
+    sunward_at_zero: np.ndarray
+    sunward_per_metre: np.ndarray
 
-    def with_raised_sun(self, angle_rad: float) -> TurnedColumns:
+    def with_raised_sun(self, angle_rad: float) -> SunAlignedColumns:
         """Return the columns with the ray heights for a sun that is higher by ``angle_rad``."""
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         return self.columns._replace(
-            ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.towards_at_zero,
-            ray_height_per_metre=cosine * self.columns.ray_height_per_metre - sine * self.towards_per_metre,
+            ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.sunward_at_zero,
+            ray_height_per_metre=cosine * self.columns.ray_height_per_metre - sine * self.sunward_per_metre,
         )
 
 
@@ -137,14 +139,14 @@ class ColumnSweep:
     point_index
         int (rows, cols): the point that each pixel shows; -1 without one.
     row
-        (n,): rows of the points on the turned grid of the finest ground.
+        (n,): rows of the points on the sun-aligned grid of the finest ground.
     t
         (n,): positions of the points across the sun's rays, in cells.
     height_m
         (n,), metres: heights of the points.
     ray_height_m
         (n,), metres: ray heights of the points; NaN for tops of columns, which are computed from the ground.
-    towards_m
+    sunward_m
         (n,), metres: distances of the points towards the sun.
     """
 
@@ -155,7 +157,7 @@ class ColumnSweep:
     t: np.ndarray
     height_m: np.ndarray
     ray_height_m: np.ndarray
-    towards_m: np.ndarray
+    sunward_m: np.ndarray
 
     @property
     def nbytes(self) -> int:
@@ -170,31 +172,31 @@ class ColumnSweep:
         meaningful, and the search is faster. ``cores`` is the number of threads.
         """
         grounds = [ground.with_raised_sun(angle_rad) for ground in self.grounds]
-        ray_heights = np.cos(angle_rad) * self.ray_height_m - np.sin(angle_rad) * self.towards_m
+        ray_heights = np.cos(angle_rad) * self.ray_height_m - np.sin(angle_rad) * self.sunward_m
         on_columns = np.flatnonzero(np.isnan(ray_heights))
         ray_heights[on_columns] = _ray_heights(grounds[0], self.row[on_columns], self.t[on_columns], self.height_m[on_columns])
         above = np.zeros(len(self.row))
 
         def sweep_chunk(first: int) -> None:
             part = slice(first, first + POINTS_PER_CHUNK)
-            for ground, turned in zip(self.grounds, grounds, strict=True):
-                row = self._turned_rows_on(ground, self.row[part])
-                _follow_rays(turned, row, self.t[part] / turned.side, ray_heights[part], needs_height, above[part])
+            for ground, sun_aligned in zip(self.grounds, grounds, strict=True):
+                row = self._sun_aligned_rows_on(ground, self.row[part])
+                _follow_rays(sun_aligned, row, self.t[part] / sun_aligned.cell_size, ray_heights[part], needs_height, above[part])
 
         map_on_cores(sweep_chunk, range(0, len(above), POINTS_PER_CHUNK), cores)
         return np.append(above, 0.0)[self.point_index]
 
-    def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
-        """Convert rows (n,) on the turned grid of the finest ground to those of another level of detail."""
+    def _sun_aligned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
+        """Convert rows (n,) on the sun-aligned grid of the finest ground to those of another level of detail."""
         finest, orientation = self.grounds[0], self.rays.orientation
         if ground is finest:
             return row
         ends = np.array([0.0, 1.0])
-        end_row, end_col = orientation.from_turned(ends, ends, *finest.shape)
-        side = 2.0**ground.detail
+        end_row, end_col = orientation.from_sun_aligned(ends, ends, *finest.shape)
+        side = 2.0**ground.lod
         coarse_row, coarse_col = ((end_row + finest.row0 + 0.5) / side - 0.5, (end_col + finest.col0 + 0.5) / side - 0.5)
-        turned_ends, _ = orientation.to_turned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
-        return turned_ends[0] + row * (turned_ends[1] - turned_ends[0])
+        sun_aligned_ends, _ = orientation.to_sun_aligned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
+        return sun_aligned_ends[0] + row * (sun_aligned_ends[1] - sun_aligned_ends[0])
 
 
 def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> ColumnSweep:
@@ -212,31 +214,31 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         height_m, _ = window.columns.coarser(patch.lod).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
         windows.setdefault(patch.lod, []).append((row0, col0, height_m))
-    grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
+    grounds = [_column_ground(rays, window.columns, lod, windows[lod]) for lod in sorted(windows)]
     point_index, pixel = _number_points(buffer, placed, window.height_m.size)
-    t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
+    t, ray_height_m, sunward_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.kind.ravel()[pixel] == RELIEF
     ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
-    turned_row, _ = rays.orientation.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
+    sun_aligned_row, _ = rays.orientation.to_sun_aligned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
-    return ColumnSweep(rays, grounds, point_index, turned_row, t, height_m, ray_height_m, towards_m)
+    return ColumnSweep(rays, grounds, point_index, sun_aligned_row, t, height_m, ray_height_m, sunward_m)
 
 
-def _number_points(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
+def _number_points(buffer: GeometryBuffer, column_indices: ColumnIndices, column_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Number the points that pixels show, and return each pixel's number (rows, cols), and one flat pixel index per point (n,).
 
     Pixels that show the same column share one point. Each pixel that shows anything else has its own point. A pixel without a
-    surface has the number -1. ``cells`` is the number of columns.
+    surface has the number -1. ``column_count`` is the number of columns.
     """
     valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.kind == RELIEF)).ravel()
     key = np.full(valid.size, -1, np.int64)
-    cell = placed.row.astype(np.int64) * placed.window.height_m.shape[1] + placed.col
+    cell = column_indices.row.astype(np.int64) * column_indices.window.height_m.shape[1] + column_indices.col
     key[ground] = cell.ravel()[ground]
     other_pixels = np.flatnonzero(valid & ~ground)
-    key[other_pixels] = cells + np.arange(len(other_pixels))
-    pixel_of_key = np.full(cells + len(other_pixels) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
+    key[other_pixels] = column_count + np.arange(len(other_pixels))
+    pixel_of_key = np.full(column_count + len(other_pixels) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
     pixel_of_key[key] = np.arange(key.size)
     pixel_of_key[-1] = -1
     used_keys = np.flatnonzero(pixel_of_key >= 0)
@@ -245,7 +247,7 @@ def _number_points(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) ->
     return number[key].reshape(buffer.valid.shape), pixel_of_key[used_keys]
 
 
-def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:
+def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:
     """Return the columns of one level of detail, from windows of heights.
 
     A window is its first row, its first column, and its heights (rows, cols) in metres. Cells outside of all windows have no
@@ -258,38 +260,50 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
     for row, col, height_m in windows:
         window = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
         heights[window] = np.where(np.isfinite(height_m), height_m, NO_COLUMN)
-    turned = np.ascontiguousarray(rays.orientation.turned(heights))
-    grid, side = columns.coarser(detail).grid, 2.0**detail
+    sun_aligned = np.ascontiguousarray(rays.orientation.sun_aligned_view(heights))
+    grid, side = columns.coarser(lod).grid, 2.0**lod
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        row, col = rays.orientation.from_turned(i, j, rows, cols)
+        row, col = rays.orientation.from_sun_aligned(i, j, rows, cols)
         point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
         light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
-        t, t_rise = (light[..., 0] - rays.right_m) / (rays.cell_m * side), upwards[..., 0] / (rays.cell_m * side)
+        t, t_rise = (
+            (light[..., 0] - rays.right_origin_m) / (rays.right_m_per_cell * side),
+            upwards[..., 0] / (rays.right_m_per_cell * side),
+        )
         return np.stack([
-            t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.up_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
+            t + rays.mean_height_m * t_rise, t_rise, light[..., 1] - rays.up_origin_m, upwards[..., 1], -light[..., 2],
+            -upwards[..., 2],
         ])  # fmt: skip
 
-    column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, towards_at_zero, towards_per_metre = _border_cubics(
-        along_rays, turned.shape[0], turned.shape[1], grid.crs.name
+    column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, sunward_at_zero, sunward_per_metre = _border_cubics(
+        along_rays, sun_aligned.shape[0], sun_aligned.shape[1], grid.crs.name
     )
-    padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
+    padded = np.pad(sun_aligned, [(0, -size % BAND_CELLS) for size in sun_aligned.shape], constant_values=NO_COLUMN)
     block_max = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
-    max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
-    turned_columns = TurnedColumns(
-        turned, block_max, max_ahead, column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, rays.height_m, side
+    max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(sun_aligned.max(axis=1))]).astype(np.float32)
+    sun_aligned_columns = SunAlignedColumns(
+        sun_aligned,
+        block_max,
+        max_ahead,
+        column_of_t,
+        column_per_metre,
+        ray_height_at_zero,
+        ray_height_per_metre,
+        rays.mean_height_m,
+        side,
     )
-    return ColumnGround(detail, row0, col0, (rows, cols), turned_columns, towards_at_zero, towards_per_metre)
+    return ColumnGround(lod, row0, col0, (rows, cols), sun_aligned_columns, sunward_at_zero, sunward_per_metre)
 
 
 def _border_cubics(
     along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> Iterator[np.ndarray]:
-    """Fit cubics in t along each border between rows of a turned grid: (rows + 1, 4) for each of six quantities.
+    """Fit cubics in t along each border between rows of a sun-aligned grid: (rows + 1, 4) for each of six quantities.
 
-    t is the position across the sun's rays, in cells. At turned rows and columns, ``along_rays`` returns t, its change per metre of
-    height, and four more values. The six quantities are the column, its shift per metre of height, and the four values. Raises
-    ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
+    t is the position across the sun's rays, in cells. At sun-aligned rows and columns, ``along_rays`` returns t, its change per
+    metre of height, and four more values. The six quantities are the column, its shift per metre of height, and the four values.
+    Raises ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -306,7 +320,7 @@ def _border_cubics(
         column_of_t = np.polynomial.Polynomial.fit(t[n], j, degree)
         per_line = [j, -t_rise[n] * column_of_t.deriv()(t[n]), *(values[n] for values in other_values)]
         for coefficients, values in zip(cubics, per_line, strict=True):
-            coefficients[n, : degree + 1] = _coefficients(t[n], values, degree)
+            coefficients[n, : degree + 1] = _fitted_coefficients(t[n], values, degree)
     row_cubics = [make_interp_spline(i, coefficients, k=row_degree)(np.arange(rows + 1)) for coefficients in cubics]
     checked = np.unique(np.linspace(0, rows, 4 * LATTICE_SIZE).round()).astype(int)
     columns = np.linspace(-0.5, cols - 0.5, 4 * LATTICE_SIZE)
@@ -319,7 +333,7 @@ def _border_cubics(
     return iter(row_cubics)
 
 
-def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
+def _fitted_coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
     """Return the coefficients (degree + 1,) of a polynomial in t fitted to values."""
     coefficients = np.polynomial.Polynomial.fit(t, values, degree).convert().coef
     return np.pad(coefficients, (0, degree + 1 - len(coefficients)))
@@ -327,7 +341,7 @@ def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
 
 @compiled
 def _ray_heights(columns, row, t, height):
-    """Return the ray heights (n,), metres, of points at turned rows, positions t across the rays, and heights in metres."""
+    """Return the ray heights (n,), metres, of points at sun-aligned rows, positions t across the rays, and heights in metres."""
     out = np.empty(row.size)
     borders = len(columns.ray_height_at_zero)
     for n in range(row.size):
@@ -344,14 +358,14 @@ def _ray_heights(columns, row, t, height):
 
 
 @compiled
-def _follow_rays(columns, row, t, ray_heights, needs_height, above):
-    """Raise ``above`` (n,) to the largest height in metres of columns above the rays from points to the sun.
+def _follow_rays(columns, row, t, ray_heights, needs_height, above_m):
+    """Raise ``above_m`` (n,) to the largest height in metres of columns above the rays from points to the sun.
 
     Unless ``needs_height``, a point whose value is over 0 is skipped, because its ray is blocked already.
     """
     for n in range(row.size):
-        if needs_height or above[n] <= 0.0:
-            above[n] = _highest_above(columns, row[n], t[n], ray_heights[n], needs_height, above[n])
+        if needs_height or above_m[n] <= 0.0:
+            above_m[n] = _highest_above(columns, row[n], t[n], ray_heights[n], needs_height, above_m[n])
 
 
 @internal
@@ -364,31 +378,31 @@ def _border_crossing(columns, b, t, ray_height):
 
 
 @internal
-def _highest_above(columns, row, t, ray_height, needs_height, above):
-    """Return the maximum of ``above`` and of the heights in metres of columns above a ray from a turned row to the sun.
+def _highest_above(columns, row, t, ray_height, needs_height, above_m):
+    """Return the maximum of ``above_m`` and of the heights in metres of columns above a ray from a sun-aligned row to the sun.
 
-    Unless ``needs_height``, the search ends at the first column that exceeds ``above``.
+    Unless ``needs_height``, the search ends at the first column that exceeds ``above_m``.
     """
     heights = columns.height
     n, m = heights.shape
     i = min(int(np.ceil(row - 0.5 - CORNER_TOLERANCE_CELLS)), n - 1)
     if i < 0:
-        return above
+        return above_m
     x1, h1 = _border_crossing(columns, i + 1, t, ray_height)
     share = i + 0.5 - row
     if share > 0.0:  # starts within the row
         x0, h0 = _border_crossing(columns, i, t, ray_height)
         x1, h1 = x1 + share * (x0 - x1), h1 + share * (h0 - h1)
     while i >= 0:
-        min_height = h1 + above + HEIGHT_TOLERANCE_M  # the height that a column must exceed
+        min_height = h1 + above_m + HEIGHT_TOLERANCE_M  # the height that a column must exceed
         if columns.max_ahead[i + 1] <= min_height:
-            return above
+            return above_m
         if (i + 1) % BAND_CELLS == 0:
             far = i + 1 - BAND_CELLS
             x0, h0 = _border_crossing(columns, far, t, ray_height)
             first, last = int(np.floor(min(x0, x1) - 0.5)) // BAND_CELLS, int(np.floor(max(x0, x1) + 1.5)) // BAND_CELLS
             if last < 0:
-                return above
+                return above_m
             is_clear = True
             for block in range(max(first, 0), min(last, columns.block_max.shape[1] - 1) + 1):
                 is_clear = is_clear and columns.block_max[i // BAND_CELLS, block] <= min_height
@@ -402,15 +416,15 @@ def _highest_above(columns, row, t, ray_height, needs_height, above):
         )
         for c in range(max(first, 0), min(last, m - 1) + 1):
             height = np.float64(heights[i, c])
-            if height <= h1 + above + HEIGHT_TOLERANCE_M:
+            if height <= h1 + above_m + HEIGHT_TOLERANCE_M:
                 continue
             enters = min(max(x1, c - 0.5), c + 0.5)  # where the ray enters the cell
             entry_height = (
                 h1 + (x1 - enters) / (x1 - x0) * (h0 - h1) if abs(x1 - enters) > CORNER_TOLERANCE_CELLS and x1 != x0 else h1
             )
-            if height > entry_height + above + HEIGHT_TOLERANCE_M:
-                above = height - entry_height
+            if height > entry_height + above_m + HEIGHT_TOLERANCE_M:
+                above_m = height - entry_height
                 if not needs_height:
-                    return above
+                    return above_m
         i, x1, h1 = i - 1, x0, h0
-    return above
+    return above_m

@@ -1,133 +1,40 @@
 """Grids for the line sweep, and the sweep itself, which runs on several cores, each with a strip of lines.
 
-The *turned grid* is a grid that is rotated and mirrored so that the sun stands before row 0. Lines are sun rays seen from above.
-Their position across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one converts back.
+The *sun-aligned grid* is a grid that is rotated and mirrored so that the sun stands before row 0. Lines are sun rays seen from
+above. Their position across the rays is *t*, in cells. A cubic polynomial per row converts t to columns of the row, and one
+converts back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT, Strip, TurnedGrid, sweep_rows
-from skugga.shadows.sweep.points import StripPoints, intervals_of, no_points, scatter_results, select_strip_points
+from skugga.shadows.sweep.lines import LineStrip, SunAlignedGrid, sweep_rows
+from skugga.shadows.sweep.orientation import GridOrientation, orientation_towards
+from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
+from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
-from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that the strip's state and two rows of the grid fit into a core's cache."""
 
 TURN_BAND_ROWS = 64
-"""Rows of a grid that a thread copies to the turned grid at a time."""
-
-LATTICE_SIZE = 17
-"""Maximum number of rows, and of columns, at which the positions of lines are computed by PROJ. Others are interpolated."""
-
-MAX_BEND_CELLS = 0.1
-"""Tolerance in cells for the distance of the lines from their fitted cubics."""
-
-RAYS_BEND_REASON = "the sun's rays bend across the view; shadow_map can draw it"
-
-
-def bent_rays_error(crs_name: str) -> UnsupportedError:
-    """Return the error for a view across which the sun's rays bend. The message names the CRS."""
-    return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
-
-
-def beyond_crs_error(crs_name: str) -> UnsupportedError:
-    """Return the error for a view that reaches beyond the area where its CRS is defined. The message names the CRS."""
-    reason = f"the view reaches beyond the area of its CRS '{crs_name}'; shadow_map can draw it"
-    return UnsupportedError("algorithm", "sweep", reason)
+"""Rows of a grid that a thread copies to the sun-aligned grid at a time."""
 
 
 CellSize = float | tuple[float, float]
 """Size of a cell in metres: one number, or its sides along a column and along a row."""
 
 NO_RAY_HEIGHTS = np.zeros((0, 0), np.float32)
+"""An empty grid of ray heights, for an output that is not needed."""
+
 NO_MASK = np.zeros((0, 0), np.bool_)
+"""An empty mask, for an output that is not needed."""
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
-"""Value of ``TurnedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
-
-
-@dataclass(frozen=True)
-class GridOrientation:
-    """How a grid is turned so that the sun stands before row 0.
-
-    Attributes
-    ----------
-    swapped
-        Whether rows and columns are swapped first.
-    rows_reversed
-        Whether the order of the rows is reversed then.
-    cols_reversed
-        Whether the order of the columns is reversed then.
-    """
-
-    swapped: bool
-    rows_reversed: bool
-    cols_reversed: bool
-
-    def turned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
-        """Return which quads of the turned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
-
-        ``is_cut_nw_se`` is the same mask for the grid before turning.
-        """
-        return self.turned(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
-
-    def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the turned grid.
-
-        Fractions and positions outside of the grid are allowed.
-        """
-        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
-        return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
-
-    def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert as ``to_turned`` does, but overwrite ``row`` and ``col``, and return them in the order of the turned grid.
-
-        New memory for many points would cost more time than the arithmetic.
-        """
-        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
-        for turned, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
-            if turned:
-                np.subtract(last, index, out=index)
-        return i, j
-
-    def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Convert rows and columns of the turned grid to those of the grid (``rows``, ``cols``): the inverse of ``to_turned``."""
-        n, m = (cols, rows) if self.swapped else (rows, cols)
-        i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
-        return (j, i) if self.swapped else (i, j)
-
-    def turned(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
-        return (values.T if self.swapped else values)[self._order]
-
-    def restored(self, values: np.ndarray) -> np.ndarray:
-        """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
-        values = values[self._order]
-        return values.T if self.swapped else values
-
-    def restored_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-        """Return a contiguous copy of a window of ``restored``."""
-        view = self.restored(values)[window]
-        out = np.empty(view.shape, view.dtype)
-        copy_into(view, out)
-        return out
-
-    @property
-    def _order(self) -> tuple[slice, slice]:
-        return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
-
-
-def orientation_towards(rows: float, cols: float) -> GridOrientation:
-    """Return the orientation for a sun in the direction of ``rows`` rows down and ``cols`` columns to the right on a grid."""
-    swapped = abs(cols) > abs(rows)
-    main, cross = (cols, rows) if swapped else (rows, cols)
-    return GridOrientation(swapped, main > 0, cross > 0)
+"""Value of ``SunAlignedGrid.is_cut_nw_se`` for a grid whose quads are all cut along their higher diagonals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +44,12 @@ class SweepPoints:
     Attributes
     ----------
     row, col
-        float64 (n,): positions on the turned grid; columns do not count the border.
+        float64 (n,): positions on the sun-aligned grid; columns do not count the border.
     t
         float64 (n,): coordinates across the lines, in cells.
     ray_height
         float64 (n,), metres: ray heights; NaN for points on the ground, which have the ground's.
-    rounding
+    ray_height_rounding_m
         Metres by which the ground's ray height must exceed a point's to shade it.
     """
 
@@ -150,7 +57,7 @@ class SweepPoints:
     col: np.ndarray
     t: np.ndarray
     ray_height: np.ndarray
-    rounding: float
+    ray_height_rounding_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,77 +77,29 @@ class LineState:
     first_cell: int
     line_max: np.ndarray
 
-    def resampled(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
+    def resampled(self, first_cell: int, cells: int, lines: int, coarser_cell_ratio: float) -> LineState:
         """Return the state for the lines of a finer grid, interpolated between the lines of this one.
 
-        The finer grid has ``lines`` lines per cell. It starts at cell ``first_cell`` and has ``cells`` cells, each ``factor`` times
-        smaller than a cell of this grid.
+        The finer grid has ``lines`` lines per cell. It starts at cell ``first_cell`` and has ``cells`` cells, each
+        ``coarser_cell_ratio`` times smaller than a cell of this grid.
         """
         flat_max = self.line_max.T.ravel()
-        position = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.line_max.shape[0]
+        position = ((first_cell + np.arange(cells * lines) / lines) / coarser_cell_ratio - self.first_cell) * self.line_max.shape[0]
         left = np.clip(np.floor(position).astype(np.int64), 0, flat_max.size - 2)
         share = np.clip(position - left, 0.0, 1.0)
         line_max = ((1.0 - share) * flat_max[left] + share * flat_max[left + 1]).astype(np.float32)
         return LineState(first_cell, np.ascontiguousarray(line_max.reshape(cells, lines).T))
 
 
-def position_cubics(
-    t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fit cubics to each row of a turned grid that convert t to columns and columns to t: (rows, 4) each.
-
-    t is the position across the sun's rays, in cells. ``t_of`` is a smooth function that returns t at turned rows and columns. The
-    columns of the cubics count the left border column. Raises ``UnsupportedError`` if cubics cannot approximate ``t_of``. The
-    message names the CRS ``crs_name``.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE_SIZE)).round())
-    j = np.linspace(0, cols - 1, min(cols, LATTICE_SIZE))
-    t = t_of(*np.meshgrid(i, j, indexing="ij"))
-    j = j + 1.0  # behind the left border
-    if not np.isfinite(t).all():
-        raise beyond_crs_error(crs_name)
-    if not (np.diff(t, axis=1) > 0.0).all():  # for example a view that spans half the earth
-        raise bent_rays_error(crs_name)
-    columns = np.broadcast_to(j, t.shape)
-    column_of_t, t_of_column = (
-        make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
-    )
-    checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE_SIZE).round()).astype(int)
-    columns = np.linspace(0, cols - 1, 4 * LATTICE_SIZE)
-    exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
-    c0, c1, c2, c3 = column_of_t[checked_rows].T[..., None]
-    fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
-    if not np.abs(fitted - columns - 1.0).max() <= MAX_BEND_CELLS:  # also raises for NaN
-        raise bent_rays_error(crs_name)
-    return column_of_t, t_of_column
-
-
-def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Fit a least-squares cubic to each row of ``y`` (m, n) as a function of the same row of ``x``.
-
-    Returns the coefficients (m, 4), constant term first.
-    """
-    middle, half = (x[:, :1] + x[:, -1:]) / 2, (x[:, -1:] - x[:, :1]) / 2
-    half[half == 0.0] = 1.0  # cubics are fitted between -1 and 1
-    powers = ((x - middle) / half)[..., None] ** np.arange(min(4, x.shape[1]))
-    a = np.zeros((len(x), 4))
-    a[:, : powers.shape[2]] = (np.linalg.pinv(powers) @ y[..., None])[..., 0]
-    a /= half ** np.arange(4)
-    (a0, a1, a2, a3), h = a.T, -middle[:, 0]
-    return np.stack([a0 + h * (a1 + h * (a2 + h * a3)), a1 + h * (2.0 * a2 + h * 3.0 * a3), a2 + h * 3.0 * a3, a3], axis=1)
-
-
 ALL_ROWS = slice(None)
 """All rows of a grid."""
 
-Window = tuple[tuple[int, int], tuple[int, int]]
+GridWindow = tuple[tuple[int, int], tuple[int, int]]
 """A window of a grid: its first row and the row after its last one, and the same of its columns."""
 
 
 def allocate_bordered_grid(
-    n: int, m: int, filled_rows: slice = ALL_ROWS, window_to_fill: Window = ((0, 0), (0, 0))
+    n: int, m: int, filled_rows: slice = ALL_ROWS, window_to_fill: GridWindow = ((0, 0), (0, 0))
 ) -> tuple[np.ndarray, np.ndarray]:
     """Allocate a float32 grid (n, m + 2) with border columns, and return it and its view (n, m) without them.
 
@@ -265,41 +124,41 @@ def close_border(with_border: np.ndarray, filled_rows: slice = ALL_ROWS) -> np.n
 
 
 def sweep_nodes(
-    turned_grid: TurnedGrid,
+    sun_aligned_grid: SunAlignedGrid,
     lines: int,
     t_range: tuple[float, float],
-    entry: LineState | None = None,
-    factor: float = 2.0,
-    rows: tuple[int, int] = (0, 0),
-    cols: tuple[int, int] | None = None,
+    entry_state: LineState | None = None,
+    coarser_cell_ratio: float = 2.0,
+    row_range: tuple[int, int] = (0, 0),
+    col_range: tuple[int, int] | None = None,
     points: SweepPoints | None = None,
-    shade: np.ndarray = NO_RAY_HEIGHTS,
+    shadow_ray_heights: np.ndarray = NO_RAY_HEIGHTS,
     cores: int = 1,
     first_ground_row: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sweep a turned grid, and compute which of its nodes and of other points see the sun.
+    """Sweep a sun-aligned grid, and compute which of its nodes and of other points see the sun.
 
     Only nodes and points whose t (position across the lines) lies in ``t_range`` are evaluated.
 
     Parameters
     ----------
-    turned_grid
-        The turned grid (n, m + 2), borders included.
+    sun_aligned_grid
+        The sun-aligned grid (n, m + 2), borders included.
     lines
         Lines per column.
     t_range
         Range of t to sweep, in cells.
-    entry
+    entry_state
         Maximum ray heights along the lines at the end of a coarser grid, which lies towards the sun; ``None``: no such grid.
-    factor
+    coarser_cell_ratio
         Cell size of the coarser grid, in cells of this one.
-    rows
-        Nodes to evaluate: the turned rows [rows[0], rows[1]); none by default.
-    cols
+    row_range
+        Nodes to evaluate: the sun-aligned rows [rows[0], rows[1]); none by default.
+    col_range
         Nodes to evaluate: the columns [cols[0], cols[1]), not counting the border; all by default.
     points
         Other points to evaluate.
-    shade
+    shadow_ray_heights
         Output array float32 (n, m + 2), if not empty: the ray height in metres above which each evaluated node sees the sun.
     cores
         Number of threads.
@@ -309,44 +168,44 @@ def sweep_nodes(
     Returns
     -------
     lit
-        bool (n, m): whether nodes see the sun; undefined for nodes that are not evaluated, empty without ``rows``.
+        bool (n, m): whether nodes see the sun; undefined for nodes that are not evaluated, empty without ``row_range``.
     points_lit
         bool (k,): whether the points see the sun.
     points_above_m
         float32 (k,): metres by which the highest ray height between a point and the sun exceeds the point's own.
     """
-    n, columns = turned_grid.ray_height.shape
-    first, last = rows
+    n, columns = sun_aligned_grid.ray_height.shape
+    first, last = row_range
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
-    first_col, last_col = (0, columns - 2) if cols is None else cols
+    first_col, last_col = (0, columns - 2) if col_range is None else col_range
     lit[first:last, first_col + 1 : last_col + 1] = True  # a grid may be many times as large as the window
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     interval = np.empty(len(points.row), np.int32)
-    run_in_chunks(len(interval), intervals_of, points.row, n, interval)
+    run_in_chunks(len(interval), write_row_intervals, points.row, n, interval)
     end = max(last - 1, int(interval.max(initial=-1)) + 1)
     low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
 
-    def strip(start: int) -> None:
+    def sweep_strip(start: int) -> None:
         stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
         line_max = (
             np.full((lines, cells), NO_GROUND_RAY_HEIGHT, np.float32)
-            if entry is None
-            else entry.resampled(start - 1, cells, lines, factor).line_max
+            if entry_state is None
+            else entry_state.resampled(start - 1, cells, lines, coarser_cell_ratio).line_max
         )
         number, row_starts, row, col, t, ray_height = select_strip_points(
             points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
         )
         strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.rounding, *strip_results)
-        strip_state = Strip(lines, start - 1, line_max, initial_peaks(lines, cells))
+        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.ray_height_rounding_m, *strip_results)
+        strip_state = LineStrip(lines, start - 1, line_max, initial_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(first_ground_row, int(interval.min(initial=n))), end)
-        sweep_rows(turned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
-        sweep_rows(turned_grid, strip_state, before, end, shade, lit, strip_points)
+        sweep_rows(sun_aligned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
+        sweep_rows(sun_aligned_grid, strip_state, before, end, shadow_ray_heights, lit, strip_points)
         scatter_results(number, *strip_results, points_lit, points_above_m)
 
-    map_on_cores(strip, range(low, high, STRIP_CELLS), cores)
+    map_on_cores(sweep_strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
 
 
@@ -358,29 +217,31 @@ def initial_peaks(lines: int, cells: int) -> np.ndarray:
 
 
 def sweep_to_state(
-    turned_grid: TurnedGrid,
+    sun_aligned_grid: SunAlignedGrid,
     lines: int,
     t_range: tuple[float, float],
-    entry: LineState | None = None,
-    factor: float = 2.0,
+    entry_state: LineState | None = None,
+    coarser_cell_ratio: float = 2.0,
     first_ground_row: int = 0,
 ) -> LineState:
-    """Sweep all rows of a turned grid, and return the highest ray height along each line.
+    """Sweep all rows of a sun-aligned grid, and return the highest ray height along each line.
 
-    ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry`` and
-    ``factor`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
+    ``t_range`` is the range of positions across the lines, in cells, and ``lines`` the number of lines per cell. ``entry_state``
+    and ``coarser_cell_ratio`` are those of ``sweep_nodes``. Rows before ``first_ground_row`` hold no ground and are skipped.
     """
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_RAY_HEIGHT, np.float32))
-    if entry is not None:
-        state = entry.resampled(low, high - low, lines, factor)
-    rows = len(turned_grid.ray_height)
-    strip = Strip(lines, low, state.line_max, initial_peaks(lines, high - low))
-    sweep_rows(turned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, no_points(rows))
+    if entry_state is not None:
+        state = entry_state.resampled(low, high - low, lines, coarser_cell_ratio)
+    rows = len(sun_aligned_grid.ray_height)
+    strip = LineStrip(lines, low, state.line_max, initial_peaks(lines, high - low))
+    sweep_rows(
+        sun_aligned_grid, strip, min(first_ground_row, rows - 1), rows - 1, NO_RAY_HEIGHTS, NO_MASK, empty_strip_points(rows)
+    )
     return state
 
 
-def sunlit(
+def sunlit_nodes(
     height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
 ) -> np.ndarray:
     """Return which nodes of a heightfield in a flat world see the sun.
@@ -409,18 +270,18 @@ def sunlit(
         bool (rows, cols): True where the sun is visible.
     """
     height_m = np.pad(height_m, 1, mode="edge")
-    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
-    ray_height = turned_linear_values(
+    ray_height = sun_aligned_linear_values(
         height_m, orientation, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores
     )
     n, m = ray_height.shape
-    turned_grid = TurnedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
-    lit, _, _ = sweep_nodes(turned_grid, lines, (t_of_column[:, 0].min(), m), rows=(0, n), cores=cores)
-    return orientation.restored(lit)[1:-1, 1:-1]
+    sun_aligned_grid = SunAlignedGrid(ray_height, column_of_t, t_of_column, HIGHER_DIAGONALS)
+    lit, _, _ = sweep_nodes(sun_aligned_grid, lines, (t_of_column[:, 0].min(), m), row_range=(0, n), cores=cores)
+    return orientation.grid_order_view(lit)[1:-1, 1:-1]
 
 
-def flat_grid(
+def flat_world_grid(
     shape: tuple[int, int], cell_m: CellSize, azimuth_deg: float
 ) -> tuple[GridOrientation, float, float, np.ndarray, np.ndarray]:
     """Return how a flat world's grid is turned towards the sun's azimuth, and the positions of its lines.
@@ -431,52 +292,39 @@ def flat_grid(
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
     orientation = orientation_towards(*towards)
-    main, cross = towards[::-1] if orientation.swapped else towards
-    n = shape[1] if orientation.swapped else shape[0]
+    main, cross = towards[::-1] if orientation.axes_swapped else towards
+    n = shape[1] if orientation.axes_swapped else shape[0]
     shift, ones, zeros = np.arange(n) * abs(cross / main) + 1.0, np.ones(n), np.zeros(n)
     column_of_t, t_of_column = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
     return orientation, row_m, col_m, column_of_t, t_of_column
 
 
-def turned_linear_values(
+def sun_aligned_linear_values(
     height: np.ndarray, orientation: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
 ) -> np.ndarray:
-    """Return values that are linear in the heights, rows and columns of a grid, as a turned grid with borders, float32.
+    """Return values that are linear in the heights, rows and columns of a grid, as a sun-aligned grid with borders, float32.
 
     ``height`` (rows, cols) is in metres. The values grow by ``per_height`` per metre, ``per_row`` per row and ``per_col`` per
     column of the grid before turning.
     """
     rows, cols = height.shape
-    with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.swapped else (rows, cols)))
-    target = orientation.restored(inside)  # the same memory, in the grid's own order
+    with_border, inside = allocate_bordered_grid(*((cols, rows) if orientation.axes_swapped else (rows, cols)))
+    target = orientation.grid_order_view(inside)  # the same memory, in the grid's own order
 
-    def band(first: int) -> None:
+    def write_band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
         _write_linear_values(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
-    map_on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
+    map_on_cores(write_band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 
 @compiled
 def _write_linear_values(height, per_height, start, per_row, per_col, out):
+    """Write values that are linear in heights, rows and columns to ``out`` (rows, cols); ``start`` is the value of row 0."""
     rows, cols = height.shape
     for c0 in range(0, cols, 64):  # in blocks, for the CPU cache: ``out`` may have the other memory order
         for r in range(rows):
             row_offset = start + r * per_row
             for c in range(c0, min(c0 + 64, cols)):
                 out[r, c] = height[r, c] * per_height + (row_offset + np.int32(c) * per_col)
-
-
-@compiled
-def copy_into(values, out):
-    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
-
-    This matters if one array is stored by rows and the other by columns.
-    """
-    rows, cols = values.shape
-    for r0 in range(0, rows, 64):
-        for c0 in range(0, cols, 64):
-            for r in range(r0, min(r0 + 64, rows)):
-                for c in range(c0, min(c0 + 64, cols)):
-                    out[r, c] = values[r, c]

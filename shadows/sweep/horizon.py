@@ -6,7 +6,7 @@ pushed. Each vertex is pushed and popped at most once, so the work is linear in 
 
 A position has two coordinates in the vertical plane of the sun, relative to a reference direction. Its *ray height* is measured at
 right angles to this direction, its distance *towards* the sun along it. The horizon is the angle above the reference direction.
-Lines, positions and turned grids are those of ``skugga.shadows.sweep.lines``. Ground near a point is treated exactly, on the
+Lines, positions and sun-aligned grids are those of ``skugga.shadows.sweep.lines``. Ground near a point is treated exactly, on the
 point's own line. The horizon by all other ground is interpolated between the two lines beside the point.
 """
 
@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_linear_values
-from skugga.shadows.sweep.points import evaluate_cubic, ground_at, is_cut
+from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_world_grid, sun_aligned_linear_values
+from skugga.shadows.sweep.points import evaluate_cubic, ground_at, is_cut_along
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
-NO_HORIZON_SLOPE = -1e30
+NO_HORIZON_TANGENT = -1e30
 """Tangent of the horizon angle without any ground: finite, not -infinity, so that it can be interpolated."""
 
 STRIP_LINES = 256
@@ -31,22 +31,22 @@ STRIP_NODES = 2**21
 
 
 class HorizonGrid(NamedTuple):
-    """A turned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
+    """A sun-aligned grid (n, m) with border columns, rotated and mirrored so that the sun stands before row 0.
 
     Attributes
     ----------
     ray_height
         float32 (n, m), metres: the nodes' ray heights; NaN without ground.
-    towards
+    sunward_m
         float32 (n, m), metres: the nodes' distances towards the sun.
     column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t, the position across the lines in cells.
     is_cut_nw_se
-        The diagonals along which quads are cut into triangles, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
+        The diagonals along which quads are cut into triangles, as in ``skugga.shadows.sweep.lines.SunAlignedGrid``.
     """
 
     ray_height: np.ndarray
-    towards: np.ndarray
+    sunward_m: np.ndarray
     column_of_t: np.ndarray
     is_cut_nw_se: np.ndarray
 
@@ -98,54 +98,54 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     np.ndarray
         float64 (rows, cols), degrees: -90 if no ground lies in this direction; NaN at nodes without ground.
     """
-    orientation, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
-    ray_height = turned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
-    towards = turned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = HorizonGrid(ray_height, towards, column_of_t, HIGHER_DIAGONALS)
+    ray_height = sun_aligned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
+    sunward_m = sun_aligned_linear_values(height_m, orientation, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
+    section = HorizonGrid(ray_height, sunward_m, column_of_t, HIGHER_DIAGONALS)
     n, m = ray_height.shape
-    out = np.full((n, m), NO_HORIZON_SLOPE)
+    out = np.full((n, m), NO_HORIZON_TANGENT)
     low, high = float(t_of_column[:, 0].min()) + 1.0, float(t_of_column[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(column_of_t, t_of_column, start, start + max(STRIP_NODES // n, 1), m)
-        out[i, j] = horizon_tangents(section, lines, i.astype(float), t, ray_height[i, j], towards[i, j], cores)
+        out[i, j] = horizon_tangents(section, lines, i.astype(float), t, ray_height[i, j], sunward_m[i, j], cores)
     out[~np.isfinite(ray_height)] = np.nan
-    return orientation.restored(np.degrees(np.arctan(out[:, 1:-1])))
+    return orientation.grid_order_view(np.degrees(np.arctan(out[:, 1:-1])))
 
 
 def horizon_tangents(
-    section: HorizonGrid,
+    horizon_grid: HorizonGrid,
     lines: int,
     row: np.ndarray,
     t: np.ndarray,
     point_ray_height: np.ndarray,
-    point_towards: np.ndarray,
+    point_sunward_m: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
     """Return the tangent of the horizon angle above the reference direction, seen from points: (k,).
 
-    ``row`` and ``t`` (k,) are the points' positions on the turned grid and across its lines. ``point_ray_height`` and
-    ``point_towards`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
-    on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_SLOPE`` if no ground lies towards the sun.
+    ``row`` and ``t`` (k,) are the points' positions on the sun-aligned grid and across its lines. ``point_ray_height`` and
+    ``point_sunward_m`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
+    on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_TANGENT`` if no ground lies towards the sun.
     """
-    ray_height, towards, column_of_t, is_cut_nw_se = section
+    ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     if not len(row) or len(ray_height) < 2:
-        return np.full(len(row), NO_HORIZON_SLOPE)  # no row precedes a single row
+        return np.full(len(row), NO_HORIZON_TANGENT)  # no row precedes a single row
     row_before = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(ray_height) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
     _, by_row = _counting_sort(row_before, len(ray_height))
     line_starts, order = _counting_sort(line[by_row] - first, count)
     order = by_row[order]
-    position = np.stack([point_ray_height, point_towards], axis=1)
-    near, line_tangents = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
-    _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near)
+    position = np.stack([point_ray_height, point_sunward_m], axis=1)
+    near, line_tangents = np.full(len(row), NO_HORIZON_TANGENT), np.full((len(row), 2), NO_HORIZON_TANGENT)
+    _write_near_tangents(ray_height, sunward_m, column_of_t, is_cut_nw_se, row_before, row, t, position, near)
     query = HorizonQuery(line_starts, order, row_before, position, line_tangents)
 
-    def strip(start: int) -> None:
-        _walk_lines(section, lines, first, start, min(start + STRIP_LINES, count), query)
+    def walk_strip(start: int) -> None:
+        _walk_lines(horizon_grid, lines, first, start, min(start + STRIP_LINES, count), query)
 
-    map_on_cores(strip, range(0, count, STRIP_LINES), cores)
+    map_on_cores(walk_strip, range(0, count, STRIP_LINES), cores)
     w = t * lines - line
     return np.maximum(near, (1.0 - w) * line_tangents[:, 0] + w * line_tangents[:, 1])
 
@@ -170,7 +170,7 @@ def _counting_sort(key, count):
 
 @compiled
 def _nodes_between(column_of_t, t_of_column, low, high, cols):
-    """Return turned rows, turned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
+    """Return sun-aligned rows, sun-aligned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
 
     t is the position across the lines, in cells. Border columns are left out.
     """
@@ -197,13 +197,13 @@ def _nodes_between(column_of_t, t_of_column, low, high, cols):
 
 
 @compiled
-def _walk_lines(section, lines, first, start, stop, query):
+def _walk_lines(horizon_grid, lines, first, start, stop, query):
     """Follow the lines from the sun on, and write the horizon's tangent on each line for the points on both sides of it.
 
     The lines ``start`` to ``stop`` are counted from the line of number ``first``, and ``lines`` of them cross each cell. For the
     points between a line and the next one, both lines give a tangent (``HorizonQuery.line_tangents``).
     """
-    ray_height, towards, column_of_t, is_cut_nw_se = section
+    ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     line_starts, order, row_before, position, line_tangents = query
     rows, cols = ray_height.shape
     hull = np.empty((4 * rows, 2))  # a line has at most four vertices per row
@@ -215,10 +215,10 @@ def _walk_lines(section, lines, first, start, stop, query):
         x = evaluate_cubic(column_of_t[0], t)
         for i in range(rows - 1):
             while right_of < right_end and row_before[order[right_of]] == i:
-                line_tangents[order[right_of], 0] = _tangent(hull, size, position[order[right_of]])
+                line_tangents[order[right_of], 0] = _tangent_to_hull(hull, size, position[order[right_of]])
                 right_of += 1
             while left_of < left_end and row_before[order[left_of]] == i:
-                line_tangents[order[left_of], 1] = _tangent(hull, size, position[order[left_of]])
+                line_tangents[order[left_of], 1] = _tangent_to_hull(hull, size, position[order[left_of]])
                 left_of += 1
             if right_of == right_end and left_of == left_end:
                 break
@@ -228,23 +228,23 @@ def _walk_lines(section, lines, first, start, stop, query):
             x = next_x
             if c < 0 or c + 1 >= cols:
                 continue
-            size = _push_hull(hull, size, ray_height, towards, i, c, i, c + 1, f)
+            size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c, i, c + 1, f)
             rising = (1.0 - f) / (1.0 + s)
             falling = f / (1.0 - s) if f + s <= 1.0 and s < 1.0 else np.inf
-            if falling < rising and is_cut(is_cut_nw_se, i, c, True):  # in the order of crossing
-                size = _push_hull(hull, size, ray_height, towards, i, c, i + 1, c + 1, falling)
-            if is_cut(is_cut_nw_se, i, c, False):
-                size = _push_hull(hull, size, ray_height, towards, i, c + 1, i + 1, c, rising)
-            if rising <= falling <= 1.0 and is_cut(is_cut_nw_se, i, c, True):
-                size = _push_hull(hull, size, ray_height, towards, i, c, i + 1, c + 1, falling)
+            if falling < rising and is_cut_along(is_cut_nw_se, i, c, True):  # in the order of crossing
+                size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c, i + 1, c + 1, falling)
+            if is_cut_along(is_cut_nw_se, i, c, False):
+                size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c + 1, i + 1, c, rising)
+            if rising <= falling <= 1.0 and is_cut_along(is_cut_nw_se, i, c, True):
+                size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c, i + 1, c + 1, falling)
             if f + s > 1.0:
-                size = _push_hull(hull, size, ray_height, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-                if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False):
-                    size = _push_hull(hull, size, ray_height, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+                size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                if c + 2 < cols and is_cut_along(is_cut_nw_se, i, c + 1, False):
+                    size = _push_onto_hull(hull, size, ray_height, sunward_m, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
 
 
 @internal
-def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
+def _push_onto_hull(hull, size, ray_height, sunward_m, i, j, k, l, share):
     """Push the position at ``share`` of the way from node (i, j) to node (k, l) onto the hull, and return the hull's size.
 
     ``hull`` holds ray heights and distances towards the sun, metres; ``size`` is the number of its vertices.
@@ -252,7 +252,7 @@ def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     if not np.isfinite(u):
         return size
-    d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
+    d = sunward_m[i, j] + share * (np.float64(sunward_m[k, l]) - sunward_m[i, j])
     while size > 0 and d >= hull[size - 1, 1]:  # by rounding alone: a line leads away from the sun
         if u <= hull[size - 1, 0]:
             return size
@@ -267,12 +267,12 @@ def _push_hull(hull, size, ray_height, towards, i, j, k, l, share):
 
 
 @internal
-def _tangent(hull, size, point):
+def _tangent_to_hull(hull, size, point):
     """Return the largest slope from a point to a vertex of a hull: that of the tangent from the point.
 
     From the top of the stack down, the slopes grow up to the point of contact. The search ends there.
     """
-    best = NO_HORIZON_SLOPE
+    best = NO_HORIZON_TANGENT
     for n in range(size - 1, -1, -1):
         distance = hull[n, 1] - point[1]
         if distance <= 0.0:
@@ -285,7 +285,7 @@ def _tangent(hull, size, point):
 
 
 @compiled
-def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
+def _write_near_tangents(ray_height, sunward_m, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
     """Write the largest slope from each point to the ground between it and the row before it, to ``near_tangents`` (k,).
 
     In ``position``, points whose ray height is NaN receive the coordinates of the ground at their place.
@@ -299,27 +299,31 @@ def _near_tangents(ray_height, towards, column_of_t, is_cut_nw_se, row_before, r
         f, end = x - c, row[n] - i
         if np.isnan(position[n, 0]):
             position[n, 0] = ground_at(ray_height[i], ray_height[i + 1], c, f + s * end, end, is_cut_nw_se, i)
-            position[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, is_cut_nw_se, i)
+            position[n, 1] = ground_at(sunward_m[i], sunward_m[i + 1], c, f + s * end, end, is_cut_nw_se, i)
         if c < 0 or c + 1 >= cols:
             continue
         end -= 1e-6  # ground within a millionth of a cell is the point itself
-        best = _max_slope(NO_HORIZON_SLOPE, position[n], ray_height, towards, i, c, i, c + 1, f)
-        if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
-            best = _max_slope(best, position[n], ray_height, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+        best = _max_slope(NO_HORIZON_TANGENT, position[n], ray_height, sunward_m, i, c, i, c + 1, f)
+        if is_cut_along(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            best = _max_slope(best, position[n], ray_height, sunward_m, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
         if f + s <= 1.0:
-            if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
-                best = _max_slope(best, position[n], ray_height, towards, i, c, i + 1, c + 1, f / (1.0 - s))
+            if is_cut_along(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
+                best = _max_slope(best, position[n], ray_height, sunward_m, i, c, i + 1, c + 1, f / (1.0 - s))
         elif (1.0 - f) / s < end:
-            best = _max_slope(best, position[n], ray_height, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-            if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
-                best = _max_slope(best, position[n], ray_height, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+            best = _max_slope(best, position[n], ray_height, sunward_m, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            if c + 2 < cols and is_cut_along(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                best = _max_slope(best, position[n], ray_height, sunward_m, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
         near_tangents[n] = best
 
 
 @internal
-def _max_slope(best, point, ray_height, towards, i, j, k, l, share):
+def _max_slope(best, point, ray_height, sunward_m, i, j, k, l, share):
+    """Return the larger of ``best`` and the slope from a point to ground on the segment from node (i, j) to node (k, l).
+
+    The ground lies at ``share`` of the way. ``point`` (2,) is a ray height and a distance towards the sun.
+    """
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
-    d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
+    d = sunward_m[i, j] + share * (np.float64(sunward_m[k, l]) - sunward_m[i, j])
     if not d > point[1]:
         return best
     slope = (u - point[0]) / (d - point[1])

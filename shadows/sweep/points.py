@@ -28,13 +28,14 @@ class StripPoints(NamedTuple):
     row_starts
         int64 (rows + 1,): the index of the first point in the rows (i, i + 1], for each row i.
     row, col, t
-        float64 (n,): positions on the turned grid, and across the lines in cells; columns count the left border.
+        float64 (n,): positions on the sun-aligned grid, and across the lines in cells; columns count the left border.
     ray_height
         float64 (n,), metres: the points' ray heights; NaN for points on the ground, which have the ground's.
-    rounding
+    ray_height_rounding_m
         Metres by which the ground's ray height must exceed a point's to shade it.
     lit
-        bool (n,), output: False if the highest ray height towards the sun exceeds the point's by more than ``rounding``.
+        bool (n,), output: False if the highest ray height towards the sun exceeds the point's by more than
+        ``ray_height_rounding_m``.
     above_m
         float32 (n,), output: metres by which the highest ray height towards the sun exceeds the point's.
     """
@@ -44,20 +45,20 @@ class StripPoints(NamedTuple):
     col: np.ndarray
     t: np.ndarray
     ray_height: np.ndarray
-    rounding: float
+    ray_height_rounding_m: float
     lit: np.ndarray
     above_m: np.ndarray
 
 
-def no_points(rows: int) -> StripPoints:
+def empty_strip_points(rows: int) -> StripPoints:
     """Return an empty set of points, for a grid with ``rows`` rows."""
     none = np.zeros(0)
     return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
 
 
 @compiled
-def intervals_of(first, last, row, rows, out):
-    """Write to ``out`` (n,) the grid row i of each point such that the point lies in the rows (i, i + 1].
+def write_row_intervals(first, last, row, rows, out):
+    """Write the grid row i of each point to ``out`` (n,): the point lies in the rows (i, i + 1].
 
     Only the points from index ``first`` to before ``last`` are written. The grid has ``rows`` rows.
     """
@@ -91,20 +92,20 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
 
 
 @compiled
-def scatter_results(number, strip_lit, strip_above_m, lit, above_m):
-    """Copy a strip's results to the arrays of all points: result k to index ``number[k]``."""
-    for k in range(number.size):
-        lit[number[k]], above_m[number[k]] = strip_lit[k], strip_above_m[k]
+def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
+    """Copy a strip's results to the arrays of all points: result k to index ``point_indices[k]``."""
+    for k in range(point_indices.size):
+        lit[point_indices[k]], above_m[point_indices[k]] = strip_lit[k], strip_above_m[k]
 
 
 @internal
-def evaluate_points(turned_grid, strip, i, points):
-    """Compute whether the points in the rows (``i``, ``i + 1``] of a ``TurnedGrid`` see the sun.
+def evaluate_points(sun_aligned_grid, strip, i, points):
+    """Compute whether the points in the rows (``i``, ``i + 1``] of a ``SunAlignedGrid`` see the sun.
 
     The maxima of the ``Strip`` must include all ground before row ``i``, and none after it. The results go to ``points.lit`` and
     ``points.above_m``.
     """
-    ray_height, column_of_t, t_of_column, is_cut_nw_se = turned_grid
+    ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, _ = strip
     row_starts, row, col, t, points_ray_height, rounding, lit, above_m = points
     first, last = row_starts[i], row_starts[i + 1]
@@ -136,29 +137,29 @@ def evaluate_points(turned_grid, strip, i, points):
             point_ray_height = ground_at(above, below, c, f + s * end, end, is_cut_nw_se, i)
         if 0 <= c and c + 1 < cols:
             highest = _max_with_segment(highest, above[c], above[c + 1], f)
-            if is_cut(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            if is_cut_along(is_cut_nw_se, i, c, False) and (1.0 - f) / (1.0 + s) < end:
                 highest = _max_with_segment(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
             if f + s <= 1.0:
-                if is_cut(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
+                if is_cut_along(is_cut_nw_se, i, c, True) and f < end * (1.0 - s):
                     highest = _max_with_segment(highest, above[c], below[c + 1], f / (1.0 - s))
             elif (1.0 - f) / s < end:
                 highest = _max_with_segment(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
-                if c + 2 < cols and is_cut(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                if c + 2 < cols and is_cut_along(is_cut_nw_se, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
                     highest = _max_with_segment(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
         above_m[n] = highest - point_ray_height
         lit[n] = not highest > point_ray_height + rounding
 
 
 @internal
-def row_cubic(rows, i):
+def row_cubic(cubics, i):
     """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
-    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+    return cubics[i, 0], cubics[i, 1], cubics[i, 2], cubics[i, 3]
 
 
 @internal
-def evaluate_cubic(p, x):
+def evaluate_cubic(coefficients, x):
     """Return the value of a cubic (4,), constant term first, at ``x``."""
-    return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
+    return coefficients[0] + x * (coefficients[1] + x * (coefficients[2] + x * coefficients[3]))
 
 
 @internal
@@ -181,12 +182,12 @@ def _max_with_segment(highest, a, b, share):
 
 
 @internal
-def is_cut(is_cut_nw_se, i, c, falling):
+def is_cut_along(is_cut_nw_se, i, c, is_falling):
     """Return whether quad (i, c) may be cut into triangles along its falling (or rising) diagonal.
 
     If ``is_cut_nw_se`` is empty, the diagonal is unknown and both are possible.
     """
-    return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == falling
+    return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == is_falling
 
 
 @internal

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from skugga.shadows.algorithm import AlgorithmSettings, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import AlgorithmSettings, ResolvedSettings, SettingsRequest
 
 
 class SweepSettings(AlgorithmSettings):

@@ -33,12 +33,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
+from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.requirements import Requirement
 from skugga.shadows.sweep.columns import column_sweep
-from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, RAYS_BEND_REASON, GridOrientation, SweepPoints, sweep_nodes, sweep_to_state
-from skugga.shadows.sweep.lines import NO_GROUND_RAY_HEIGHT
-from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, grounds_of_block, rays_at
+from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, SweepPoints, sweep_nodes, sweep_to_state
+from skugga.shadows.sweep.ground_windows import GroundWindow, ground_of_view, grounds_of_block
+from skugga.shadows.sweep.orientation import GridOrientation
+from skugga.shadows.sweep.position_cubics import RAYS_BEND_REASON
+from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
+from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.sweep.targets import SweepTargets, max_abs_ray_height_m, targets_of_buffer, targets_of_nodes
 from skugga.shadows.work import Work, Workload, is_decimated
@@ -53,6 +58,7 @@ from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
 PASSES = ("sweep",)
+"""Names of the passes that the algorithm runs, in order."""
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 """float32 rounding of a ray height, as a share of the largest one. Ground that exceeds a ray by less casts no shadow."""
@@ -60,11 +66,11 @@ RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 SUN_DISC_STRIPS = 16
 """Number of horizontal strips into which the sun's disc is cut for penumbrae."""
 
-MIN_LINES = 2
+MIN_LINES_PER_COLUMN = 2
 """Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -108,31 +114,31 @@ def fill(
             return np.ones(buffer.valid.shape, np.float32)
         soft_edges = settings.filter == "sun"
         if buffer.columns is not None:
-            return _fill_columns(
-                buffer, scene, light, casters, sun_strip_angles(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
+            return _visibility_over_columns(
+                buffer, scene, light, casters, sun_strip_angles_rad(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
             )
-        rays, grounds = _grounds(buffer, scene, casters, soft_edges)
+        rays, grounds = _grounds_of_view(buffer, scene, casters, soft_edges)
         targets = targets_of_buffer(rays, grounds[-1], buffer)
         log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges))
+        record.bytes = max(record.bytes, _byte_size(grounds, targets, soft_edges))
         if not soft_edges:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in sun_strip_angles(SUN_DISC_STRIPS):
+        for angle in sun_strip_angles_rad(SUN_DISC_STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(SUN_DISC_STRIPS)
 
 
-def _fill_columns(
-    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
+def _visibility_over_columns(
+    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles_rad: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
-    """Return the visibility as ``fill`` does, for a map whose ground is upright columns with flat tops.
+    """Return the visibility as ``fill_visibility`` does, for a map whose ground is upright columns with flat tops.
 
-    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles``, radians.
+    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles_rad``, radians.
     """
     sweep = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.valid.shape, np.float32)
-    for angle in angles:
+    for angle in angles_rad:
         visibility += sweep.obstruction_height_m(angle, False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
@@ -140,10 +146,10 @@ def _fill_columns(
 
     log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
-    return visibility / np.float32(len(angles))
+    return visibility / np.float32(len(angles_rad))
 
 
-def fill_nodes(
+def find_lit_nodes(
     nodes: BareNodes,
     scene: Scene,
     light: str,
@@ -156,35 +162,35 @@ def fill_nodes(
 
     The result includes attached shadow (surfaces that face away from the sun). If all triangles around a node face away from the
     sun, so does the triangle that the node's ray crosses. That triangle rises above the ray, so the sweep finds it as a caster.
-    Parameters and errors are those of ``fill``.
+    Parameters and errors are those of ``fill_visibility``.
     """
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, needs_sunward=False, culled=casters.culled)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
-        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES)
+        lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES_PER_COLUMN)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
-        record.bytes = max(record.bytes, _bytes(grounds, targets, soft_edges=False))
-        return rays.orientation.restored_copy(lit, targets.window)
+        record.bytes = max(record.bytes, _byte_size(grounds, targets, has_soft_edges=False))
+        return rays.orientation.grid_order_copy(lit, targets.grid_window)
 
 
 @dataclass(frozen=True, eq=False)
 class NodeClearance:
-    """The ray heights that decide whether nodes see the sun, in the order of the turned grid.
+    """The ray heights that decide whether nodes see the sun, in the order of the sun-aligned grid.
 
-    The turned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate at
-    right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while ``ray_height_m - shade_m`` is at
-    least 0.
+    The sun-aligned grid is the map's grid, rotated and mirrored so that the sun stands before row 0. A ray height is the coordinate
+    at right angles to the sun's rays, in the vertical plane of the sun. A node sees the sun while
+    ``ray_height_m - shadow_ray_height_m`` is at least 0.
 
     Attributes
     ----------
     orientation
-        How the turned grid was made from the map's grid.
+        How the sun-aligned grid was made from the map's grid.
     ray_height_m
         float32 (n, m), metres: the nodes' ray heights.
-    shade_m
+    shadow_ray_height_m
         float32 (n, m), metres: the ray heights above which the sun is visible; about ``NO_GROUND_RAY_HEIGHT`` where no ground lies
         between the node and the sun.
     ray_height_per_metre
@@ -193,7 +199,7 @@ class NodeClearance:
 
     orientation: GridOrientation
     ray_height_m: np.ndarray
-    shade_m: np.ndarray
+    shadow_ray_height_m: np.ndarray
     ray_height_per_metre: float
 
 
@@ -201,26 +207,31 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     """Return the ray heights that decide whether nodes of ground without objects see the sun.
 
     ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. Raises the
-    errors of ``fill_nodes``.
+    errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches, soft_edges=False)
+    grounds = grounds_of_block(rays, nodes.surface, patches, needs_sunward=False)
     ground = grounds[-1]
     targets = targets_of_nodes(rays, ground, nodes)
-    (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
+    (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
-    shade = np.empty(ground.turned_grid.ray_height.shape, np.float32)  # only the window is written: the rest takes no memory
-    shade[window] = NO_GROUND_RAY_HEIGHT
-    _sweep_grounds(grounds, targets, lines, 0.0, shade)
-    return NodeClearance(rays.orientation, ground.turned_grid.ray_height[window], shade[window], rays.ray_height_per_metre)
+    shadow_ray_heights = np.empty(
+        ground.sun_aligned_grid.ray_height.shape, np.float32
+    )  # only the window is written: the rest takes no memory
+    shadow_ray_heights[window] = NO_GROUND_RAY_HEIGHT
+    _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    return NodeClearance(
+        rays.orientation, ground.sun_aligned_grid.ray_height[window], shadow_ray_heights[window], rays.ray_height_per_metre
+    )
 
 
-def _bytes(grounds: list[GroundWindow], targets: SweepTargets, soft_edges: bool) -> int:
-    sheets = sum((1 + soft_edges) * ground.turned_grid.ray_height.nbytes + ground.towards_m.nbytes for ground in grounds)
-    return sheets + 33 * targets.row.size + grounds[-1].turned_grid.ray_height.size
+def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
+    """Return the approximate size, bytes, of the arrays that a sweep holds."""
+    sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
+    return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
 
-def sun_strip_angles(count: int) -> np.ndarray:
+def sun_strip_angles_rad(count: int) -> np.ndarray:
     """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
 
     The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
@@ -231,15 +242,17 @@ def sun_strip_angles(count: int) -> np.ndarray:
     return np.radians(SUN_RADIUS_DEG) * np.interp((np.arange(count) + 0.5) / count, share, x)
 
 
-def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft_edges: bool) -> tuple[SunRays, list[GroundWindow]]:
+def _grounds_of_view(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, has_soft_edges: bool
+) -> tuple[SunRays, list[GroundWindow]]:
     """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, has_soft_edges, casters.culled)
     assert buffer.ground is not None
-    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft_edges)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, has_soft_edges)
     return rays, [ground]
 
 
@@ -260,44 +273,46 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
 
 
 def _sweep_grounds(
-    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float, shade: np.ndarray
+    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float, shadow_ray_heights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
-    The sun is higher than the scene's sun by ``angle``, radians. ``shade`` is the output array of ``sweep_nodes``.
+    The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
     """
     *coarser, ground = grounds
-    entry, detail = None, 0
+    entry, lod = None, 0
     for coarse in coarser:
-        level_t_range = targets.t_range[0] / 2**coarse.detail, targets.t_range[1] / 2**coarse.detail
+        level_t_range = targets.t_range[0] / 2**coarse.lod, targets.t_range[1] / 2**coarse.lod
         entry = sweep_to_state(
-            coarse.with_raised_sun(angle), lines, level_t_range, entry, 2.0 ** (detail - coarse.detail), coarse.first_ground_row
+            coarse.with_raised_sun(angle_rad), lines, level_t_range, entry, 2.0 ** (lod - coarse.lod), coarse.first_ground_row
         )
-        detail = coarse.detail
-    turned_grid = ground.with_raised_sun(angle)
+        lod = coarse.lod
+    sun_aligned_grid = ground.with_raised_sun(angle_rad)
     points_ray_height_m = (
-        targets.ray_height_m if angle == 0.0 else np.cos(angle) * targets.ray_height_m - np.sin(angle) * targets.towards_m
+        targets.ray_height_m
+        if angle_rad == 0.0
+        else np.cos(angle_rad) * targets.ray_height_m - np.sin(angle_rad) * targets.sunward_m
     )
     points = SweepPoints(
         targets.row,
         targets.col,
         targets.t,
         points_ray_height_m,
-        RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(turned_grid.ray_height, targets),
+        RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(sun_aligned_grid.ray_height, targets),
     )
     return sweep_nodes(
-        turned_grid, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES,
-        ground.first_ground_row,
+        sun_aligned_grid, lines, targets.t_range, entry, 2.0**lod, targets.row_range, targets.col_range, points, shadow_ray_heights,
+        CORES, ground.first_ground_row,
     )  # fmt: skip
 
 
-def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle: float) -> np.ndarray:
-    """Return which of a buffer's points see a sun that is higher than the scene's sun by ``angle``, radians: bool (rows, cols)."""
-    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle, NO_RAY_HEIGHTS)
-    sunlit = np.ones(targets.nodes.shape, np.bool_)
-    if targets.nodes.any():
-        sunlit[:] = rays.orientation.restored(lit_nodes)[targets.window]
-    sunlit[targets.off_nodes] = lit_points
+def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float) -> np.ndarray:
+    """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols)."""
+    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
+    sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
+    if targets.on_node_mask.any():
+        sunlit[:] = rays.orientation.grid_order_view(lit_nodes)[targets.grid_window]
+    sunlit[targets.off_node_mask] = lit_points
     return sunlit
 
 
@@ -305,38 +320,41 @@ def _shadow_height_m(
     rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, height_m: np.ndarray
 ) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
-    ray_height = grounds[-1].turned_grid.ray_height
-    shade = np.full(ray_height.shape if targets.nodes.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
-    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shade)
-    above_m = np.zeros(targets.nodes.shape, np.float32)
-    if targets.nodes.any():
-        shadow_height, node_height = (rays.orientation.restored(values[:, 1:-1])[targets.window] for values in (shade, ray_height))
+    ray_height = grounds[-1].sun_aligned_grid.ray_height
+    shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
+    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    above_m = np.zeros(targets.on_node_mask.shape, np.float32)
+    if targets.on_node_mask.any():
+        shadow_height, node_height = (
+            rays.orientation.grid_order_view(values[:, 1:-1])[targets.grid_window] for values in (shadow_ray_heights, ray_height)
+        )
         above_m[:] = shadow_height - node_height
-    above_m[targets.off_nodes] = points_above_m
+    above_m[targets.off_node_mask] = points_above_m
     return height_m + np.fmax(above_m, 0.0) / np.float32(
         rays.ray_height_per_metre
     )  # NaN: rounding may put a point outside of the ground
 
 
-def _work(task: Workload, settings: SweepSettings) -> Work:
-    nodes = task.nodes + task.outside_triangles / 2.0 if task.is_map_view else _ground_nodes(task)
+def _work(workload: Workload, settings: SweepSettings) -> Work:
+    nodes = workload.node_count + workload.outside_triangle_count / 2.0 if workload.is_map_view else _ground_nodes(workload)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
-    rasterised = task.triangles("relief") * task.has_decimated_ground
+    rasterised = workload.triangle_count("relief") * workload.has_decimated_ground
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels,
-        "points": task.visible_pixels,
-        "answers": task.visible_pixels * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": workload.pixel_count,
+        "points": workload.visible_pixel_count,
+        "answers": workload.visible_pixel_count * strips, "decimated": rasterised, "outside": workload.outside_triangle_count / 2.0,
     }  # fmt: skip
-    return {task.by_view("sweep"): counts}
+    return {workload.part_name_in_view("sweep"): counts}
 
 
-def _ground_nodes(task: Workload) -> float:
+def _ground_nodes(workload: Workload) -> float:
     """Return the number of nodes of a perspective view's whole ground; half the number of its triangles if it is unknown."""
-    relief = task.caster_facts("relief")
-    return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
+    relief = workload.caster_facts("relief")
+    return workload.triangle_count("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``)."""
     yield SweepSettings()
     yield SweepSettings(lines=4)
     if calibration_extent == "full":
@@ -344,6 +362,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 
 
 DIVERGING_RAYS_REASON = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
+"""The reason with which the sweep refuses lamps."""
 
 REFUSALS: dict[Requirement, str] = {
     "spot": DIVERGING_RAYS_REASON,
@@ -352,6 +371,7 @@ REFUSALS: dict[Requirement, str] = {
     "forest": "trees are not a heightfield: light passes under crowns and between leaves",
     "bent rays": RAYS_BEND_REASON,
 }
+"""The requirements that the sweep cannot serve, each with the reason."""
 
 FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 """Groups of views with separate constants of the error model: those that draw all nodes of the ground, and all others."""
@@ -359,22 +379,22 @@ FULL_DETAIL_GROUP, DECIMATED_GROUP = "sweep", "sweep of decimated ground"
 ALGORITHM = Algorithm(
     name="sweep",
     description="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
-    plural="sweep",
-    fill=fill,
+    plural_name="sweep",
+    fill_visibility=fill_visibility,
     allows_caster_culling=lambda settings: True,
-    node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
+    lit_nodes_finder=lambda settings: find_lit_nodes if settings.filter == 1 else None,
     passes=PASSES,
     refusals=REFUSALS,
     layers=("shadow-height",),
     needs_opengl=False,
-    settings=(SweepSettings,),
-    resolve=resolve_sweep,
-    cache_names=("skugga.shadows.sweep.rays.ground_of_view",),
-    search=Search(variants=({"filter": "sun"},)),
-    cost=Cost(_work, calibration_settings=_calibration_settings),
-    accuracy=Accuracy(
-        groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
-        group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
+    settings_types=(SweepSettings,),
+    resolve_settings=resolve_sweep,
+    cache_names=("skugga.shadows.sweep.ground_windows.ground_of_view",),
+    search=SettingsSearch(other_variants=({"filter": "sun"},)),
+    cost=CostInputs(_work, calibration_settings=_calibration_settings),
+    accuracy=AccuracyInputs(
+        error_groups=(FULL_DETAIL_GROUP, DECIMATED_GROUP),
+        error_group_of=lambda descriptor: DECIMATED_GROUP if is_decimated(descriptor) else FULL_DETAIL_GROUP,
     ),
-    mark=Mark("star", "orange"),
+    marker=PlotMarker("star", "orange"),
 )

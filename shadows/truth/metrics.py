@@ -15,10 +15,10 @@ from skugga.shadows.truth.truth import Truth
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
 
-INTERIOR_PX = 2.0
+MIN_INTERIOR_DISTANCE_PX = 2.0
 """Minimum distance of interior errors from truth's boundary, pixels. It is also at least two texel footprints."""
 
-MAX_INTERIOR = 0.001
+MAX_INTERIOR_SHARE = 0.001
 """Upper bound of the share of decidable pixels that are interior errors. A larger share is a failure, not aliasing."""
 
 MIN_PART_PX = 8
@@ -30,8 +30,11 @@ COVERAGE_BLOCK_PX = 16
 MIN_COVERED_SHARE = 0.2
 """Minimum share of the cast shadow that a metric must cover. Below it, the metric does not test the picture."""
 
-_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
-_SQUARE = np.ones((3, 3), bool)
+_FOUR_NEIGHBOURS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
+"""Structuring element of a pixel and its four nearest neighbours."""
+
+_EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
+"""Structuring element of a pixel and its eight neighbours."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,8 @@ class ErrorMetrics:
         Share of D that is wrong and farther from truth's boundary than 2 px and two texel footprints, and the number of its
         connected parts of 8 px or more.
     interior_sees
-        Share of the true cast shadow that ``interior`` detects if missed (``MetricCoverage``): it lies that far inside. Coarse
-        texels make it small; then only ``wrong_cast`` is conclusive.
+        Share of the true cast shadow that ``interior_error_mask`` detects if missed (``MetricCoverage``): it lies that far inside.
+        Coarse texels make it small; then only ``wrong_cast`` is conclusive.
     boundary
         Share of the surface that is not decidable.
     soft_error
@@ -110,40 +113,40 @@ class MetricCoverage:
         return self.wrong_px / self.union_px if self.union_px else 0.0
 
 
-def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
+def metric_coverage(shadow_mask: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
     """Return how much cast shadow lies in the mask of a metric, and how many pixels of the whole picture are wrong.
 
-    ``dark`` (rows, cols) is the algorithm's class, True in shadow. ``region`` (rows, cols) is the mask of the pixels that the
-    metric covers.
+    ``shadow_mask`` (rows, cols) is the algorithm's class, True in shadow. ``region`` (rows, cols) is the mask of the pixels that
+    the metric covers.
     """
-    comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.valid
-    dark, cast = dark & truth.valid, comparable & true_dark
-    counts = cast, cast & region, comparable & (dark != true_dark), comparable & (dark | true_dark)
+    comparable, true_dark = truth.decidable & ~truth.attached_shadow_mask, ~truth.lit & truth.valid
+    shadow_mask, cast = shadow_mask & truth.valid, comparable & true_dark
+    counts = cast, cast & region, comparable & (shadow_mask != true_dark), comparable & (shadow_mask | true_dark)
     return MetricCoverage(*(int(np.count_nonzero(mask)) for mask in counts))
 
 
-def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
+def edge_metric_coverage(shadow_mask: np.ndarray, truth: Truth) -> MetricCoverage:
     """Return how much of the true shadow's boundary the edge metric covers.
 
-    It covers the boundary of the components of true shadow that the algorithm's shadow ``dark`` (rows, cols) overlaps.
+    It covers the boundary of the components of true shadow that the algorithm's shadow ``shadow_mask`` (rows, cols) overlaps.
     """
     from scipy.ndimage import label
 
-    comparable, true_dark = truth.valid & ~truth.attached, ~truth.lit & truth.valid
-    picture_coverage = metric_coverage(dark, truth, true_dark)
-    edge = boundary(true_dark, truth.valid) & comparable
-    parts, _ = label(true_dark, structure=_SQUARE)
-    overlapping = np.unique(parts[true_dark & dark & truth.valid])
+    comparable, true_dark = truth.valid & ~truth.attached_shadow_mask, ~truth.lit & truth.valid
+    picture_coverage = metric_coverage(shadow_mask, truth, true_dark)
+    edge = shadow_boundary_mask(true_dark, truth.valid) & comparable
+    parts, _ = label(true_dark, structure=_EIGHT_NEIGHBOURS)
+    overlapping = np.unique(parts[true_dark & shadow_mask & truth.valid])
     matched_edge = edge & np.isin(parts, overlapping[overlapping > 0])
     return MetricCoverage(int(edge.sum()), int(matched_edge.sum()), picture_coverage.wrong_px, picture_coverage.union_px)
 
 
 def interior_region(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
-    """Return the mask (rows, cols) of the pixels that the metric ``interior`` covers.
+    """Return the mask (rows, cols) of the pixels that the metric ``interior_error_mask`` covers.
 
     They are farther from truth's boundary than 2 px and two texel footprints.
     """
-    return _distance_to_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
+    return _distance_to_edges_px(truth) > np.maximum(MIN_INTERIOR_DISTANCE_PX, 2.0 * texel_footprint_px)
 
 
 def error_metrics(
@@ -176,23 +179,23 @@ def error_metrics(
     dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.valid
     true_dark = ~truth.lit & truth.valid
     wrong_mask = decidable & (dark != true_dark)
-    cast = decidable & (dark | true_dark) & ~truth.attached
+    cast = decidable & (dark | true_dark) & ~truth.attached_shadow_mask
     distances = edge_distances(dark, true_dark, truth.valid)
     region = interior_region(truth, texel_footprint_px)
     interior_mask = wrong_mask & region
-    parts, count = label(interior_mask, structure=_SQUARE)
+    parts, count = label(interior_mask, structure=_EIGHT_NEIGHBOURS)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
     return ErrorMetrics(
-        wrong=_share(wrong_mask, decidable),
-        wrong_cast=_share(wrong_mask & ~truth.attached, cast),
-        false_shadow=_share(wrong_mask & truth.lit, decidable & truth.lit),
-        missed_shadow=_share(wrong_mask & true_dark, decidable & true_dark),
+        wrong=_share_of_mask(wrong_mask, decidable),
+        wrong_cast=_share_of_mask(wrong_mask & ~truth.attached_shadow_mask, cast),
+        false_shadow=_share_of_mask(wrong_mask & truth.lit, decidable & truth.lit),
+        missed_shadow=_share_of_mask(wrong_mask & true_dark, decidable & true_dark),
         edge_mean=mean,
         edge_p95=p95,
         edge_mean_m=mean * pixel_m,
         edge_p95_m=p95 * pixel_m,
-        interior=_share(interior_mask, decidable),
+        interior=_share_of_mask(interior_mask, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
         interior_sees=metric_coverage(dark, truth, region).covered_share,
         boundary=truth.undecidable_share,
@@ -200,44 +203,46 @@ def error_metrics(
     )
 
 
-def edge_distances(dark: np.ndarray, true_dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def edge_distances(shadow_mask: np.ndarray, true_shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return the distances (n,), in pixels, between the boundaries of shadow components that overlap in both pictures.
 
     They run from each boundary pixel of one picture to the nearest one of the other, in both directions. A component without
-    overlap in the other picture is missed or false shadow. It counts in ``interior``, not here.
+    overlap in the other picture is missed or false shadow. It counts in ``interior_error_mask``, not here.
     """
     from scipy.ndimage import label
     from scipy.spatial import KDTree
 
     edges = []
-    for first, second in ((dark, true_dark), (true_dark, dark)):
-        parts, _ = label(first, structure=_SQUARE)
+    for first, second in ((shadow_mask, true_shadow_mask), (true_shadow_mask, shadow_mask)):
+        parts, _ = label(first, structure=_EIGHT_NEIGHBOURS)
         shared = np.unique(parts[second & first])
-        edges.append(boundary(np.isin(parts, shared[shared > 0]), valid))
+        edges.append(shadow_boundary_mask(np.isin(parts, shared[shared > 0]), valid))
     if not (edges[0].any() and edges[1].any()):
         return np.zeros(0)
     first, second = (np.argwhere(edge) for edge in edges)
     return np.concatenate([KDTree(b).query(a)[0] for a, b in ((first, second), (second, first))])
 
 
-def boundary(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def shadow_boundary_mask(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return the mask of shadow pixels with a lit 4-neighbour. Borders of the surface and the picture are no boundary."""
     from scipy.ndimage import binary_dilation
 
-    return dark & binary_dilation(valid & ~dark, structure=_CROSS)
+    return shadow_mask & binary_dilation(valid & ~shadow_mask, structure=_FOUR_NEIGHBOURS)
 
 
-def interior(wrong_mask: np.ndarray, true_dark: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
+def interior_error_mask(
+    wrong_mask: np.ndarray, true_shadow_mask: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray
+) -> np.ndarray:
     """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
-    return wrong_mask & (distance_to_edges_px(true_dark, valid) > distance_px)
+    return wrong_mask & (distance_to_edges_px(true_shadow_mask, valid) > distance_px)
 
 
-def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def distance_to_edges_px(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any."""
     from scipy.ndimage import distance_transform_edt
 
-    edge = boundary(dark, valid) | boundary(valid & ~dark, valid)
-    return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
+    edge = shadow_boundary_mask(shadow_mask, valid) | shadow_boundary_mask(valid & ~shadow_mask, valid)
+    return distance_transform_edt(~edge) if edge.any() else np.full(shadow_mask.shape, np.inf)
 
 
 def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -250,35 +255,39 @@ def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, 
     return out
 
 
-def is_far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
+def is_far_from_edges(
+    shadow_mask: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray
+) -> np.ndarray:
     """Return which pixels lie farther from both sides of any shadow boundary than given distances, bool (n,).
 
     ``row``, ``col`` and ``distance_px`` (n,) are the pixels and their distances. Distances are as in ``distance_to_edges_px``. The
     function reads only the classes in the mask of ``edge_test_region``.
     """
-    return _far_from_edges(dark, valid, row, col, distance_px)
+    return _compute_far_from_edges(shadow_mask, valid, row, col, distance_px)
 
 
 @compiled
-def _mark_squares(row, col, distance, out):
+def _mark_squares(row, col, distance_px, out):
+    """Mark in ``out`` (rows, cols) a square round each of the pixels ``row``, ``col`` (n,) that reaches its distance."""
     rows, cols = out.shape
     for n in range(len(row)):
-        reach = int(min(distance[n], rows + cols)) + 1
+        reach = int(min(distance_px[n], rows + cols)) + 1
         for i in range(max(row[n] - reach, 0), min(row[n] + reach + 1, rows)):
             for j in range(max(col[n] - reach, 0), min(col[n] + reach + 1, cols)):
                 out[i, j] = True
 
 
 @compiled
-def _far_from_edges(dark, valid, row, col, distance):
-    rows, cols = dark.shape
+def _compute_far_from_edges(shadow_mask, valid, row, col, distance_px):
+    """Return the result of ``is_far_from_edges``."""
+    rows, cols = shadow_mask.shape
     out = np.ones(len(row), np.bool_)
     for n in range(len(row)):
-        reach = int(min(distance[n], rows + cols))
+        reach = int(min(distance_px[n], rows + cols))
         for i in range(max(row[n] - reach, 0), min(row[n] + reach + 1, rows)):
             for j in range(max(col[n] - reach, 0), min(col[n] + reach + 1, cols)):
-                near = (i - row[n]) ** 2 + (j - col[n]) ** 2 <= distance[n] * distance[n]
-                if near and valid[i, j] and _is_edge(dark, valid, i, j):
+                near = (i - row[n]) ** 2 + (j - col[n]) ** 2 <= distance_px[n] * distance_px[n]
+                if near and valid[i, j] and _is_edge(shadow_mask, valid, i, j):
                     out[n] = False
                     break
             if not out[n]:
@@ -287,15 +296,15 @@ def _far_from_edges(dark, valid, row, col, distance):
 
 
 @internal
-def _is_edge(dark, valid, i, j):
+def _is_edge(shadow_mask, valid, i, j):
     """Return whether a 4-neighbour of a pixel has the other class."""
-    rows, cols = dark.shape
-    centre = dark[i, j]
+    rows, cols = shadow_mask.shape
+    centre = shadow_mask[i, j]
     return (
-        (i > 0 and valid[i - 1, j] and dark[i - 1, j] != centre)
-        or (i + 1 < rows and valid[i + 1, j] and dark[i + 1, j] != centre)
-        or (j > 0 and valid[i, j - 1] and dark[i, j - 1] != centre)
-        or (j + 1 < cols and valid[i, j + 1] and dark[i, j + 1] != centre)
+        (i > 0 and valid[i - 1, j] and shadow_mask[i - 1, j] != centre)
+        or (i + 1 < rows and valid[i + 1, j] and shadow_mask[i + 1, j] != centre)
+        or (j > 0 and valid[i, j - 1] and shadow_mask[i, j - 1] != centre)
+        or (j + 1 < cols and valid[i, j + 1] and shadow_mask[i, j + 1] != centre)
     )
 
 
@@ -305,7 +314,7 @@ def _distance_to_edges_px(truth: Truth) -> np.ndarray:
     return distance_to_edges_px(~truth.lit & truth.valid, truth.valid)
 
 
-def block_shares(shadow_share: np.ndarray) -> np.ndarray:
+def block_shadow_shares(shadow_share: np.ndarray) -> np.ndarray:
     """Return the means of 16 x 16 px blocks of a picture (rows, cols), NaN for blocks without surface.
 
     Incomplete blocks at the last rows and columns are left out.
@@ -332,6 +341,7 @@ def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
-def _share(part: np.ndarray, reference: np.ndarray) -> float:
-    total = int(np.count_nonzero(reference))
-    return float(np.count_nonzero(part & reference) / total) if total else 0.0
+def _share_of_mask(mask: np.ndarray, reference_mask: np.ndarray) -> float:
+    """Return the share of the pixels in ``reference_mask`` that are in ``mask`` as well; 0 without any."""
+    total = int(np.count_nonzero(reference_mask))
+    return float(np.count_nonzero(mask & reference_mask) / total) if total else 0.0

@@ -16,9 +16,10 @@ from typing import get_args
 import numpy as np
 from pydantic import Field
 
-from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm import Algorithm, CostInputs
+from skugga.shadows.algorithm_settings import AlgorithmSettings, ResolvedSettings, SettingsRequest
 from skugga.shadows.area_light import disc_points, sun_disc_directions
-from skugga.shadows.attached import attached, faces_away
+from skugga.shadows.attached_shadow import attached_shadow_mask, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached
@@ -42,11 +43,13 @@ UNLIMITED_TRIANGLES = 2**31
 """Triangle limit that no ground reaches: its mesh is not decimated."""
 
 PASSES = ("rays",)
+"""Names of the passes that the algorithm runs, in order."""
 
 AREA_LIGHT_SAMPLES = 64
 """Samples of an area light."""
 
-ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
+ALL_CASTER_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
+"""All kinds of casters."""
 
 
 class TruthSettings(AlgorithmSettings):
@@ -63,7 +66,7 @@ class Truth:
     ----------
     lit
         Pixels whose visible point is lit.
-    attached
+    attached_shadow_mask
         Pixels in attached shadow: their normal does not face the light.
     decidable
         Pixels where an algorithm can be compared with truth.
@@ -72,7 +75,7 @@ class Truth:
     """
 
     lit: np.ndarray
-    attached: np.ndarray
+    attached_shadow_mask: np.ndarray
     decidable: np.ndarray
     valid: np.ndarray
 
@@ -84,10 +87,10 @@ class Truth:
     @property
     def cast_share(self) -> float:
         """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
-        return float((self.valid & ~self.attached & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
+        return float((self.valid & ~self.attached_shadow_mask & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -103,16 +106,16 @@ def fill(
     (rays_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(rays_pass):
         rays = ray_scene(buffer, scene, casters, kinds)
-        return area_visibility(buffer, scene, light, rays, settings.light_samples)
+        return area_light_visibility(buffer, scene, light, rays, settings.light_samples)
 
 
 def trace_truth(
     buffer: GeometryBuffer,
     scene: Scene,
     casters: Casters,
-    samples: int = 4,
+    sample_count: int = 4,
     light: str = SUN,
-    kinds: tuple[CasterKind, ...] = ALL_KINDS,
+    kinds: tuple[CasterKind, ...] = ALL_CASTER_KINDS,
     rays: RayScene | None = None,
     nodes: MapNodes | None = None,
 ) -> Truth:
@@ -126,7 +129,7 @@ def trace_truth(
         Its scene.
     casters
         The casters that can shade it.
-    samples
+    sample_count
         Sub-samples of a pixel, a square number.
     light
         The sun or a lamp's name.
@@ -138,7 +141,7 @@ def trace_truth(
         Ground nodes that the sub-samples share, if already computed (``sample_nodes``).
     """
     dark = np.zeros(buffer.valid.shape, bool)
-    is_attached = attached(buffer, scene, light) & buffer.valid
+    is_attached = attached_shadow_mask(buffer, scene, light) & buffer.valid
     if (light == SUN and not scene.sun_is_up) or not buffer.valid.any():
         return Truth(dark, is_attached, buffer.valid.copy(), buffer.valid)
     rays = rays or ray_scene(buffer, scene, casters, kinds)
@@ -146,37 +149,37 @@ def trace_truth(
     decidable = buffer.valid.copy()
     for offset_factor in (2.0, 4.0):
         decidable &= lit_mask(buffer, scene, light, rays, offset_factor) == lit
-    nodes = nodes or sample_nodes(buffer, scene, samples)
-    for view in jittered_views(buffer.view, samples):
+    nodes = nodes or sample_nodes(buffer, scene, sample_count)
+    for view in jittered_views(buffer.view, sample_count):
         sample = geometry_buffer(scene, view, buffer.frame, nodes=nodes)
         decidable &= sample.valid & (lit_mask(sample, scene, light, rays) == lit)
     return Truth(lit, is_attached, decidable, buffer.valid)
 
 
-def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
+def sample_nodes(buffer: GeometryBuffer, scene: Scene, sample_count: int) -> MapNodes | None:
     """Return the ground nodes that the sub-samples of a map's buffer or its parts share; ``None`` if they share none."""
-    return shared_nodes(scene, jittered_views(buffer.view, samples), buffer.frame)
+    return shared_nodes(scene, jittered_views(buffer.view, sample_count), buffer.frame)
 
 
-def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
     """Return the visibility float32 (rows, cols) of an area light, the mean over samples of its visible disc.
 
     Attached shadow is included, tested for each sample. Pixels off the surface are 0. One sample means the light's centre. A lamp
     without a radius is a point light.
     """
-    if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
+    if sample_count == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
         return lit_mask(buffer, scene, light, rays).astype(np.float32)
     visibility = np.zeros(buffer.valid.shape, np.float32)
     if light == SUN:
         assert scene.sun is not None
-        for direction in sun_disc_directions(scene.sun.in_frame(buffer.frame), samples):
+        for direction in sun_disc_directions(scene.sun.in_frame(buffer.frame), sample_count):
             visibility += lit_mask_towards(buffer, rays, direction)
-        return visibility / np.float32(samples)
-    return _sphere_visibility(buffer, scene, light, rays, samples)
+        return visibility / np.float32(sample_count)
+    return _sphere_visibility(buffer, scene, light, rays, sample_count)
 
 
-def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
-    """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
+def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
+    """Return the visibility float32 (rows, cols) of a spherical lamp. All of its points shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
     buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.valid.shape, np.float32)
@@ -186,14 +189,14 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
     up = np.cross(right, towards)
     normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
-    for right_m, up_m in lamp.radius_m * disc_points(samples):
+    for right_m, up_m in lamp.radius_m * disc_points(sample_count):
         ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
         facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
         reached_mask = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
         visibility += _unblocked_mask(buffer, rays, reached_mask, normals, ray, 1.0)
-    return visibility / np.float32(samples)
+    return visibility / np.float32(sample_count)
 
 
 def coverage_truth(
@@ -201,15 +204,15 @@ def coverage_truth(
     scene: Scene,
     casters: Casters,
     block_px: int,
-    blocks: int = 256,
-    samples: int = 64,
+    max_blocks: int = 256,
+    sample_count: int = 64,
     light: str = SUN,
     rays: RayScene | None = None,
 ) -> np.ndarray:
     """Return the true shares of shadow in sampled blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
 
-    At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
-    regular sub-samples. ``rays`` is as in ``trace_truth``.
+    At most ``max_blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``sample_count`` (a square
+    number) regular sub-samples. ``rays`` is as in ``trace_truth``.
     """
     shape = tuple(size // block_px for size in buffer.valid.shape)
     out = np.full(shape, np.nan)
@@ -218,11 +221,11 @@ def coverage_truth(
     candidates = np.flatnonzero(has_surface)
     if not len(candidates) or (light == SUN and scene.sun is None):
         return out
-    bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
+    bounds = np.linspace(0, len(candidates), min(max_blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(0)
-    rays = rays or ray_scene(buffer, scene, casters, ALL_KINDS)
+    rays = rays or ray_scene(buffer, scene, casters, ALL_CASTER_KINDS)
     is_dark_everywhere = light == SUN and not scene.sun_is_up
-    side = int(round(samples**0.5))
+    side = int(round(sample_count**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         i, j = np.unravel_index(candidates[rng.integers(first, last)], shape)
         if is_dark_everywhere:
@@ -263,7 +266,9 @@ def simplification_error(buffer: GeometryBuffer, scene: Scene, casters: Casters,
     # All blocks of a map share its nodes, so the cached rays of the whole buffer serve its part, too.
     caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
     rays = (
-        ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else find_casters(scene, caster_buffer), ALL_KINDS)
+        ray_scene(
+            caster_buffer, scene, casters if caster_buffer is buffer else find_casters(scene, caster_buffer), ALL_CASTER_KINDS
+        )
         for caster_buffer in caster_buffers
     )
     lit = [lit_mask(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
@@ -272,6 +277,7 @@ def simplification_error(buffer: GeometryBuffer, scene: Scene, casters: Casters,
 
 
 def _full_detail_view(scene: Scene, part: MapView) -> MapView:
+    """Return a part of a map on a grid of half the raster's cells, or of half the drawn step if that is finer."""
     surface = scene.surface(part.grid)
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
@@ -325,7 +331,7 @@ def lit_mask(
         assert scene.sun is not None
         return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)
     source = scene.light_position(light, buffer.frame)
-    facing = buffer.valid & ~attached(buffer, scene, light)
+    facing = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if receiver_mask is not None:
         facing &= receiver_mask
     buffer = move_to_smooth_ground(buffer, source)
@@ -334,18 +340,23 @@ def lit_mask(
 
 
 def _unblocked_mask(
-    buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_factor: float
+    buffer: GeometryBuffer,
+    rays: RayScene,
+    facing_mask: np.ndarray,
+    normals: FacingNormals,
+    to_light: np.ndarray,
+    offset_factor: float,
 ) -> np.ndarray:
-    """Return which points in the mask ``facing`` have nothing on their ray to a light, bool (rows, cols).
+    """Return which points in the mask ``facing_mask`` have nothing on their ray to a light, bool (rows, cols).
 
     ``to_light`` (rows, cols, 3) are the rays from the points to the light, metres.
     """
-    directions = to_light[facing]
+    directions = to_light[facing_mask]
     length = np.linalg.norm(directions, axis=-1)
     directions /= length[:, None]
-    start = _offset_origins(buffer, facing, normals, directions, offset_factor * rays.offset_m)
+    start = _offset_origins(buffer, facing_mask, normals, directions, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, directions, length)
+    out[facing_mask] = ~rays.blocked(start, directions, length)
     return out
 
 
@@ -375,39 +386,40 @@ def lit_mask_towards(
 
 
 def _offset_origins(
-    buffer: GeometryBuffer, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
+    buffer: GeometryBuffer, facing_mask: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
 ) -> np.ndarray:
-    """Return the points (n, 3) in the mask ``facing``, moved off their triangles to the light's side."""
-    side = np.where((normals.normal_frame[facing] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    """Return the points (n, 3) in the mask ``facing_mask``, moved off their triangles to the light's side."""
+    side = np.where((normals.normal_frame[facing_mask] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     lift = buffer.normal_frame if normals.lift_frame is None else normals.lift_frame
-    return buffer.position_frame_m[facing] + offset_m * side * lift[facing]
+    return buffer.position_frame_m[facing_mask] + offset_m * side * lift[facing_mask]
 
 
-def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
-    """Return views shifted within a pixel, one for each of ``samples`` sub-samples: a random offset in each of as many strata.
+def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int = 0) -> list[MapView | PerspectiveView]:
+    """Return views shifted within a pixel, one for each of ``sample_count`` sub-samples: a random offset in each of as many strata.
 
-    Raises ``ValueError`` if ``samples`` is no square number.
+    Raises ``ValueError`` if ``sample_count`` is no square number.
     """
-    side = int(round(samples**0.5))
-    if side * side != samples:
-        raise ValueError(f"samples: {samples} is not a square number. Use 1, 4, 9, 16 ...")
+    side = int(round(sample_count**0.5))
+    if side * side != sample_count:
+        raise ValueError(f"sample_count: {sample_count} is not a square number. Use 1, 4, 9, 16 ...")
     rng = np.random.default_rng(seed)
     offsets = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
     return [view.shifted(row, col) for row, col in offsets]
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
-    if request.is_area:
+    if request.is_area_light:
         return TruthSettings(light_samples=AREA_LIGHT_SAMPLES), []
     return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
-def _work(task: Workload, settings: TruthSettings) -> Work:
-    rays = task.facing_pixels * settings.light_samples
-    return {"truth": {"blocks": 1.0, "seen": task.visible_pixels, "rays": rays, "triangles": task.all_triangles}}
+def _work(workload: Workload, settings: TruthSettings) -> Work:
+    rays = workload.facing_pixel_count * settings.light_samples
+    return {"truth": {"blocks": 1.0, "seen": workload.visible_pixel_count, "rays": rays, "triangles": workload.all_triangle_count}}
 
 
 def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings]:
+    """Yield the settings that a calibration of this extent measures (``CostInputs``)."""
     if calibration_extent == "full":
         yield TruthSettings()
 
@@ -415,13 +427,13 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 ALGORITHM = Algorithm(
     name="truth",
     description="ray tracing, the reference for comparisons; too slow for pictures",
-    plural="truth",
-    fill=fill,
+    plural_name="truth",
+    fill_visibility=fill_visibility,
     passes=PASSES,
-    is_served=False,
+    is_selectable=False,
     needs_opengl=False,
-    settings=(TruthSettings,),
-    resolve=_resolve,
+    settings_types=(TruthSettings,),
+    resolve_settings=_resolve,
     cache_names=("skugga.shadows.truth.truth.ray_scene",),
-    cost=Cost(_work, calibration_settings=_calibration_settings),
+    cost=CostInputs(_work, calibration_settings=_calibration_settings),
 )

@@ -20,10 +20,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.shadows.passes import PassRecord
-from skugga.shadows.volumes.layers import may_shade_near
+from skugga.shadows.volumes.layers import may_shade_near_plane
 from skugga.shadows.volumes.settings import StencilSettings
-from skugga.shadows.volumes.tiles import cull_faces, depth_bounds, marked_tiles, rectangles
-from skugga.shadows.volumes.views import VisiblePoints, near_plane_m, own_points, pixel_points, receiver_stencil, sample_points
+from skugga.shadows.volumes.tiles import covering_rectangles, cull_faces, depth_bounds, marked_tiles
+from skugga.shadows.volumes.views import (
+    VisiblePoints,
+    near_plane_distance_m,
+    pixel_points,
+    points_of_view,
+    receiver_stencil,
+    sample_points,
+)
 from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
@@ -71,9 +78,9 @@ def count_volumes(
     counts = np.zeros(receiver_mask.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
-    near_m = near_plane_m(buffer)
+    near_m = near_plane_distance_m(buffer)
     is_sun_aligned = _is_sun_aligned(buffer, scene, light)
-    for points in own_points(buffer, scene, receiver_mask, near_m):
+    for points in points_of_view(buffer, scene, receiver_mask, near_m):
         point_counts = _count_points(buffer, scene, points, light, volumes, settings, uses_mark_bit, record)
         if is_sun_aligned:
             rotated_counts = _count_points(
@@ -110,7 +117,7 @@ def _rotate_half_turn(points: VisiblePoints) -> VisiblePoints:
     return replace(points, row=rows - 1 - points.row, col=cols - 1 - points.col, clip_from_frame=clip)
 
 
-def faces_in_front(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
+def count_faces_in_front(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
     """Return the number of faces of volumes in front of the visible surface, at most 255.
 
     The result is uint8 (rows, cols) of a view's own pixels.
@@ -124,18 +131,19 @@ def visible_silhouettes(buffer: GeometryBuffer, scene: Scene, volumes: list[Volu
 
 
 def _count_over_surface(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: CountMode) -> np.ndarray:
+    """Return the stencil's counts over the visible surface, uint8 (rows, cols), by one counting method."""
     import moderngl
 
     gl, out = device(), np.zeros(buffer.valid.shape, np.uint8)
     draws_edges = counting == "seen"
-    for points in pixel_points(buffer, scene, buffer.valid, near_plane_m(buffer)):
+    for points in pixel_points(buffer, scene, buffer.valid, near_plane_distance_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiver_stencil(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if draws_edges:
                 nearer_clip = points.clip_from_frame * np.array([[1.0], [1.0], [SILHOUETTE_DEPTH_FACTOR], [1.0]])
                 program["clip_from_frame"] = tuple(nearer_clip.T.ravel())
             for volume_set in volumes:
-                indices = volume_set.edges if draws_edges else volume_set.faces
+                indices = volume_set.silhouette_edges if draws_edges else volume_set.faces
                 if not len(indices):
                     continue
                 with (
@@ -161,10 +169,10 @@ def _count_points(
 ) -> np.ndarray:
     """Return the number of volumes that contain each of some points, uint8 (n,)."""
     gl, size = device(), points.size
-    from_above = points.near_frame_m is None
+    from_above = points.near_plane_frame_m is None
     clamped, offset_steps = from_above and light[3] != 0.0, MAP_OFFSET_STEPS if from_above else 0.0
     max_faces = max((len(volume_set.faces) for volume_set in volumes), default=0)
-    parts = rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
+    parts = covering_rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.buffer_indices), np.uint8)
     sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
@@ -172,19 +180,21 @@ def _count_points(
         for number, volume_set in enumerate(volumes):
             if number:
                 gl.stencil.clear(target, COUNT_BITS if uses_mark_bit else 0xFF)
-            clip = points.clip_of(volume_set.vertices.astype(np.float64))
+            clip = points.to_clip(volume_set.vertices.astype(np.float64))
             added = np.full(len(parts), _layers_around_viewer(volume_set, points, light) if clamped else 0)
             for counting, faces in _counting_methods(volume_set, points, light, settings):
                 visible_faces = cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
                 added += visible_faces.added_layers
-                if not len(visible_faces.faces):
+                if not len(visible_faces.face_numbers):
                     continue
-                with gl.uploaded_mesh(program, volume_set.vertices, faces[visible_faces.faces]) as array:
+                with gl.uploaded_mesh(program, volume_set.vertices, faces[visible_faces.face_numbers]) as array:
                     for side in sides:
                         with gl.stencil.count_pass(target, counting, side, uses_mark_bit, clamped, offset_steps):
-                            _render(gl, target, array, parts, visible_faces.starts)
-                        record.triangles += len(visible_faces.faces)
-                record.bytes = max(record.bytes, volume_set.vertices.nbytes + 12 * len(visible_faces.faces) + 9 * size[0] * size[1])
+                            _render_in_rectangles(gl, target, array, parts, visible_faces.rectangle_starts)
+                        record.triangles += len(visible_faces.face_numbers)
+                record.bytes = max(
+                    record.bytes, volume_set.vertices.nbytes + 12 * len(visible_faces.face_numbers) + 9 * size[0] * size[1]
+                )
             counts = gl.stencil.read(target)
             for (col, row, width, height), added_layers in zip(parts.tolist(), added.tolist(), strict=True):
                 counts[row : row + height, col : col + width] += np.uint8(added_layers & COUNT_BITS)
@@ -216,20 +226,24 @@ def _counting_methods(
     volumes: Volumes, points: VisiblePoints, light: np.ndarray, settings: StencilSettings
 ) -> list[tuple[CountMode, np.ndarray]]:
     """Return the counting methods (z-pass, z-fail) of some volumes, each with the faces (m, 3) that it counts."""
-    if points.near_frame_m is None:
+    if points.near_plane_frame_m is None:
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
         return [("z_fail", volumes.faces)]
-    uses_z_fail = may_shade_near(volumes.low_m, volumes.high_m, points.near_frame_m, light)[volumes.caster_of_face]
+    uses_z_fail = may_shade_near_plane(volumes.caster_low_m, volumes.caster_high_m, points.near_plane_frame_m, light)[
+        volumes.caster_of_face
+    ]
     return [("z_pass", volumes.faces[~uses_z_fail]), ("z_fail", volumes.faces[uses_z_fail])]
 
 
-def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> None:
-    """Draw the faces of each rectangle in ``parts`` (k, 4) of a framebuffer, clipped to the rectangle.
+def _render_in_rectangles(
+    gl: Device, target: Framebuffer, array: moderngl.VertexArray, clip_rectangles: np.ndarray, face_starts: np.ndarray
+) -> None:
+    """Draw the faces of each rectangle in ``clip_rectangles`` (k, 4) of a framebuffer, clipped to the rectangle.
 
-    ``starts`` (k + 1,) are the indices of the rectangles' first faces.
+    ``face_starts`` (k + 1,) are the indices of the rectangles' first faces.
     """
-    for part, first, end in zip(parts.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+    for part, first, end in zip(clip_rectangles.tolist(), face_starts[:-1].tolist(), face_starts[1:].tolist(), strict=True):
         if end > first:
             target.scissor = tuple(part)
             gl.render(array, vertices=3 * (end - first), first=3 * first)

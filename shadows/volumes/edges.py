@@ -32,7 +32,7 @@ class Edges:
     side_signs: np.ndarray
 
 
-def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
+def find_edges(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
     """Return the edges of triangles (m, 3) of vertices (n, 3). Vertices at one float32 position count as one.
 
     Raises ``InputError`` for a triangle with a vertex number out of range.
@@ -54,7 +54,7 @@ def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
     return Edges(ends.astype(np.int32), triangle_edges, side_signs)
 
 
-def signed_sums(edges: Edges, orientations: np.ndarray) -> np.ndarray:
+def signed_side_counts(edges: Edges, orientations: np.ndarray) -> np.ndarray:
     """Return the signed number of sides along each edge, int32 (e,): from its first end to its second, minus the other way.
 
     ``orientations`` (m,) orients the triangles: +1 keeps them, -1 flips them, and 0 leaves them out.
@@ -79,13 +79,13 @@ def connected_parts(edges: Edges) -> np.ndarray:
     return connected_components(incidence, directed=False)[1][:count].astype(np.int32)
 
 
-def closed_parts(edges: Edges) -> np.ndarray:
+def closed_part_mask(edges: Edges) -> np.ndarray:
     """Return which triangles (m,), bool, belong to a part that bounds a body: closed and consistently oriented.
 
     Each edge of such a part has as many sides in one direction as in the other, so the part's signed boundary is zero.
     """
     part = connected_parts(edges)
-    unbalanced = signed_sums(edges, np.ones(len(part), np.int8)) != 0
+    unbalanced = signed_side_counts(edges, np.ones(len(part), np.int8)) != 0
     triangle, side = np.nonzero(edges.side_signs)
     open_part = np.zeros(int(part.max(initial=-1)) + 1, bool)
     open_part[part[triangle[unbalanced[edges.triangle_edges[triangle, side]]]]] = True

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.shadows.volumes.edges import Edges, connected_parts
-from skugga.shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
+from skugga.shadows.volumes.silhouettes import Silhouette, checked_light, silhouette
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.errors import InputError
 
@@ -24,10 +24,10 @@ MAX_LUNES = 4096
 MIN_LUNES = 16
 """Lower bound of the number of lunes in a full circle. Each lune must remain well below a half-circle."""
 
-LINES_PER_EDGE = 0.5
+LUNE_LINES_PER_EDGE = 0.5
 """Mean number of lines between lunes that an edge may cross."""
 
-NEAR_PLANE_DEG = 0.1
+MIN_NEAR_PLANE_ANGLE_DEG = 0.1
 """Angle between a light and the near plane up to which the near-clip volume is no larger than rounding."""
 
 ANGLE_TOLERANCE = 1e-9
@@ -59,7 +59,7 @@ def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) ->
     side is a sum of steps in v. For the sun, the same holds for the points where its rays meet a plane across them, as seen from
     one unit in front of the plane. There, N(pole) = 0.
     """
-    light = homogeneous(light)
+    light = checked_light(light)
     if not len(silhouette.edges):
         return 0
     vertices = np.asarray(points, np.float32).reshape(-1, 3)
@@ -70,10 +70,10 @@ def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) ->
     if light[3] == 0.0:
         projected, pole_count = _project_along_sun(start_vertices, light[:3]), 0
     else:
-        axes = _axes_towards(start_vertices.mean(axis=0) - light[:3])
+        axes = _oblique_axes_towards(start_vertices.mean(axis=0) - light[:3])
         projected, pole_count = (
             (start_vertices - light[:3]) @ axes.T,
-            _caps_at_lower_pole((vertices - light[:3]) @ axes[:2].T, silhouette.caps),
+            _count_caps_at_lower_pole((vertices - light[:3]) @ axes[:2].T, silhouette.caps),
         )
     max_winding = _max_winding(projected, edges, silhouette.multiplicity)
     return len(silhouette.caps) if max_winding is None else min(pole_count + max_winding, len(silhouette.caps))
@@ -99,7 +99,7 @@ def layer_batches(
     if max_layers(points, silhouette(triangles, edges, orientations), light) <= layer_limit:
         return [orientations]
     part = connected_parts(edges)
-    groups, halves = [], [_sort_by_light_distance(points, triangles, part, orientations, homogeneous(light))]
+    groups, halves = [], [_sort_by_light_distance(points, triangles, part, orientations, checked_light(light))]
     while halves:
         candidate = halves.pop()
         group = np.zeros_like(orientations)
@@ -112,20 +112,20 @@ def layer_batches(
     return groups
 
 
-def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, light: np.ndarray) -> np.ndarray:
+def may_shade_near_plane(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return whether boxes from ``low`` to ``high`` (k, 3) may cast on the near plane's rectangle, bool (k,).
 
     ``rectangle`` (4, 3) are its corners in order. A box may cast on it if it reaches into the volume swept from the rectangle to
     the light (4,): the near-clip volume of Everitt and Kilgard 2002. The result is False only where a plane separates the two by
     more than rounding: the near plane, a side of the volume or a side of the box. It is True for all where the light lies within
-    ``NEAR_PLANE_DEG`` of the near plane.
+    ``MIN_NEAR_PLANE_ANGLE_DEG`` of the near plane.
     """
-    light = homogeneous(light)
+    light = checked_light(light)
     low, high, rectangle = (np.asarray(v, np.float64).reshape(-1, 3) for v in (low, high, rectangle))
     to_light = light[:3] - light[3] * rectangle
     normal = np.cross(rectangle[1] - rectangle[0], rectangle[3] - rectangle[0])
     above = to_light @ normal
-    min_height = np.sin(np.radians(NEAR_PLANE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
+    min_height = np.sin(np.radians(MIN_NEAR_PLANE_ANGLE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
     if not (np.abs(above) > min_height).all():
         return np.ones(len(low), bool)
     extent = max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0), np.abs(rectangle).max())
@@ -154,7 +154,7 @@ def _project_along_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(points)), *((plane - (low + high)[:, None] / 2.0) / scale)], axis=-1)
 
 
-def _axes_towards(forward: np.ndarray) -> np.ndarray:
+def _oblique_axes_towards(forward: np.ndarray) -> np.ndarray:
     """Return right-handed axes (3, 3): ahead, left and up. Up is oblique, so that rectangular buildings do not align with it."""
     forward = forward / np.linalg.norm(forward) if forward.any() else POLE_AXIS
     left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(forward)))), forward)
@@ -179,7 +179,7 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
     first, span = (-np.pi, 2.0 * np.pi) if wraps.any() else (float(phi.min()), float(np.ptp(phi)))
     if not span:
         return 0
-    lines = LINES_PER_EDGE * len(multiplicity) * span / max(float(np.abs(phi_change).sum()), 1e-9)
+    lines = LUNE_LINES_PER_EDGE * len(multiplicity) * span / max(float(np.abs(phi_change).sum()), 1e-9)
     lunes = int(np.clip(lines, np.ceil(MIN_LUNES * span / (2.0 * np.pi)), MAX_LUNES))
     lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
     position, step = _winding_steps(directions, edges, multiplicity, lune, phi_change > 0.0, first, span / lunes, lunes)
@@ -192,17 +192,17 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
 
 
 @compiled
-def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, first, width, lunes):
+def _winding_steps(directions, edges, multiplicity, lune_of_end, runs_left, first_phi, lune_width, lune_count):
     """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``).
 
     A position is the lune's number plus v as a share of 1.
     """
-    line = first + width * np.arange(lunes + 1)
-    line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * width), np.sin(line + 0.5 * width)
+    line = first_phi + lune_width * np.arange(lune_count + 1)
+    line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * lune_width), np.sin(line + 0.5 * lune_width)
     capacity = 0
     for e in range(len(multiplicity)):
-        lunes_crossed = lune_of_end[e, 1] - lune_of_end[e, 0] if leftwards[e] else lune_of_end[e, 0] - lune_of_end[e, 1]
-        capacity += 2 + 3 * (lunes_crossed % lunes)
+        lunes_crossed = lune_of_end[e, 1] - lune_of_end[e, 0] if runs_left[e] else lune_of_end[e, 0] - lune_of_end[e, 1]
+        capacity += 2 + 3 * (lunes_crossed % lune_count)
     position, step, n = np.empty(capacity), np.empty(capacity, np.int64), 0
     for e in range(len(multiplicity)):
         a, b, m = directions[edges[e, 0]], directions[edges[e, 1]], multiplicity[e]
@@ -210,12 +210,12 @@ def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, firs
         x, y, z, has_begun = a[0], a[1], a[2], False
         while True:
             start = _lune_height(lune, x * cos[lune] + y * sin[lune], z)
-            if has_begun and leftwards[e]:
+            if has_begun and runs_left[e]:
                 position[n], step[n], n = start, -m, n + 1
             if lune == last:
                 x, y, z = b[0], b[1], b[2]
             else:
-                k = lune + 1 if leftwards[e] else lune
+                k = lune + 1 if runs_left[e] else lune
                 before = a[1] * line_cos[k] - a[0] * line_sin[k]
                 after = b[1] * line_cos[k] - b[0] * line_sin[k]
                 share = min(max(before / (before - after), 0.0), 1.0) if before != after else 0.5
@@ -225,9 +225,9 @@ def _winding_steps(directions, edges, multiplicity, lune_of_end, leftwards, firs
                 position[n], step[n], position[n + 1], step[n + 1], n = start, m, end, -m, n + 2
             if lune == last:
                 break
-            if not leftwards[e]:
+            if not runs_left[e]:
                 position[n], step[n], n = end, m, n + 1
-            lune, has_begun = (lune + (1 if leftwards[e] else -1)) % lunes, True
+            lune, has_begun = (lune + (1 if runs_left[e] else -1)) % lune_count, True
     return position[:n], step[:n]
 
 
@@ -238,7 +238,7 @@ def _lune_height(lune, forward, up):
 
 
 @compiled
-def _caps_at_lower_pole(directions, caps):
+def _count_caps_at_lower_pole(directions, caps):
     """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding."""
     count = 0
     for t in range(len(caps)):
@@ -252,19 +252,19 @@ def _caps_at_lower_pole(directions, caps):
 
 
 def _sort_by_light_distance(
-    points: np.ndarray, triangles: np.ndarray, part: np.ndarray, orientations: np.ndarray, light: np.ndarray
+    points: np.ndarray, triangles: np.ndarray, part_numbers: np.ndarray, orientations: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
     """Return the casting triangles part by part, and within a part by distance from the light, the nearest first."""
     casting = np.flatnonzero(orientations)
     middle = np.asarray(points, np.float64).reshape(-1, 3)[triangles[casting]].mean(axis=1)
     distance = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
-    part = part[casting]
-    part_distance = np.bincount(part, distance) / np.maximum(np.bincount(part), 1)
-    return casting[np.lexsort((distance, part, part_distance[part]))]
+    part_numbers = part_numbers[casting]
+    part_distance = np.bincount(part_numbers, distance) / np.maximum(np.bincount(part_numbers), 1)
+    return casting[np.lexsort((distance, part_numbers, part_distance[part_numbers]))]
 
 
-def _split_index(part: np.ndarray) -> int:
+def _split_index(part_numbers: np.ndarray) -> int:
     """Return the index at which to halve triangles: between two parts (one number per triangle) if there are several."""
-    starts = np.flatnonzero(np.diff(part)) + 1
-    half = len(part) // 2
+    starts = np.flatnonzero(np.diff(part_numbers)) + 1
+    half = len(part_numbers) // 2
     return int(starts[np.argmin(np.abs(starts - half))]) if len(starts) else half

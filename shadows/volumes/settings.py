@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings, NamedReason, ResolvedSettings, SettingsRequest
+from skugga.shadows.algorithm_settings import AlgorithmSettings, AreaLightSettings, NamedReason, ResolvedSettings, SettingsRequest
 from skugga.terrain.level.level import Shadows
 
 
@@ -19,7 +19,7 @@ class StencilSettings(AlgorithmSettings):
     counting: Literal["auto", "z_fail"] = "auto"
 
 
-class VolumeSettings(StencilSettings, AreaSettings):
+class VolumeSettings(StencilSettings, AreaLightSettings):
     """Settings of shadow volumes: the counting method and the filter.
 
     ``filter`` 1 shows the hard edges of a point light. ``sun`` shows the penumbra of the light's disc or ball, by the volumes of
@@ -38,10 +38,10 @@ class VolumeSettings(StencilSettings, AreaSettings):
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of shadow volumes, and the reason for a penumbra or for a filter without effect."""
     settings = stencil_settings(request.shadows)
-    if not request.is_area:
+    if not request.is_area_light:
         return VolumeSettings(**settings), request.ignored_filter_reasons("shadow_volume")
-    reason = f"the mean of the volumes of {request.light_points} points of the light"
-    return VolumeSettings(**settings, filter="sun", light_points=request.light_points), [
+    reason = f"the mean of the volumes of {request.light_point_count} points of the light"
+    return VolumeSettings(**settings, filter="sun", light_points=request.light_point_count), [
         NamedReason(name="filter sun", reason=reason)
     ]
 

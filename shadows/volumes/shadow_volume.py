@@ -1,4 +1,4 @@
-"""`shadow_volume`: the shadow volumes of casters, counted in the stencil. Exact to the pixel, whatever the resolution.
+"""`shadow_volume`: the shadow volumes of casters, counted in the stencil. They are exact to the pixel at any resolution.
 
 ``skugga.shadows.volumes.volumes`` builds the volumes, ``skugga.shadows.volumes.drawing`` counts them.
 """
@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.algorithm import BENT_MAP_REASON, COMPANION_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
+from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.area_light import mean_visibility_of_area_light
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count_volumes, faces_in_front, visible_silhouettes
+from skugga.shadows.requirements import BENT_MAP_REASON, Requirement
+from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.shadows.volumes.work import volume_work
@@ -22,9 +23,10 @@ from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "stencil")
+"""Names of the passes that the algorithm runs, in order."""
 
 
-def fill(
+def fill_visibility(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -39,15 +41,15 @@ def fill(
     the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
-        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
     silhouettes_pass, stencil_pass = log.pass_names(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.record_pass(silhouettes_pass) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     log.keep_layer("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
-    log.keep_layer("volumes", light, faces_in_front, buffer, scene, volumes)
+    log.keep_layer("volumes", light, count_faces_in_front, buffer, scene, volumes)
     with log.record_pass(stencil_pass) as record:
-        receiver_mask = buffer.valid & ~attached(buffer, scene, light)
+        receiver_mask = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
         counts = count_volumes(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
@@ -64,6 +66,7 @@ GROUND_EXCLUSION_REASON = (
     f"not tried: the ground has more than {MAX_GROUND_TRIANGLES:,} triangles, and its volumes would take ten to twenty times as "
     "long as a sweep (docs/accuracy.md)"
 )
+"""The reason why the selector does not try volumes of large ground."""
 
 
 def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
@@ -80,27 +83,27 @@ VOLUME_REFUSALS: dict[Requirement, str] = {
 
 VOLUME_CACHES = (
     "skugga.shadows.volumes.volumes",
-    "skugga.shadows.volumes.volumes._structure",
+    "skugga.shadows.volumes.volumes._mesh_structure",
 )
 """Caches of volumes."""
 
 ALGORITHM = Algorithm(
     name="shadow_volume",
     description="shadow volumes, counted in the stencil: exact to the pixel",
-    plural="shadow volumes",
-    fill=fill,
+    plural_name="shadow volumes",
+    fill_visibility=fill_visibility,
     passes=PASSES,
     refusals=VOLUME_REFUSALS,
     layers=("stencil", "silhouettes", "volumes"),
-    settings=(VolumeSettings,),
-    resolve=resolve_volumes,
+    settings_types=(VolumeSettings,),
+    resolve_settings=resolve_volumes,
     cache_names=VOLUME_CACHES,
-    search=Search(
-        companion_map_sizes=COMPANION_MAP_SIZES,
+    search=SettingsSearch(
+        map_sizes_for_other_casters=MAP_SIZES_FOR_OTHER_CASTERS,
         is_excluded=has_too_much_ground,
         exclusion_reason=GROUND_EXCLUSION_REASON,
-        variants=({"stencil": "two_pass"}, {"counting": "z_fail"}),
+        other_variants=({"stencil": "two_pass"}, {"counting": "z_fail"}),
     ),
-    cost=Cost(volume_work, passes={"silhouettes": "silhouettes", "counting": "stencil"}),
-    mark=Mark("square", "vermilion"),
+    cost=CostInputs(volume_work, pass_of_part={"silhouettes": "silhouettes", "counting": "stencil"}),
+    marker=PlotMarker("square", "vermilion"),
 )

@@ -12,7 +12,7 @@ manifold (B. Kim, K. Kim, G. Turk 2008, "A shadow-volume algorithm for opaque an
 Tools 13(3), who count by multiplicity; for closed bodies C. Everitt, M. Kilgard 2002, "Practical and robust stenciled shadow
 volumes for hardware-accelerated rendering").
 
-A rule says which triangles cast, depending on what they bound:
+A rule selects the casting triangles. It depends on what the triangles bound:
 
 - ``facing``: triangles that face the light cast. It serves closed bodies with their faces outwards. A segment from a point to the
   light crosses as many facing triangles as other ones, and one more for each body that contains the point. Where any triangle
@@ -33,18 +33,20 @@ from typing import Literal
 
 import numpy as np
 
-from skugga.shadows.volumes.edges import Edges, signed_sums
+from skugga.shadows.volumes.edges import Edges, signed_side_counts
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError
 from skugga.terrain.ground.columns import ColumnMesh
 from skugga.terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
+"""Rule that selects the casting triangles of a mesh by the direction in which they face (see above)."""
 
 FACING_CODE, TURNED_AWAY_CODE, ALL_CODE = 1, 2, 3
 """The rules as numbers, one for each triangle. Bit 0: triangles that face the light cast. Bit 1: the others cast."""
 
 FACING_RULE_CODES: dict[FacingRule, int] = {"facing": FACING_CODE, "turned_away": TURNED_AWAY_CODE, "all": ALL_CODE}
+"""The number of each rule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Silhouette:
     caps: np.ndarray
 
 
-def homogeneous(light: np.ndarray) -> np.ndarray:
+def checked_light(light: np.ndarray) -> np.ndarray:
     """Return a light (4,) as float64: a direction to the sun and 0, or a lamp's position and 1.
 
     Raises ``InputError`` for other values.
@@ -84,15 +86,17 @@ def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) 
     The test is in float64, on vertices rounded to float32, as they are drawn. A triangle (a, b, c) faces a light l where
     ((b - a) x (c - a)) . (l_xyz - l_w a) > 0.
     """
-    return _facing(np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), homogeneous(light))
+    return _compute_faces_light_mask(
+        np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), checked_light(light)
+    )
 
 
 def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """Return the orientations in which triangles cast, int8 (m,): +1 as given, -1 flipped, 0 not at all.
 
-    ``facing`` (m,) says which triangles face the light. ``rule`` is one rule for all, or a number for each triangle:
-    ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles that cast nothing. All triangles of a part of a mesh
-    have the same number. Raises ``InputError`` for any other rule.
+    ``facing`` (m,) bool is the mask of the triangles that face the light. ``rule`` is one rule for all, or a number for each
+    triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles that cast nothing. All triangles of a part of
+    a mesh have the same number. Raises ``InputError`` for any other rule.
     """
     if isinstance(rule, str) and rule not in FACING_RULE_CODES:
         raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))
@@ -104,10 +108,12 @@ def orientations_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.nda
 
 def silhouette(triangles: np.ndarray, edges: Edges, orientations: np.ndarray) -> Silhouette:
     """Return the silhouette of triangles (m, 3) that cast in the given ``orientations`` (m,). ``edges`` are their edges."""
-    multiplicity = signed_sums(edges, orientations)
+    multiplicity = signed_side_counts(edges, orientations)
     edge_numbers = np.flatnonzero(multiplicity)
     has_length = edges.side_signs[:, 0] != 0
-    return Silhouette(*_directed(edges.ends[edge_numbers], multiplicity[edge_numbers]), _caps(triangles, orientations * has_length))
+    return Silhouette(
+        *_directed_edges(edges.ends[edge_numbers], multiplicity[edge_numbers]), _oriented_caps(triangles, orientations * has_length)
+    )
 
 
 def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
@@ -135,10 +141,12 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     edge_numbers = np.flatnonzero(sums)
     kind, node = np.divmod(edge_numbers, rows * cols)
     ends = np.stack([node, node + np.array([1, cols, 1 - cols, 1 + cols])[kind]], axis=-1).astype(np.int32)
-    return Silhouette(*_directed(ends, sums.ravel()[edge_numbers].astype(np.int32)), _caps(triangles, orientations.ravel()))
+    return Silhouette(
+        *_directed_edges(ends, sums.ravel()[edge_numbers].astype(np.int32)), _oriented_caps(triangles, orientations.ravel())
+    )
 
 
-def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _directed_edges(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return edges (k, 2) with their ends in the direction of the casters' boundary, and their multiplicities (k,), positive.
 
     ``multiplicity`` is negative where the boundary runs from the second end to the first.
@@ -146,7 +154,8 @@ def _directed(ends: np.ndarray, multiplicity: np.ndarray) -> tuple[np.ndarray, n
     return np.where(multiplicity[:, None] > 0, ends, ends[:, ::-1]), np.abs(multiplicity)
 
 
-def _caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+    """Return the casting triangles (c, 3) in the orientations in which they cast."""
     casting = np.flatnonzero(orientations)
     caps = triangles[casting]
     flipped = orientations[casting] < 0
@@ -155,7 +164,8 @@ def _caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _facing(vertices, triangles, light):
+def _compute_faces_light_mask(vertices, triangles, light):
+    """Return which triangles face a light (4,), bool (m,)."""
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

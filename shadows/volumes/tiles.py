@@ -17,7 +17,7 @@ RECTANGLE_COST = 4e4
 MIN_RECTANGLE_COST = 8
 """Lower bound of the cost of another rectangle, in tiles."""
 
-GROUP_SIZE = 16
+RECTANGLE_GROUP_SIZE = 16
 """Number of consecutive rectangles for which faces beside all of them are culled together."""
 
 OUTSIDE, PARTIAL, COVERS = 0, 1, 2
@@ -32,18 +32,18 @@ def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> n
 
     ``size`` is the rows and columns of the picture.
     """
-    return _mark_tiles(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
+    return _compute_tile_mask(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
 
 
-def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
+def covering_rectangles(tiles: np.ndarray, size: tuple[int, int], face_count: int) -> np.ndarray:
     """Return rectangles of tiles that contain all marked ones, int32 (k, 4): first column, first row, columns and rows, in pixels.
 
-    Consecutive rectangles are neighbours. ``faces`` is the number of faces to draw in them. Another rectangle costs
-    ``RECTANGLE_COST`` divided by ``faces`` tiles. The bounding rectangle is cut in two, and its parts again, in two cases. The cut
-    saves more tiles than a rectangle costs, or a side has more than twice as many tiles as a rectangle costs. Within small
+    Consecutive rectangles are neighbours. ``face_count`` is the number of faces to draw in them. Another rectangle costs
+    ``RECTANGLE_COST`` divided by ``face_count`` tiles. The bounding rectangle is cut in two, and its parts again, in two cases. The
+    cut saves more tiles than a rectangle costs, or a side has more than twice as many tiles as a rectangle costs. Within small
     rectangles depths vary little, and few faces matter.
     """
-    merged = _rectangles(tiles, max(RECTANGLE_COST / max(faces, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
+    merged = _cover_tiles(tiles, max(RECTANGLE_COST / max(face_count, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
     return merged.astype(np.int32)
 
@@ -53,7 +53,7 @@ def depth_bounds(
 ) -> np.ndarray:
     """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any."""
     tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
-    tile_depths = _tile_bounds(rows, cols, depth, *tiles)
+    tile_depths = _tile_depth_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
     for number, (col, row, width, height) in enumerate(rectangles.tolist()):
         part = tile_depths[
@@ -70,35 +70,35 @@ class CulledFaces:
 
     Attributes
     ----------
-    faces
+    face_numbers
         int32 (f,): numbers of the faces, rectangle by rectangle.
-    starts
+    rectangle_starts
         int64 (k + 1,): index of each rectangle's first face.
     added_layers
         int64 (k,): number that culled faces add to the count of each pixel of a rectangle, the same in all of them.
     """
 
-    faces: np.ndarray
-    starts: np.ndarray
+    face_numbers: np.ndarray
+    rectangle_starts: np.ndarray
     added_layers: np.ndarray
 
 
 def cull_faces(
-    clip: np.ndarray,
+    clip_points: np.ndarray,
     faces: np.ndarray,
     counts_behind: bool,
     rectangles: np.ndarray,
-    depths: np.ndarray,
+    depth_ranges: np.ndarray,
     size: tuple[int, int],
-    clamped: bool = False,
+    clamps_depth: bool = False,
 ) -> CulledFaces:
     """Return the faces (m, 3) that matter in each rectangle, given bounds (k, 2) of its pixels' depths. Greater depths are nearer.
 
-    ``clip`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` is true if faces behind the pixels' points count (z-fail),
-    and false if those in front of them do (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces wholly on
-    the side that does not count. Faces that cover all of a rectangle, wholly on the side that counts, add the same number
+    ``clip_points`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` is true if faces behind the pixels' points count
+    (z-fail), and false if those in front of them do (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces
+    wholly on the side that does not count. Faces that cover all of a rectangle, wholly on the side that counts, add the same number
     everywhere (T. Aila and T. Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). Faces in front of the near plane, at
-    depths above 1, are not drawn and add nothing, unless depths are ``clamped``.
+    depths above 1, are not drawn and add nothing, unless depths are ``clamps_depth``.
 
     A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of the corners with no negative weight. The
     weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M.
@@ -106,13 +106,17 @@ def cull_faces(
     nor at infinity. Depth is the same sum of the corners' z, and therefore linear over the picture.
     """
     px = np.array([size[1], size[0]]) / 2.0
-    points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
-    near_plane = np.inf if clamped else 1.0
-    return CulledFaces(*_cull(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
+    points = np.column_stack([(clip_points[:, :2] + clip_points[:, 3:]) * px, clip_points[:, 3], clip_points[:, 2]])
+    near_plane = np.inf if clamps_depth else 1.0
+    return CulledFaces(*_cull_triangles(points, faces, counts_behind, rectangles.astype(np.float64), depth_ranges, near_plane))
 
 
 @compiled
-def _rectangles(tiles, cost):
+def _cover_tiles(tiles, cost):
+    """Return rectangles (k, 4) int64 that contain all marked tiles, in tiles (``covering_rectangles``).
+
+    ``cost`` is the number of tiles that another rectangle must save.
+    """
     pending = [(0, tiles.shape[0], 0, tiles.shape[1])]
     result = []
     while pending:
@@ -183,7 +187,8 @@ def _best_cut(part):
 
 
 @compiled
-def _mark_tiles(rows, cols, tile_rows, tile_cols):
+def _compute_tile_mask(rows, cols, tile_rows, tile_cols):
+    """Return which tiles (tile_rows, tile_cols) contain a pixel, bool."""
     out = np.zeros((tile_rows, tile_cols), np.bool_)
     for n in range(len(rows)):
         out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX] = True
@@ -191,7 +196,8 @@ def _mark_tiles(rows, cols, tile_rows, tile_cols):
 
 
 @compiled
-def _tile_bounds(rows, cols, depth, tile_rows, tile_cols):
+def _tile_depth_bounds(rows, cols, depth, tile_rows, tile_cols):
+    """Return the minimum and maximum depth of the pixels in each tile (tile_rows, tile_cols, 2)."""
     out = np.empty((tile_rows, tile_cols, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
@@ -201,14 +207,18 @@ def _tile_bounds(rows, cols, depth, tile_rows, tile_cols):
 
 
 @compiled
-def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
+def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, near_plane):
+    """Return the arrays of ``CulledFaces``.
+
+    ``points`` (n, 4) are x, y, w in pixels and z. Depths above ``near_plane`` are not drawn.
+    """
     m, k = len(triangles), len(rectangles)
-    lines, sign = _lines(points, triangles)
+    lines, sign = _weight_functions(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
     kept_faces = np.empty(4 * m, np.int32)
     candidates, count = np.empty(m, np.int32), 0
-    for group in range(0, k, GROUP_SIZE):
-        group_rectangles = rectangles[group : group + GROUP_SIZE]
+    for group in range(0, k, RECTANGLE_GROUP_SIZE):
+        group_rectangles = rectangles[group : group + RECTANGLE_GROUP_SIZE]
         left, top = group_rectangles[:, 0].min(), group_rectangles[:, 1].min()
         right, bottom = (
             (group_rectangles[:, 0] + group_rectangles[:, 2]).max(),
@@ -219,11 +229,11 @@ def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
             if sign[t] != 0 and _classify_triangle(lines[t], left, top, right, bottom) != OUTSIDE:
                 candidates[candidate_count] = t
                 candidate_count += 1
-        for number in range(group, min(group + GROUP_SIZE, k)):
+        for number in range(group, min(group + RECTANGLE_GROUP_SIZE, k)):
             left, top = rectangles[number, 0], rectangles[number, 1]
             right, bottom = left + rectangles[number, 2], top + rectangles[number, 3]
             # faces beyond one bound count, faces beyond the other do not; the margin is for float32
-            farthest, nearest = depths[number, 0] * (1.0 - DEPTH_MARGIN), depths[number, 1] * (1.0 + DEPTH_MARGIN)
+            farthest, nearest = depth_ranges[number, 0] * (1.0 - DEPTH_MARGIN), depth_ranges[number, 1] * (1.0 + DEPTH_MARGIN)
             if count + candidate_count > len(kept_faces):
                 grown = np.empty(2 * len(kept_faces) + candidate_count, np.int32)
                 grown[:count] = kept_faces[:count]
@@ -233,7 +243,7 @@ def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
                 relation = _classify_triangle(lines[t], left, top, right, bottom)
                 if relation == OUTSIDE:
                     continue
-                low, high = _range(lines[t, 3], left, top, right, bottom)
+                low, high = _range_in_rectangle(lines[t, 3], left, top, right, bottom)
                 is_behind, is_in_front = high < farthest, low > nearest
                 if is_in_front if counts_behind else is_behind or low > near_plane:
                     continue
@@ -248,15 +258,15 @@ def _cull(points, triangles, counts_behind, rectangles, depths, near_plane):
 
 
 @internal
-def _classify_triangle(lines, left, top, right, bottom):
+def _classify_triangle(weight_functions, left, top, right, bottom):
     """Return a triangle's position relative to a rectangle: ``OUTSIDE``, ``PARTIAL`` or ``COVERS``.
 
-    ``lines`` (from ``_lines``) are the triangle's weights as linear functions of a pixel.
+    ``weight_functions`` (from ``_weight_functions``) are the triangle's weights as linear functions of a pixel.
     """
     relation = COVERS
     for n in range(3):
-        low, high = _range(lines[n], left, top, right, bottom)
-        slack = abs(lines[n, 0]) + abs(lines[n, 1])  # one pixel, for the rasteriser's grid
+        low, high = _range_in_rectangle(weight_functions[n], left, top, right, bottom)
+        slack = abs(weight_functions[n, 0]) + abs(weight_functions[n, 1])  # one pixel, for the rasteriser's grid
         if high < -slack:
             return OUTSIDE
         if low <= slack:
@@ -265,7 +275,7 @@ def _classify_triangle(lines, left, top, right, bottom):
 
 
 @internal
-def _lines(points, triangles):
+def _weight_functions(points, triangles):
     """Return each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
@@ -289,7 +299,7 @@ def _lines(points, triangles):
 
 
 @internal
-def _range(line, left, top, right, bottom):
+def _range_in_rectangle(line, left, top, right, bottom):
     """Return the minimum and maximum of a linear function over a rectangle."""
     x, y, z = line
     return (

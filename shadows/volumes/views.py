@@ -56,14 +56,14 @@ class VisiblePoints:
         int (n,): the points' flat indices in the buffer.
     depth
         float64 (n,): the points' depths.
-    is_drawn
+    uses_drawn_depth
         bool (n,): whether the depth comes from drawing the surface, if this covers the pixel: on meshes, on ground that bends in a
         map, and on ground with gaps.
     ground
         The ground to draw in a map that bends or has gaps; ``None`` otherwise.
     clip_from_frame, origin_frame_m
         Matrix (4, 4) to clip coordinates, from homogeneous frame points in metres from an origin (3,).
-    near_frame_m
+    near_plane_frame_m
         The near plane's rectangle (4, 3); ``None`` in a map, which has none.
     """
 
@@ -72,25 +72,25 @@ class VisiblePoints:
     col: np.ndarray
     buffer_indices: np.ndarray
     depth: np.ndarray
-    is_drawn: np.ndarray
+    uses_drawn_depth: np.ndarray
     ground: Sheet | None
     clip_from_frame: np.ndarray
     origin_frame_m: np.ndarray
-    near_frame_m: np.ndarray | None
+    near_plane_frame_m: np.ndarray | None
 
-    def clip_of(self, points: np.ndarray) -> np.ndarray:
+    def to_clip(self, points: np.ndarray) -> np.ndarray:
         """Return the clip coordinates (n, 4) float64 of homogeneous frame points (n, 4)."""
         return np.column_stack([points[:, :3] - points[:, 3:] * self.origin_frame_m, points[:, 3]]) @ self.clip_from_frame.T
 
 
-def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
+def points_of_view(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     """Yield the view's own points in ``mask``, without samples, part by part.
 
     ``near_m`` is the distance of the near plane. Ground of columns (raster cells with flat tops) is drawn in a view with one pixel
     for each cell. A point on a column lies at the middle of its top.
     """
     if buffer.columns is not None:
-        yield from _top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
+        yield from _column_top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
         mask = mask & (buffer.kind != RELIEF)
     yield from pixel_points(buffer, scene, mask, near_m)
 
@@ -104,7 +104,8 @@ def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m:
             yield _visible_points(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
 
 
-def _top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
+def _column_top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
+    """Yield the points on tops of columns in ``mask``, part by part, in a view with one pixel for each cell."""
     assert buffer.columns is not None
     window, pixels = buffer.columns.window, np.flatnonzero(mask)
     row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
@@ -129,11 +130,12 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m
 
 @contextmanager
 def receiver_stencil(
-    gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, parts: np.ndarray, marks_pixels: bool
+    gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, part_rectangles: np.ndarray, marks_pixels: bool
 ) -> Iterator[tuple[Framebuffer, Program]]:
     """Provide a framebuffer with a stencil and the depths of some points, and the program that draws volumes into it.
 
-    The depths are set in the rectangles ``parts`` (k, 4) of the view. If ``marks_pixels`` is true, the points' pixels are marked.
+    The depths are set in the rectangles ``part_rectangles`` (k, 4) of the view. If ``marks_pixels`` is true, the points' pixels are
+    marked.
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
@@ -141,7 +143,7 @@ def receiver_stencil(
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
-    is_drawn = points.is_drawn
+    is_drawn = points.uses_drawn_depth
     if is_drawn.any():
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
@@ -151,13 +153,13 @@ def receiver_stencil(
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
         is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]
-    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, parts, rows, cols))
+    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, part_rectangles, rows, cols))
     texture.use(0)
     for marking in (False, True) if marks_pixels else (False,):
         depth_program = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
         depth_program["seen"] = 0
         with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, overwrite=True):
-            for part in parts.tolist():
+            for part in part_rectangles.tolist():
                 target.scissor = tuple(part)
                 gl.draw_quad(depth_program)
             target.scissor = None  # type: ignore[assignment]  # the stubs do not allow None, which ends clipping
@@ -187,6 +189,7 @@ def _visible_points(
     col: np.ndarray,
     indices: np.ndarray,
 ) -> VisiblePoints:
+    """Return the points at flat ``indices`` of a buffer, in a view where they lie at the pixels ``row``, ``col`` (n,)."""
     points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
         origin, camera_from_frame = view.in_frame(frame)
@@ -216,10 +219,10 @@ def _visible_points(
 
 
 @compiled
-def _depths(points, buffer_indices, rows, origin):
+def _depths(points, buffer_indices, clip_rows, origin):
     """Return the depths (n,) of the points (m, 3) at some indices (n,).
 
-    ``rows`` (2, 4) are the last two rows of the matrix to clip coordinates, for points in metres from ``origin``.
+    ``clip_rows`` (2, 4) are the last two rows of the matrix to clip coordinates, for points in metres from ``origin``.
     """
     out = np.empty(len(buffer_indices))
     for n in range(len(buffer_indices)):
@@ -228,25 +231,25 @@ def _depths(points, buffer_indices, rows, origin):
             points[buffer_indices[n], 1] - origin[1],
             points[buffer_indices[n], 2] - origin[2],
         )
-        out[n] = (rows[0, 0] * x + rows[0, 1] * y + rows[0, 2] * z + rows[0, 3]) / (
-            rows[1, 0] * x + rows[1, 1] * y + rows[1, 2] * z + rows[1, 3]
+        out[n] = (clip_rows[0, 0] * x + clip_rows[0, 1] * y + clip_rows[0, 2] * z + clip_rows[0, 3]) / (
+            clip_rows[1, 0] * x + clip_rows[1, 1] * y + clip_rows[1, 2] * z + clip_rows[1, 3]
         )
     return out
 
 
 @compiled
-def _depth_image(row, col, is_drawn, depth, parts, rows, cols):
+def _depth_image(row, col, uses_drawn_depth, depth, part_rectangles, rows, cols):
     """Return the points' depths at their pixels, float32 (rows, cols).
 
     The value is -1 where drawing the surface gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside
     of the parts.
     """
     out = np.empty((rows, cols), np.float32)
-    for k in range(len(parts)):
-        left, top = parts[k, 0], parts[k, 1]
-        out[top : top + parts[k, 3], left : left + parts[k, 2]] = np.nan
+    for k in range(len(part_rectangles)):
+        left, top = part_rectangles[k, 0], part_rectangles[k, 1]
+        out[top : top + part_rectangles[k, 3], left : left + part_rectangles[k, 2]] = np.nan
     for n in range(len(row)):
-        out[row[n], col[n]] = -1.0 if is_drawn[n] else depth[n]
+        out[row[n], col[n]] = -1.0 if uses_drawn_depth[n] else depth[n]
     return out
 
 
@@ -267,7 +270,7 @@ def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
     return Sheet(surface.position_frame_m[rows, cols], surface.sheet.is_cut_nw_se[quads])
 
 
-def near_plane_m(buffer: GeometryBuffer) -> float:
+def near_plane_distance_m(buffer: GeometryBuffer) -> float:
     """Return a distance along the view's axis in front of all visible points, metres; 0 in a map."""
     if isinstance(buffer.view, MapView):
         return 0.0

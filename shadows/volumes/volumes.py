@@ -12,7 +12,7 @@ Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 the ground. Of the ground, the triangles that face away cast, so its near caps lie in attached shadow. Of everything else, open or
 not manifold, all triangles cast. The same holds for a body that contains a lamp, and for ground with gaps.
 
-**Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches, none of which can cover a point more
+**Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches. No batch covers a point more
 often (``skugga.shadows.volumes.layers``).
 """
 
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.passes import PassRecord
-from skugga.shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
+from skugga.shadows.volumes.edges import Edges, closed_part_mask, connected_parts, find_edges
 from skugga.shadows.volumes.layers import layer_batches
 from skugga.shadows.volumes.silhouettes import (
     ALL_CODE,
@@ -63,9 +63,9 @@ class Volumes:
         int32 (m, 3): counter-clockwise from outside of the volumes.
     caster_of_face
         int32 (m,): the caster of each face.
-    low_m, high_m
+    caster_low_m, caster_high_m
         float64 (parts, 3): bounds of the casters, metres.
-    edges
+    silhouette_edges
         int32 (e, 2): vertex numbers of the silhouette's edges.
     first_cap, cap_count
         Index of the first face that is a near cap (a casting triangle), and number of near caps.
@@ -74,9 +74,9 @@ class Volumes:
     vertices: np.ndarray
     faces: np.ndarray
     caster_of_face: np.ndarray
-    low_m: np.ndarray
-    high_m: np.ndarray
-    edges: np.ndarray
+    caster_low_m: np.ndarray
+    caster_high_m: np.ndarray
+    silhouette_edges: np.ndarray
     first_cap: int
     cap_count: int
 
@@ -90,7 +90,8 @@ class Volumes:
         return self.vertices.nbytes + self.faces.nbytes
 
 
-_cache: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
+_volume_cache: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
+"""Cache of the volumes of meshes, by mesh, light and rule."""
 
 
 def volumes_of(
@@ -117,14 +118,14 @@ def volumes_of(
         meshes.append((caster_solids(scene.objects, buffer.frame), None))
     for mesh, rule in meshes:
         key = (*mesh, tuple(light_frame), rule)
-        mesh_volumes = _cache.get(*key)
+        mesh_volumes = _volume_cache.get(*key)
         if isinstance(mesh_volumes, Missing):
             mesh_volumes = _mesh_volumes(*mesh, light_frame, rule)
-            _cache.put(*key, value=mesh_volumes)
+            _volume_cache.put(*key, value=mesh_volumes)
         else:
             record.kept += len(mesh_volumes)
         volume_sets += mesh_volumes
-    record.edges += sum(len(volume_set.edges) for volume_set in volume_sets)
+    record.edges += sum(len(volume_set.silhouette_edges) for volume_set in volume_sets)
     record.bytes = max(record.bytes, sum(volume_set.nbytes for volume_set in volume_sets))
     return volume_sets
 
@@ -139,46 +140,48 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Structure:
+class _MeshStructure:
     """The part of a mesh that does not depend on the light. Casters share no vertices.
 
     Attributes
     ----------
     edges
         The edges of the mesh.
-    rule
+    rule_of_triangle
         int8 (m,): the rule of each triangle.
     caster_of_vertex
         int32 (n,): the caster of each vertex.
     """
 
     edges: Edges
-    rule: np.ndarray
+    rule_of_triangle: np.ndarray
     caster_of_vertex: np.ndarray
 
 
 @cached("scene", 1024 * MIB)
-def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _Structure:
+def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _MeshStructure:
+    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    edges, count = edges_of(vertices, triangles), len(vertices)
+    edges, count = find_edges(vertices, triangles), len(vertices)
     if ground_rule is not None:
-        return _Structure(edges, np.full(len(triangles), ground_rule, np.int8), np.zeros(count, np.int32))
+        return _MeshStructure(edges, np.full(len(triangles), ground_rule, np.int8), np.zeros(count, np.int32))
     part, corners = connected_parts(edges), vertices[triangles] - vertices.mean(axis=0)
     volume_m3 = np.bincount(part, np.linalg.det(corners) / 6.0)
-    rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING_CODE, ALL_CODE).astype(np.int8)
+    rule = np.where(closed_part_mask(edges) & (volume_m3[part] > 0.0), FACING_CODE, ALL_CODE).astype(np.int8)
     first, has_edge = triangles[:, :1], edges.triangle_edges >= 0
     welded = np.where(has_edge[..., None], edges.ends[edges.triangle_edges], first[:, None])
     neighbours = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
     pairs = np.broadcast_to(first, neighbours.shape).ravel(), neighbours.ravel()
     graph = coo_array((np.ones(neighbours.size, bool), pairs), (count, count))
-    return _Structure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
+    return _MeshStructure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
 
 
 def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
-    structure = _structure(vertices, triangles, ground_rule)
-    edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule
+    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count."""
+    structure = _mesh_structure(vertices, triangles, ground_rule)
+    edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule_of_triangle
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
     # Invalid nodes of the ground are NaN, and belong to no triangle.
@@ -189,18 +192,18 @@ def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray
         ]
         rule = np.where(contains_lamp, np.int8(ALL_CODE), rule)
         rule[contains_lamp] = np.where(
-            _heights_m(vertices, triangles[contains_lamp], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[contains_lamp]
+            _lamp_distances_m(vertices, triangles[contains_lamp], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[contains_lamp]
         )
     orientations = orientations_of(faces_light(vertices, triangles, light), rule)
     if not orientations.any():
         return []
     return [
-        _volumes(vertices, silhouette(triangles, edges, batch), light, part, low, high)
+        _build_volumes(vertices, silhouette(triangles, edges, batch), light, part, low, high)
         for batch in layer_batches(vertices, triangles, edges, orientations, light, MAX_VOLUME_LAYERS)
     ]
 
 
-def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
+def _lamp_distances_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
     """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
@@ -208,6 +211,7 @@ def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) ->
 
 
 def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
+    """Return the volumes of a sheet of ground under a light (4,): one set, or none."""
     position = sheet.position_frame_m
     valid = np.isfinite(position[..., 2])
     if not valid.any():
@@ -219,11 +223,13 @@ def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
     vertices = np.nan_to_num(position.reshape(-1, 3))
     caster_of_vertex = np.zeros(len(vertices), np.int32)
     return [
-        _volumes(vertices, outline, light, caster_of_vertex, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])
+        _build_volumes(
+            vertices, outline, light, caster_of_vertex, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None]
+        )
     ]
 
 
-def _volumes(
+def _build_volumes(
     vertices: np.ndarray, outline: Silhouette, light: np.ndarray, caster_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
     """Return the volumes of the near caps and along the edges of a silhouette.

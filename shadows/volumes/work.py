@@ -28,66 +28,70 @@ TRIANGLES_PER_PATCH = 2 * PATCH_QUADS**2
 """Triangles of a patch of ground outside of a map's block."""
 
 
-def volume_work(task: Workload, settings: VolumeSettings) -> Work:
+def volume_work(workload: Workload, settings: VolumeSettings) -> Work:
     """Return the work of shadow volumes over the whole picture."""
-    counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
+    counts = {
+        workload.part_name_in_view("silhouettes"): silhouette_counts(workload),
+        workload.part_name_in_view("counting"): stencil_counts(workload, settings),
+    }
     return scale_work(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
-def silhouette_counts(task: Workload) -> Counts:
+def silhouette_counts(workload: Workload) -> Counts:
     """Return the counts of finding silhouettes: the edges between faces towards the light and others."""
     return {
-        "blocks": 1.0, "triangles": task.triangles("meshes"), "edges": float(_mesh_edges(task)),
-        "ground": task.ground_triangles,
+        "blocks": 1.0, "triangles": workload.triangle_count("meshes"), "edges": float(_mesh_edges(workload)),
+        "ground": workload.ground_triangle_count,
     }  # fmt: skip
 
 
-def _mesh_edges(task: Workload) -> int:
-    return task.facts.silhouette_edges if task.caster_facts("meshes") else 0
+def _mesh_edges(workload: Workload) -> int:
+    """Return the number of silhouette edges of meshes; 0 if the step does not serve them."""
+    return workload.facts.silhouette_edges if workload.caster_facts("meshes") else 0
 
 
-def volume_faces(task: Workload) -> tuple[float, float, float]:
+def volume_faces(workload: Workload) -> tuple[float, float, float]:
     """Return three numbers of faces: sides and caps of the volumes of meshes, and caps of the volumes of the ground.
 
     Under a lamp there are twice as many.
     """
-    end_count = 1.0 if task.light == SUN else 2.0
-    closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
-    caps = task.triangles("meshes") * (1.0 - closed / 2.0)
-    ground = (task.triangles("relief") + task.outside_triangles) * task.ground_casting_share
-    return end_count * _mesh_edges(task), end_count * caps, end_count * ground
+    end_count = 1.0 if workload.light == SUN else 2.0
+    closed = getattr(workload.caster_facts("meshes"), "closed_share", 0.0)
+    caps = workload.triangle_count("meshes") * (1.0 - closed / 2.0)
+    ground = (workload.triangle_count("relief") + workload.outside_triangle_count) * workload.ground_casting_share
+    return end_count * _mesh_edges(workload), end_count * caps, end_count * ground
 
 
-def stencil_counts(task: Workload, settings: StencilSettings, marked_share: float | None = None) -> Counts:
+def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: float | None = None) -> Counts:
     """Return the counts of counting volumes in the stencil, over the whole picture or in marked tiles only.
 
     ``marked_share`` is the share of the picture's tiles with a marked pixel; ``None``: the whole picture. Sides reach across the
     picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not drawn. More layers cover
     more rectangles, so time grows far slower than their number. The growth was measured.
     """
-    edges, caps, ground = volume_faces(task)
+    edges, caps, ground = volume_faces(workload)
     edges += GROUND_SIDES_PER_TRIANGLE * ground
     faces = edges + caps + ground
     rectangle_tiles = (2.0 * max(RECTANGLE_COST / max(faces, 1.0), MIN_RECTANGLE_COST)) ** 2
-    rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
+    rectangles = max(workload.pixel_count / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     faces_drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = sides * task.volume_layers
-    counts = {"blocks": 1.0, "pixels": task.pixels}
+    layers = sides * workload.volume_layers
+    counts = {"blocks": 1.0, "pixels": workload.pixel_count}
     if marked_share is None:
         counts |= {
             "faces drawn": sides * faces_drawn,
-            "facing": task.facing_pixels,
-            "layers": task.facing_pixels * np.sqrt(np.log1p(layers)),
+            "facing": workload.facing_pixel_count,
+            "layers": workload.facing_pixel_count * np.sqrt(np.log1p(layers)),
         }
     else:
         layer_cost = np.log1p(MARKED_LAYER_COST_RATIO * layers * marked_share)
         counts |= {
             "faces beside marks": sides * faces_drawn * marked_share**0.25,
-            "layers beside marks": task.facing_pixels * layer_cost,
+            "layers beside marks": workload.facing_pixel_count * layer_cost,
         }
-    if task.is_map_view:
-        parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
-        relief = 1.0 + task.outside_triangles / TRIANGLES_PER_PATCH if task.caster_facts("relief") else 0.0
-        counts["sheets"] = parts * (relief + (task.caster_facts("meshes") is not None))
+    if workload.is_map_view:
+        parts = np.ceil(workload.descriptor.rows / AFFINE_PART_PX) * np.ceil(workload.descriptor.cols / AFFINE_PART_PX)
+        relief = 1.0 + workload.outside_triangle_count / TRIANGLES_PER_PATCH if workload.caster_facts("relief") else 0.0
+        counts["sheets"] = parts * (relief + (workload.caster_facts("meshes") is not None))
     return counts

@@ -17,7 +17,7 @@ from benchmarks.reports.page import format_comparisons, omitted_row_commands
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
 from skugga.api.cli.main import app
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from tests.api.report.test_summary import NONE_FIGURES, comparison, figures
 
 DOCS = reports.ROOT / "docs"
@@ -97,7 +97,7 @@ def test_an_invalid_command_is_detected() -> None:
 
 
 def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
-    leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR)
+    leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR_SHARE)
     scene_record = make_record(
         NONE_FIGURES, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009)
     )
@@ -116,7 +116,7 @@ def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
 )
 def test_the_page_ranks_the_default(rival: dict[str, float], place: str) -> None:
     default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
-    scene_record = make_record(default, figures("sweep", **rival), default="hybrid")
+    scene_record = make_record(default, figures("sweep", **rival), default_row_name="hybrid")
     assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in format_comparisons({"city": scene_record})
 
 

@@ -12,11 +12,11 @@ import trimesh
 from skugga.shadows.maps.perspective_shadow_map import MAX_TEXEL_PX
 from skugga.shadows.truth.metrics import (
     MetricCoverage,
-    boundary,
     edge_distances,
     edge_metric_coverage,
     interior_region,
     metric_coverage,
+    shadow_boundary_mask,
 )
 from skugga.shadows.truth.truth import Truth, jittered_views
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -140,7 +140,7 @@ def ground_error_metrics(rendered: RenderedView, truth: Truth, hulls: Sequence[s
     outline = shapely.union_all(hulls).boundary
     interior[interior] = shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m
     edges_px = edge_distances(dark, true_dark, truth.valid)
-    displaced_px = 0.25 * np.minimum(texels_px, MAX_TEXEL_PX)[boundary(true_dark, truth.valid)].sum()
+    displaced_px = 0.25 * np.minimum(texels_px, MAX_TEXEL_PX)[shadow_boundary_mask(true_dark, truth.valid)].sum()
     return GroundErrorMetrics(
         interior=np.count_nonzero(wrong & interior) / max(np.count_nonzero(truth.decidable), 1),
         edge_p95_px=float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,

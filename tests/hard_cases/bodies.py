@@ -50,7 +50,7 @@ def _applicable_truth(rendered: RenderedView, truth: Truth | None) -> Truth:
     Projected shadows fall on the ground only, so truth is limited to the ground for them.
     """
     truth = truth or rendered.truth
-    if any(step.algorithm == "planar" for step in rendered.plan.steps_under(rendered.light)):
+    if any(step.algorithm == "planar" for step in rendered.plan.steps_of_light(rendered.light)):
         truth = replace(truth, decidable=truth.decidable & (rendered.buffer.kind == RELIEF))
     return truth
 

@@ -23,7 +23,7 @@ import trimesh
 
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
@@ -105,7 +105,7 @@ class RenderedView:
     @cached_property
     def texels_px(self) -> np.ndarray:
         """The larger side of the largest texels on level ground, in pixels (rows, cols); 0 without maps."""
-        steps = self.plan.steps_under(self.light)
+        steps = self.plan.steps_of_light(self.light)
         return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
 
     @cached_property
@@ -177,8 +177,8 @@ class Trial:
         light = light or scene.light_names[0]
         buffer = geometry_buffer(scene, view)
         casters, log = find_casters(scene, buffer), PassLog()
-        visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.effect_names, log)
-        visibility[attached(buffer, scene, light)] = 0.0
+        visibility = fill_steps(plan.steps_of_light(light), buffer, scene, casters, plan.effect_names, log)
+        visibility[attached_shadow_mask(buffer, scene, light)] = 0.0
         visibility[~buffer.valid] = np.nan
         return RenderedView(scene, view, plan, light, buffer, casters, visibility, log)
 

@@ -11,8 +11,8 @@ import numpy as np
 from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
-from skugga.shadows.algorithm import AlgorithmSettings
-from skugga.shadows.attached import attached
+from skugga.shadows.algorithm_settings import AlgorithmSettings
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.scene import Scene
@@ -60,9 +60,9 @@ def with_changed_settings(rendered: RenderedView, change: SettingsChange) -> Ren
     plan = rendered.plan.model_copy(update={"settings": settings})
     log = PassLog()
     visibility = fill_steps(
-        plan.steps_under(rendered.light), rendered.buffer, rendered.scene, rendered.casters, plan.effect_names, log
+        plan.steps_of_light(rendered.light), rendered.buffer, rendered.scene, rendered.casters, plan.effect_names, log
     )
-    visibility[attached(rendered.buffer, rendered.scene, rendered.light)] = 0.0
+    visibility[attached_shadow_mask(rendered.buffer, rendered.scene, rendered.light)] = 0.0
     visibility[~rendered.buffer.valid] = np.nan
     return replace(rendered, plan=plan, visibility=visibility, log=log)
 

@@ -34,8 +34,8 @@ class Mutant:
 def _no_snapping() -> None:
     from skugga.shadows.maps import windows as map_windows
 
-    window = map_windows._window
-    map_windows._window = lambda low, high, texel, border, stable: window(low, high, texel, border, False)
+    window = map_windows._map_window
+    map_windows._map_window = lambda low, high, texel, border, stable: window(low, high, texel, border, False)
 
 
 def _float32_world() -> None:
@@ -52,7 +52,7 @@ def _round_to_float32(values: Any) -> np.ndarray:
 def _z_pass_always() -> None:
     from skugga.shadows.volumes import drawing as volume_drawing
 
-    volume_drawing.may_shade_near = lambda low, high, rectangle, light: np.zeros(len(low), bool)
+    volume_drawing.may_shade_near_plane = lambda low, high, rectangle, light: np.zeros(len(low), bool)
 
 
 def _constant_bias() -> None:
@@ -74,7 +74,7 @@ def _near_plane() -> None:
     matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
     # Its texels would lose to those of a uniform map: use it all the same.
-    post_perspective._texel = lambda *args: float(next(rank))
+    post_perspective._rms_texel_size = lambda *args: float(next(rank))
 
 
 def _flat_earth() -> None:
@@ -117,7 +117,7 @@ def _one_diagonal() -> None:
 
 def _first_facet() -> None:
     """Let a point that several facets share use the first facet, whatever the light."""
-    from skugga.shadows import attached
+    from skugga.shadows import attached_shadow
     from skugga.shadows.truth import truth
     from skugga.terrain.gbuffer.light_facing import FacingNormals
 
@@ -129,7 +129,7 @@ def _first_facet() -> None:
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
         return FacingNormals(normal, buffer.crease, normal, no_pixels, no_pixels)
 
-    attached.facing_normals = truth.facing_normals = facing_normals
+    attached_shadow.facing_normals = truth.facing_normals = facing_normals
 
 
 def _facets_at_the_terminator() -> None:

@@ -13,14 +13,14 @@ from itertools import product
 
 import numpy as np
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.perspective_shadow_map import perspective_maps
 from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import MIN_DISC_TAPS
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MetricCoverage, metric_coverage
-from skugga.shadows.truth.truth import ALL_KINDS, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, ray_scene
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.casting import caster_trees
 from skugga.terrain.describe import describe
@@ -60,7 +60,7 @@ SAMPLE_COUNT = 64
 def unexplained_errors(rendered: RenderedView) -> np.ndarray:
     """Return the wrong decidable pixels (rows, cols) under the sun that the algorithm's reach does not explain."""
     truth = rendered.truth
-    wrong = truth.decidable & (rendered.dark == truth.lit) & ~truth.attached
+    wrong = truth.decidable & (rendered.dark == truth.lit) & ~truth.attached_shadow_mask
     pixel_indices = np.flatnonzero(wrong)
     wrong.ravel()[pixel_indices] = _unexplained(rendered, pixel_indices, rendered.dark.ravel()[pixel_indices])
     return wrong
@@ -72,7 +72,9 @@ def unexplained_coverage(rendered: RenderedView) -> MetricCoverage:
     It is the number of cast shadow pixels that the reach would not explain if they were lit, estimated from a sample.
     """
     coverage = metric_coverage(rendered.dark, rendered.truth, rendered.truth.decidable)
-    cast = np.flatnonzero(rendered.truth.decidable & ~rendered.truth.lit & rendered.truth.valid & ~rendered.truth.attached)
+    cast = np.flatnonzero(
+        rendered.truth.decidable & ~rendered.truth.lit & rendered.truth.valid & ~rendered.truth.attached_shadow_mask
+    )
     sample = cast[:: max(len(cast) // SAMPLE_COUNT, 1)]
     is_unexplained = _unexplained(rendered, sample, np.zeros(len(sample), bool))
     return replace(coverage, covered_px=round(coverage.cast_px * float(is_unexplained.mean())) if len(sample) else 0)
@@ -86,8 +88,8 @@ def _unexplained(rendered: RenderedView, pixel_indices: np.ndarray, dark: np.nda
         buffer = rendered.buffer
         assert rendered.scene.sun is not None
         to_sun = buffer.frame.frame_from_earth @ rendered.scene.sun.to_sun_earth
-        rays = ray_scene(buffer, rendered.scene, rendered.casters, ALL_KINDS)
-        (step,) = rendered.plan.steps_under(rendered.light)
+        rays = ray_scene(buffer, rendered.scene, rendered.casters, ALL_CASTER_KINDS)
+        (step,) = rendered.plan.steps_of_light(rendered.light)
         facing = facing_normals(buffer, rendered.scene.light_position(rendered.light, buffer.frame))
         lifts = buffer.normal_frame if facing.lift_frame is None else facing.lift_frame
         points, normals, lift = (
@@ -267,7 +269,7 @@ def _map_matrices(rendered: RenderedView, step: Step, pixel_indices: np.ndarray)
     buffer, scene, settings = rendered.buffer, rendered.scene, step.settings
     trees = caster_trees(buffer, step.kinds)
     if isinstance(settings, PerspectiveMapSettings):
-        receivers = buffer.valid & ~attached(buffer, scene, rendered.light)
+        receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, rendered.light)
         assert buffer.corners_frame_m is not None
         farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[pixel_indices], axis=2).max(axis=1)
         matrices = np.full((len(pixel_indices), 4, 4), np.nan)
@@ -276,7 +278,9 @@ def _map_matrices(rendered: RenderedView, step: Step, pixel_indices: np.ndarray)
             for perspective_map in perspective_maps(buffer, receivers, scene, rendered.light, settings, trees)
         ):
             units = np.array([1.0, 1.0, depth_map.uniforms["depth_step"], 1.0])
-            matrices[np.isin(pixel_indices, depth_map.pixels)] = np.reshape(depth_map.uniforms["map_rows"], (4, 4)) / units[:, None]
+            matrices[np.isin(pixel_indices, depth_map.point_indices)] = (
+                np.reshape(depth_map.uniforms["map_rows"], (4, 4)) / units[:, None]
+            )
         return matrices, depth_map.uniforms["position_error"] * farthest_m
     assert isinstance(settings, ShadowMapSettings)
     matrices, error_m = np.full((len(pixel_indices), 4, 4), np.nan), np.full(len(pixel_indices), np.nan)
@@ -286,7 +290,7 @@ def _map_matrices(rendered: RenderedView, step: Step, pixel_indices: np.ndarray)
         rows = np.eye(4)
         rows[:3, :3] = np.reshape(uniforms["light_from_frame"], (3, 3)).T / unit_m[:, None]
         rows[:3, 3] = uniforms["light_offset_m"] / unit_m
-        map_pixels = slice(None) if depth_map.pixels is None else np.isin(pixel_indices, depth_map.pixels)
+        map_pixels = slice(None) if depth_map.point_indices is None else np.isin(pixel_indices, depth_map.point_indices)
         matrices[map_pixels], error_m[map_pixels] = rows, uniforms["error_m"]
     return matrices, error_m
 

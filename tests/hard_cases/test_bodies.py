@@ -54,7 +54,7 @@ def worst_over_views(
     for view, spec in views.items():
         if spec["kind"] == "perspective" or trial.algorithm != "perspective_shadow_map":
             rendered = trial.render_view(scene, scene.view(view, size=picture_size(trial.thorough)))
-            assert (rendered.truth.valid & ~rendered.truth.lit & ~rendered.truth.attached).any()
+            assert (rendered.truth.valid & ~rendered.truth.lit & ~rendered.truth.attached_shadow_mask).any()
             if "map" in trial.algorithm and rendered.light == SUN:
                 interior = max(interior, float(unexplained_errors(rendered).mean()))
                 trial.record_coverage("interior", unexplained_coverage(rendered))

@@ -10,9 +10,9 @@ import pytest
 import rasterio
 
 from benchmarks.symmetry import SYMMETRIES, invert_grid, transform_azimuth, transform_grid
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.metrics import MetricCoverage
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from tests.hard_cases.cases import SHADOW_ALGORITHMS, Trial, hard_case
@@ -38,8 +38,8 @@ def column_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], p
     view = scene.view(bounds=(0.0, 0.0, cols * CELL_M, rows * CELL_M), size=(cols * pixels_per_cell, rows * pixels_per_cell))
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
-        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-        return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
+        return buffer.valid & (attached_shadow_mask(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.render_view(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 

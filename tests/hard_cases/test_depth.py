@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.algorithm_settings import AlgorithmSettings
 from skugga.shadows.maps.drawing import draw_map
 from skugga.shadows.maps.resolve import MAX_DEPTH_SHIFT_PX
 from skugga.shadows.maps.settings import ShadowMapSettings
-from skugga.shadows.maps.windows import DepthMap, depth_steps, distances, sun_maps
+from skugga.shadows.maps.windows import DepthMap, depth_step_count, eye_distances, sun_maps
 from skugga.shadows.passes import PassRecord
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.describe import describe
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
@@ -53,7 +53,7 @@ def depth_error_m(rendered: RenderedView, depth_map: DepthMap, height_m: float) 
     depth = gl.read(target, -1, size=depth_map.texture_size)
     offset_m, window_m = np.array(depth_map.uniforms["light_offset_m"]), np.array(depth_map.uniforms["window_m"])
     rotation = np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3).T
-    cols, rows = np.meshgrid(np.arange(depth_map.size[0]) + 0.5, np.arange(depth_map.size[1]) + 0.5)
+    cols, rows = np.meshgrid(np.arange(depth_map.face_size[0]) + 0.5, np.arange(depth_map.face_size[1]) + 0.5)
     x, y = cols * depth_map.uniforms["texel_m"][0] - offset_m[0], rows * depth_map.uniforms["texel_m"][1] - offset_m[1]
     worst = []
     for height, side in ((0.0, 1.0), (height_m, -1.0)):
@@ -86,7 +86,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
             for bits in (16, 24, 32):
                 rendered = trial.render_view(scene, view, depth_bits=bits, map_size=2048 if trial.thorough else 512, filter=1)
                 (depth_map,) = sun_maps(rendered.buffer, scene, shadow_map_settings(rendered), None)
-                allowed_m = range_m / depth_steps(bits) + depth_map.uniforms["error_m"]
+                allowed_m = range_m / depth_step_count(bits) + depth_map.uniforms["error_m"]
                 error = max(error, depth_error_m(rendered, depth_map, height_m) / allowed_m)
                 reach_m = depth_map.uniforms["texel_m"][1] / np.sin(np.radians(altitude)) + depth_map.uniforms["texel_m"][0]
                 east = rendered.buffer.position_frame_m[..., 0]
@@ -100,7 +100,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
     "D1",
     "Sixteen bits are enough for mountains under a low sun",
     "ridges of 2000 m, 50 km wide, sun at 1 degree: 16 bits against 32 and against truth",
-    {"acne": 0.0, "shift_px": MAX_DEPTH_SHIFT_PX, "interior": MAX_INTERIOR},
+    {"acne": 0.0, "shift_px": MAX_DEPTH_SHIFT_PX, "interior": MAX_INTERIOR_SHARE},
     ("shadow_map", "perspective_shadow_map"),
 )
 def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:
@@ -149,7 +149,7 @@ def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, fl
         worst = max(worst, np.count_nonzero(reference.dark != rendered.dark) / edges)
         facts, bits = describe(scene, view), shadow_map_settings(rendered).depth_bits
         assert facts.receivers_light_m is not None
-        least_px = facts.receivers_light_m[2] / depth_steps(16) * np.cos(np.radians(altitude)) / facts.pixel_m
+        least_px = facts.receivers_light_m[2] / depth_step_count(16) * np.cos(np.radians(altitude)) / facts.pixel_m
         reason = next((item.reason for item in rendered.plan.reasons if item.name == f"depth_bits {bits}"), "")
         is_explained = "a 16-bit step" in reason and ("within the" if bits == 16 else "more than the") in reason
         unexplained_count += (
@@ -186,8 +186,8 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
     options = {"cascades": 3, "map_size": 1024 if trial.thorough else 512, "filter": 1}
     reference = trial.render_view(scene, view, **options)
     assert len(shadow_map_settings(reference).cascades) == 3
-    receivers = reference.buffer.valid & ~reference.truth.attached
-    distance_m = distances(reference.buffer.position_frame_m, view.in_frame(reference.buffer.frame)[0])
+    receivers = reference.buffer.valid & ~reference.truth.attached_shadow_mask
+    distance_m = eye_distances(reference.buffer.position_frame_m, view.in_frame(reference.buffer.frame)[0])
     worst = {"not_in_one_map": 0.0, "wrong beyond its reach": 0.0, "pixels that differ": 0.0}
     row = view.rows * 2 // 3
     for col in range(0, view.cols, view.cols // (16 if trial.thorough else 3)):
@@ -197,10 +197,10 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
         for far_m in (np.nextafter(at_m, np.float32(0)), at_m, np.nextafter(at_m, np.float32(np.inf))):
             rendered = with_changed_settings(reference, split_cascades_at(float(far_m)))
             maps = sun_maps(rendered.buffer, scene, shadow_map_settings(rendered), None)
-            near_pixels.append(maps[0].pixels)
-            map_count = np.bincount(np.concatenate([cascade_map.pixels for cascade_map in maps]), minlength=receivers.size).reshape(
-                receivers.shape
-            )
+            near_pixels.append(maps[0].point_indices)
+            map_count = np.bincount(
+                np.concatenate([cascade_map.point_indices for cascade_map in maps]), minlength=receivers.size
+            ).reshape(receivers.shape)
             worst["not_in_one_map"] = max(worst["not_in_one_map"], float((map_count != receivers).mean()))
             worst["wrong beyond its reach"] = max(worst["wrong beyond its reach"], float(unexplained_errors(rendered).mean()))
             trial.record_coverage("wrong beyond its reach", unexplained_coverage(rendered))

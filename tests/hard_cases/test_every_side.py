@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SYMMETRIES, invert_grid, transform_azimuth, transform_grid
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.metrics import MetricCoverage
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
@@ -55,8 +55,8 @@ def raster_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], p
     assert isinstance(view, MapView) and view.on_nodes == (pixels == len(heights))
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
-        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-        return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
+        return buffer.valid & (attached_shadow_mask(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.render_view(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
@@ -198,8 +198,8 @@ def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) ->
     scene = trial.scene(path, (azimuth, DOME_SUN_DEG), views={"main": view})
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, scene.view("main"))
-        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-        dark = attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays)
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
+        dark = attached_shadow_mask(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays)
     else:
         rendered = trial.render_view(scene, scene.view("main"))
         buffer, dark = rendered.buffer, rendered.dark

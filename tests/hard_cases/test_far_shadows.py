@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.shadows.maps.windows import distances
+from skugga.shadows.maps.windows import eye_distances
 from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.gbuffer.light_facing import facing_normals
@@ -128,7 +128,7 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     point = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
     beyond_m = np.abs(point[..., 0]) - half_m  # from the strip's edge
-    distance_m = distances(rendered.buffer.position_frame_m, rendered.view.in_frame(rendered.buffer.frame)[0])
+    distance_m = eye_distances(rendered.buffer.position_frame_m, rendered.view.in_frame(rendered.buffer.frame)[0])
     margin_m = distance_m * rendered.view.pixel
     if trial.algorithm == "shadow_map":
         cascades = rendered.plan.steps[0].settings.cascades

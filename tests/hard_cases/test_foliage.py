@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from skugga.shadows import planar
 from skugga.shadows.maps import drawing as map_drawing
-from skugga.shadows.truth.metrics import block_shares, coverage_error
+from skugga.shadows.truth.metrics import block_shadow_shares, coverage_error
 from skugga.shadows.truth.truth import coverage_truth
 from skugga.terrain.casters import rays
 from skugga.terrain.casters.reach import find_casters
@@ -178,7 +178,7 @@ SAMPLES_PER_SIDE = 2
 def shadow_shares(rendered: RenderedView) -> np.ndarray:
     """Return shares of shadow over blocks of 16 pixels with ``SAMPLES_PER_SIDE`` x ``SAMPLES_PER_SIDE`` samples."""
     rows, cols = (n // SAMPLES_PER_SIDE for n in rendered.visibility.shape)
-    return block_shares(1.0 - rendered.visibility.reshape(rows, SAMPLES_PER_SIDE, cols, SAMPLES_PER_SIDE).mean(axis=(1, 3)))
+    return block_shadow_shares(1.0 - rendered.visibility.reshape(rows, SAMPLES_PER_SIDE, cols, SAMPLES_PER_SIDE).mean(axis=(1, 3)))
 
 
 def shadow_coverage_error(rendered: RenderedView, blocks: int) -> tuple[float, float]:

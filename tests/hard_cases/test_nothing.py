@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Step
 from skugga.shadows.visibility import fill_steps
@@ -47,7 +47,7 @@ def fill_visibility(trial: Trial, full: Scene, scene: Scene, view: str, size: tu
     buffer, log = geometry_buffer(scene, scene.view(view, size=size)), PassLog()
     forced = Step(step.light, kinds, step.algorithm, step.settings)
     visibility = fill_steps([forced], buffer, scene, find_casters(scene, buffer), (), log)
-    receivers = buffer.valid & ~attached(buffer, scene, step.light)
+    receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, step.light)
     return visibility[receivers], bool(buffer.valid.any()), sum(record.draws for record in log.records.values())
 
 

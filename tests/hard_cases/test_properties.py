@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.perspective_shadow_map import perspective_maps
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.terrain.errors import UnsupportedError
@@ -199,7 +199,7 @@ def matrix_errors(rendered: RenderedView) -> tuple[float, float]:
             middle, half = (points.max(axis=0) + points.min(axis=0)) / 2.0, max(float(np.ptp(points, axis=0).max()) / 2.0, 1e-3)
             cube = np.block([[half * np.eye(3), middle[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
             settings = [step.settings for step in rendered.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
-            receivers = buffer.valid & ~attached(buffer, scene)
+            receivers = buffer.valid & ~attached_shadow_mask(buffer, scene)
             if settings and receivers.any():
                 for perspective_map in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
                     projections.append(np.reshape(perspective_map.depth_map.uniforms["clip_rows"], (4, 4)) @ cube)

@@ -25,7 +25,7 @@ def on_plain(trial: Trial, heights: np.ndarray) -> Scene:
 def texel_m(rendered: RenderedView) -> float:
     """Return the largest texel on the ground of the maps that were used; 0 without maps."""
     pixel_m = describe(rendered.scene, rendered.view).pixel_m
-    steps = rendered.plan.steps_under(rendered.light)
+    steps = rendered.plan.steps_of_light(rendered.light)
     return pixel_m * max(float(np.max(texel_footprint_px(rendered.scene, step, rendered.buffer, pixel_m))) for step in steps)
 
 

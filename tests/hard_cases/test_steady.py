@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.drawing import draw_map
 from skugga.shadows.maps.lookup import look_up
@@ -114,7 +114,7 @@ def map_flickers(trial: Trial, scene: Scene, views: list[PerspectiveView], **opt
 def _shadow_of_map(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: GeometryBuffer) -> np.ndarray:
     """Return which points of a buffer (rows, cols) are in shadow by the map of another buffer in the same frame."""
     assert drawn_for.frame is points.frame and step.settings is not None
-    turned_away = attached(drawn_for, scene), attached(points, scene)
+    turned_away = attached_shadow_mask(drawn_for, scene), attached_shadow_mask(points, scene)
     if isinstance(step.settings, ShadowMapSettings):
         (depth_map,) = sun_maps(drawn_for, scene, step.settings, None)
     else:
@@ -125,7 +125,7 @@ def _shadow_of_map(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: 
     pixels = np.flatnonzero(points.valid & ~turned_away[1])
     look_up(
         gl,
-        replace(depth_map, pixels=pixels),
+        replace(depth_map, point_indices=pixels),
         target,
         points,
         scene.light_position(step.light, points.frame),

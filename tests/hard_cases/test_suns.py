@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from skugga.shadows.truth.metrics import MAX_INTERIOR, metric_coverage
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, metric_coverage
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.geo.sun import sun_of
 from skugga.terrain.geo.sun_path import SUPPORTED_YEARS
@@ -26,7 +26,7 @@ CELL_M = 32.0
     "G9",
     "A sun on the horizon, at the zenith or below the ground gives a picture, and night is dark all over",
     "hills in a flat world under a sun at 90, 1e-9, 0, -1e-9 and -90 degrees",
-    {"not finite": 0.0, "light at night": 0.0, "wrong": MAX_INTERIOR},
+    {"not finite": 0.0, "light at night": 0.0, "wrong": MAX_INTERIOR_SHARE},
 )
 def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
     """Grazing light has no tolerance of its own: the share of wrong pixels, edges included, must meet the interior target of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from skugga.shadows.truth.metrics import metric_coverage
-from skugga.shadows.volumes.views import near_plane_m
+from skugga.shadows.volumes.views import near_plane_distance_m
 from skugga.terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.bodies import (
     EYES,
@@ -98,7 +98,7 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
     size = picture_size(trial.thorough)
     plain = trial.scene(FLOOR, sun=(180, 45), meshes=[wall], name="plain", views=view)
     first = trial.render_view(plain, plain.view("eye", size=size))
-    near_m = near_plane_m(first.buffer)
+    near_m = near_plane_distance_m(first.buffer)
     upper_m = 4.0 + near_m * np.tan(np.radians(25.0))
     touching_m = upper_m + (-20.0 + near_m) - (-34.0)
     differ, interior, darkened = 0, 0.0, 0
@@ -106,7 +106,7 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
         beam = box((10, 2, 1), _offset_height(touching_m, step), (0, -33))
         scene = trial.scene(FLOOR, sun=(180, 45), meshes=[join_meshes(wall, beam)], name=f"beam_{number}", views=view)
         rendered = trial.render_view(scene, scene.view("eye", size=size))
-        assert near_plane_m(rendered.buffer) == near_m
+        assert near_plane_distance_m(rendered.buffer) == near_m
         differ += differing_pixel_count(rendered, trial.render_view(scene, scene.view("eye", size=size), counting="z_fail"))
         interior = max(interior, errors(rendered).interior)
         trial.record_coverage("interior", interior_coverage(rendered))

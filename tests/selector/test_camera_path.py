@@ -22,7 +22,14 @@ from skugga.selector import replanning
 from skugga.selector.choices import Choice
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MAX_CHANGED_SHARE, PATIENCE, Replanner, casting_kinds, mix_pictures, next_share
+from skugga.selector.replanning import (
+    INITIAL_PATIENCE_FRAMES,
+    MAX_CHANGED_SHARE,
+    Replanner,
+    casting_kinds,
+    mix_pictures,
+    next_share,
+)
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -290,7 +297,7 @@ def test_replanner_switch_at_rest_changes_few_pixels_a_frame(gl, scene, level, p
 
     shown_pictures = [render_visibilities(replanner.plan(rest_moment.descriptor, level))[SUN]]
     policy.current_index, mixed_count = 1, 0
-    for _ in range(PATIENCE + 200):
+    for _ in range(INITIAL_PATIENCE_FRAMES + 200):
         visibilities = render_visibilities(replanner.plan(rest_moment.descriptor, level))
         picture = visibilities[SUN]
         if replanner.transition is not None:
@@ -358,17 +365,20 @@ def count_tie_switches(descriptor: Descriptor, level: Level, time_gain: float, f
 
 def test_replanner_at_a_tie_switches_only_without_hysteresis(scene, level, monkeypatch):
     descriptor = moment(scene, WOOD_START).descriptor
-    count_switches = partial(count_tie_switches, descriptor, level, time_gain=0.1, frames=2 * PATIENCE, runs=6)
+    count_switches = partial(count_tie_switches, descriptor, level, time_gain=0.1, frames=2 * INITIAL_PATIENCE_FRAMES, runs=6)
     assert count_switches() == 0
-    monkeypatch.setattr(replanning, "PATIENCE", 1)
+    monkeypatch.setattr(replanning, "INITIAL_PATIENCE_FRAMES", 1)
     assert count_switches() == 0  # the margin alone prevents a switch
     monkeypatch.setattr(replanning, "SWITCH_TIME_GAIN", 0.0)
     assert count_switches() >= 3
 
 
 def test_replanner_needs_more_patience_for_each_switch(scene, level):
-    """The prediction swings by half for 3 x ``PATIENCE`` frames: longer than the first and second wait, shorter than the third."""
-    assert count_tie_switches(moment(scene, WOOD_START).descriptor, level, time_gain=0.5, frames=3 * PATIENCE, runs=10) == 2
+    """The prediction swings by half for three times the initial patience: between the second and the third wait."""
+    assert (
+        count_tie_switches(moment(scene, WOOD_START).descriptor, level, time_gain=0.5, frames=3 * INITIAL_PATIENCE_FRAMES, runs=10)
+        == 2
+    )
 
 
 def day_moments(scene: Scene, pose: CameraPose) -> list[Moment]:

@@ -21,9 +21,9 @@ from skugga.api.raster_view import raster_view
 from skugga.api.settings import Settings
 from skugga.selector.candidates import MAX_CANDIDATES, candidates
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.algorithm import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
 from skugga.shadows.registry import ALGORITHMS, algorithms_serving
 from skugga.shadows.render import render_frame
+from skugga.shadows.requirements import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import LightKind
@@ -128,7 +128,7 @@ def single_algorithm_override(name: AlgorithmName, light: LightKind, caster: Cas
 @pytest.mark.parametrize(("name", "light", "caster", "kind", "ground"), COMBINATIONS)
 def test_algorithm_renders_or_gives_its_refusal(gl, scene_and_view_of, name, light, caster, kind, ground):
     (scene, view), algorithm = scene_and_view_of(kind, ground), ALGORITHMS[name]
-    refusal = algorithm.refusal(requirements_of(light, caster, kind, ground))
+    refusal = algorithm.refusal_reason(requirements_of(light, caster, kind, ground))
     if refusal is None:
         plan = plan_of(scene, view, algorithm=single_algorithm_override(name, light, caster), map_size=64)
         assert plan.algorithm[light][caster] == name
@@ -161,7 +161,7 @@ def test_registry_serves_every_combination():
 
 
 def test_registry_lists_passes_of_every_fill():
-    assert all((algorithm.fill is not None) == bool(algorithm.passes) for algorithm in ALGORITHMS.values())
+    assert all((algorithm.fill_visibility is not None) == bool(algorithm.passes) for algorithm in ALGORITHMS.values())
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_registry_lists_passes_of_every_fill():
 )
 def test_registry_refusals(name, refused):
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
-        refusal = ALGORITHMS[name].refusal(requirements_of(light, caster, kind, ground))
+        refusal = ALGORITHMS[name].refusal_reason(requirements_of(light, caster, kind, ground))
         words = [refused[part] for part in (light, caster, kind, ground) if part in refused]
         assert refusal is None if not words else any(word in refusal for word in words)
 
@@ -228,7 +228,7 @@ def test_plan_refuses_a_sweep_of_meshes_in_wide_views_too(level_file):
 
 
 def test_registry_refuses_area_lights_with_hard_edges_only():
-    refused = {name for name, algorithm in ALGORITHMS.items() if algorithm.refusal(("area light",))}
+    refused = {name for name, algorithm in ALGORITHMS.items() if algorithm.refusal_reason(("area light",))}
     assert refused == {"hybrid", "planar"}
 
 
@@ -243,7 +243,7 @@ def test_plan_refuses_planar_on_the_round_earth(write_raster, make_scene):
     """Level ground bends with the earth. Planar needs a flat world, where a raster of constant height is a plane."""
     heights = np.full((64, 64), 12.0, np.float32)
     flat_scene = make_scene(write_raster(heights, ENGINEERING_CRS_WKT, 0, 64, 1.0, name="flat.tif"), effects=FORCED_SHADOWS)
-    assert plan_of(flat_scene, flat_scene.view(), algorithm="planar").headline == "planar"
+    assert plan_of(flat_scene, flat_scene.view(), algorithm="planar").algorithms_text == "planar"
     earth_scene = make_scene(write_raster(heights, "EPSG:32632", 500000, 5200000, 1.0, name="bent.tif"), effects=FORCED_SHADOWS)
     with pytest.raises(UnsupportedError, match="not flat"):
         plan_of(earth_scene, earth_scene.view(), algorithm="planar")
@@ -252,7 +252,7 @@ def test_plan_refuses_planar_on_the_round_earth(write_raster, make_scene):
 def test_candidates_leave_out_unsupported_algorithms(scene_on):
     for ground, is_served in (("level", True), ("uneven", False)):
         scene = scene_on(ground)
-        names = {plan.headline for plan in candidates(scene, scene.view("map"))}
+        names = {plan.algorithms_text for plan in candidates(scene, scene.view("map"))}
         assert ("planar" in names) is is_served and {"shadow_map", "none"} <= names
 
 
@@ -333,11 +333,13 @@ def test_plan_refuses_volumes_in_maps_of_small_scale(gl, tmp_path):
     for name in ("shadow_volume", "hybrid"):
         with pytest.raises(UnsupportedError, match=r"no affine camera fits.*; algorithms that can: shadow_map, sweep\.$"):
             plan_of(rough_scene, block_at(-84.25, 36.32, 8), algorithm=name)
-        assert plan_of(scene, block_at(-84.25, 36.32, 8), algorithm=name).headline == name  # the subdivided pixels do not bend
+        assert (
+            plan_of(scene, block_at(-84.25, 36.32, 8), algorithm=name).algorithms_text == name
+        )  # the subdivided pixels do not bend
         block = block_at(-84.25, 36.32, 12)
         view = replace(block, row0=block.row0 + 516, col0=block.col0 + 500, rows=96, cols=96)
         frame = render_frame(scene, view, plan_of(scene, view, algorithm=name))
-        assert frame.plan.headline == name and 0.02 < (frame.visibility[frame.valid] < 0.5).mean() < 0.98
+        assert frame.plan.algorithms_text == name and 0.02 < (frame.visibility[frame.valid] < 0.5).mean() < 0.98
 
 
 # -- user interfaces

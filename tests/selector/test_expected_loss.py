@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, Forecast, least_expected_loss
+from skugga.selector.expected_loss import MAX_MISS_CHANCE_OF_LIKELY_OPTION, MISS_PENALTY, Forecast, least_expected_loss
 from skugga.selector.ranking import CandidateFigures
 
 TIME_SPREAD = 0.2
@@ -31,7 +31,11 @@ def test_least_expected_loss_trades_time_for_certainty():
 
 def test_least_expected_loss_excludes_likely_misses():
     verdict = least_expected_loss(
-        [forecast("quick", 1e-3, LIKELY_MISS_CHANCE + 0.01, error=0.02), forecast("sure", 1e6, LIKELY_MISS_CHANCE)], 0.01
+        [
+            forecast("quick", 1e-3, MAX_MISS_CHANCE_OF_LIKELY_OPTION + 0.01, error=0.02),
+            forecast("sure", 1e6, MAX_MISS_CHANCE_OF_LIKELY_OPTION),
+        ],
+        0.01,
     )
     assert (verdict.winner.name, verdict.meets_target) == ("sure", True)
 
@@ -97,7 +101,7 @@ forecasts = st.lists(
 @given(forecasts, st.floats(1e-4, 0.2), st.none() | st.floats(0.1, 1e4))
 def test_least_expected_loss_is_minimal(candidates, max_error, max_ms):
     verdict = least_expected_loss(candidates, max_error, max_ms)
-    likely_candidates = [candidate for candidate in candidates if candidate.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
+    likely_candidates = [candidate for candidate in candidates if candidate.miss_chance(max_ms) <= MAX_MISS_CHANCE_OF_LIKELY_OPTION]
     chosen = next(candidate for candidate in candidates if candidate.figures == verdict.winner)
     assert not likely_candidates or chosen in likely_candidates
     miss_cost = (

@@ -14,7 +14,7 @@ from skugga.selector import film
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MAX_CHANGED_SHARE, PATIENCE, Replanner
+from skugga.selector.replanning import INITIAL_PATIENCE_FRAMES, MAX_CHANGED_SHARE, Replanner
 from skugga.shadows.draw import draw
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -134,12 +134,12 @@ def test_film_switch_is_spread_logged_and_recorded(gl, figure, caplog):
     """
     caplog.set_level(logging.INFO, "skugga")
     logging.getLogger("skugga").propagate = True
-    request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # the camera is at rest, and the body hardly moves
+    request = FilmRequest(FilmSpan(INITIAL_PATIENCE_FRAMES + 40, 1e-3), "eye")  # the camera is at rest, and the body hardly moves
     frames = list(frames_of(figure, request, Replanner(plans=SwitchingPolicy("shadow_map", "shadow_volume", 3))))
     (switch_frame,) = (frame for frame in frames if frame.switch is not None)
     switch, transition_frames = switch_frame.switch, [frame for frame in frames if frame.transition is not None]
-    assert (switch.number, switch.before, switch.after) == (3 + PATIENCE - 1, "shadow_map 64 1", "shadow_volume")
-    assert "5.0 ms" in switch.reason and "10 ms" in switch.reason and f"{PATIENCE} frames in a row" in switch.reason
+    assert (switch.number, switch.before, switch.after) == (3 + INITIAL_PATIENCE_FRAMES - 1, "shadow_map 64 1", "shadow_volume")
+    assert "5.0 ms" in switch.reason and "10 ms" in switch.reason and f"{INITIAL_PATIENCE_FRAMES} frames in a row" in switch.reason
     assert (
         transition_frames[0] is switch_frame and 4 <= len(transition_frames) < 40 and transition_frames[-1].transition.share == 1.0
     )

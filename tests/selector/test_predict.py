@@ -117,7 +117,9 @@ def predicted_option(
     """Return the option that a plan took under a light."""
     steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
     return next(
-        option for option in predicted_choices(planner, light, planner.casting(light), profile, errors) if option.steps == steps
+        option
+        for option in predicted_choices(planner, light, planner.casting_kinds(light), profile, errors)
+        if option.steps == steps
     )
 
 
@@ -316,7 +318,7 @@ def test_predict_never_takes_none_for_casting_kinds(measured_views, measured_dev
     casts = 0
     for view in measured_views.values():
         descriptor = descriptor_of(view)
-        casting_kinds = planner_of(descriptor, make_request(descriptor)).casting(view["light"])
+        casting_kinds = planner_of(descriptor, make_request(descriptor)).casting_kinds(view["light"])
         for max_error, max_ms in ((1.0, None), (1e-6, 1e-3)):
             plan = plan_view(descriptor, measured_device, errors=None, max_error=max_error, max_ms=max_ms)
             algorithms = plan.algorithm[view["light"]]

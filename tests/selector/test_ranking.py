@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.selector.ranking import TIME_TIE_RATIO, CandidateFigures, best_candidate, relative_overshoot
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 SMALL = CandidateFigures("small map", 10.0, 0.05, 0.0)
 MIDDLE = CandidateFigures("middle map", 20.0, 0.02, 0.0)
@@ -71,8 +71,8 @@ def test_best_candidate_meets_the_target_if_any_does(candidates, max_error, max_
         assert verdict.winner in on_target and verdict.winner.ms <= TIME_TIE_RATIO * min(candidate.ms for candidate in on_target)
     elif max_ms is not None and any(candidate.ms <= max_ms for candidate in casting_candidates):
         assert verdict.winner.ms <= max_ms
-        if any(candidate.ms <= max_ms and candidate.interior <= MAX_INTERIOR for candidate in casting_candidates):
-            assert verdict.winner.interior <= MAX_INTERIOR
+        if any(candidate.ms <= max_ms and candidate.interior <= MAX_INTERIOR_SHARE for candidate in casting_candidates):
+            assert verdict.winner.interior <= MAX_INTERIOR_SHARE
     else:
         assert relative_overshoot(verdict.winner, max_error, max_ms) == min(
             relative_overshoot(candidate, max_error, max_ms) for candidate in casting_candidates

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.replanning import (
+    INITIAL_PATIENCE_FRAMES,
     MAX_CHANGED_SHARE,
     MAX_TRANSITION_FRAMES,
-    PATIENCE,
     SWITCH_TIME_GAIN,
     PlanFunction,
     Replanner,
@@ -85,7 +85,7 @@ def test_replanner_ignores_a_gain_below_the_margin(descriptor, level):
     replanner = Replanner(plans=policy)
     names = algorithm_names([replanner.plan(descriptor, level)])
     policy.rows["shadow_volume"] = (10.0 * (1.0 - SWITCH_TIME_GAIN) + 0.1, 0.01)
-    names += algorithm_names([replanner.plan(descriptor, level) for _ in range(3 * PATIENCE)])
+    names += algorithm_names([replanner.plan(descriptor, level) for _ in range(3 * INITIAL_PATIENCE_FRAMES)])
     assert set(names) == {"shadow_map"} and replanner.transition is None
 
 
@@ -94,21 +94,21 @@ def test_replanner_switches_after_patience_plans_in_a_row(descriptor, level):
     replanner = Replanner(plans=policy)
     replanner.plan(descriptor, level)
     policy.rows["shadow_volume"] = (7.0, 0.01)
-    names = algorithm_names([replanner.plan(descriptor, level) for _ in range(PATIENCE + 3)])
-    assert names == ["shadow_map"] * (PATIENCE - 1) + ["shadow_volume"] * 4
+    names = algorithm_names([replanner.plan(descriptor, level) for _ in range(INITIAL_PATIENCE_FRAMES + 3)])
+    assert names == ["shadow_map"] * (INITIAL_PATIENCE_FRAMES - 1) + ["shadow_volume"] * 4
 
 
 def test_replanner_does_not_oscillate_at_a_border(descriptor, level):
     """Two algorithms are quicker in turns: by a third, plan for plan, then by a tenth, for many plans each."""
     policy = TablePolicy(shadow_map=(10.0, 0.01), shadow_volume=(10.0, 0.01))
     replanner, names = Replanner(plans=policy), []
-    for number in range(8 * PATIENCE):
+    for number in range(8 * INITIAL_PATIENCE_FRAMES):
         policy.rows["shadow_volume"] = (15.0 if number % 2 else 6.6, 0.01)
         names += algorithm_names([replanner.plan(descriptor, level)])
     assert count_switches(names) == 0
     replanner, names = Replanner(plans=policy), []
-    for number in range(8 * PATIENCE):
-        policy.rows["shadow_volume"] = (11.0 if number // (2 * PATIENCE) % 2 else 9.0, 0.01)
+    for number in range(8 * INITIAL_PATIENCE_FRAMES):
+        policy.rows["shadow_volume"] = (11.0 if number // (2 * INITIAL_PATIENCE_FRAMES) % 2 else 9.0, 0.01)
         names += algorithm_names([replanner.plan(descriptor, level)])
     assert count_switches(names) == 0
 
@@ -118,7 +118,9 @@ def test_replanner_switches_at_once_on_a_badly_missed_target(descriptor, level):
     replanner = Replanner(plans=policy)
     replanner.plan(descriptor, level)
     policy.rows["shadow_map"] = (10.0, 0.032)  # missed by less than a tenth: no switch
-    assert algorithm_names([replanner.plan(descriptor, level) for _ in range(2 * PATIENCE)]) == ["shadow_map"] * (2 * PATIENCE)
+    assert algorithm_names([replanner.plan(descriptor, level) for _ in range(2 * INITIAL_PATIENCE_FRAMES)]) == ["shadow_map"] * (
+        2 * INITIAL_PATIENCE_FRAMES
+    )
     policy.rows["shadow_map"] = (10.0, 0.09)
     assert algorithm_names([replanner.plan(descriptor, level)]) == ["shadow_volume"]
 
@@ -193,7 +195,7 @@ def test_replanner_transition_changes_few_pixels_a_frame(gl, scene, descriptor, 
     before = render_frame(scene, view, replanner.plan(descriptor, level)).visibility
     policy.rows["shadow_volume"] = (5.0, 0.0)
     previous, frame_changes, mixed_count = before, [], 0
-    for _ in range(PATIENCE + MAX_TRANSITION_FRAMES):
+    for _ in range(INITIAL_PATIENCE_FRAMES + MAX_TRANSITION_FRAMES):
         frame = render_frame(scene, view, replanner.plan(descriptor, level)).visibility
         if replanner.transition is not None:
             old_visibility = render_frame(scene, view, replanner.transition.plan).visibility

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import receivers_of
@@ -63,7 +63,9 @@ def visibility(
         if step.light == light and step.settings is not None:
             settings = step.settings.model_copy(update={"bias_scale": bias_scale})
             receivers = receivers_of(buffer, scene, light)
-            rendered *= shadow_map.fill(receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog())
-    rendered[attached(buffer, scene, light)] = 0.0
+            rendered *= shadow_map.fill_visibility(
+                receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog()
+            )
+    rendered[attached_shadow_mask(buffer, scene, light)] = 0.0
     rendered[~buffer.valid] = np.nan
     return rendered, buffer

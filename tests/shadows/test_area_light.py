@@ -10,12 +10,12 @@ import pytest
 
 from skugga.api.catalogue import find_level
 from skugga.shadows.area_light import ball_points, disc_points
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.penumbra import MAX_LIGHT_POINTS
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import soft_error
-from skugga.shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, area_light_visibility, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -43,9 +43,9 @@ def reference_visibility(buffer: GeometryBuffer, scene: Scene, light: str) -> np
     """Return the true visibility (rows, cols) of an area light: dark where the surface faces away from its centre, NaN off the
     surface.
     """
-    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-    visibility = area_visibility(buffer, scene, light, rays, 256)
-    visibility[attached(buffer, scene, light)] = 0.0
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
+    visibility = area_light_visibility(buffer, scene, light, rays, 256)
+    visibility[attached_shadow_mask(buffer, scene, light)] = 0.0
     return np.where(buffer.valid, visibility, np.nan)
 
 

@@ -138,4 +138,4 @@ def test_planar_visibilities_of_kinds_multiply(gl, tmp_path):
     assert (visibility_by_kind["relief"] == 1.0)[np.isfinite(combined)].mean() > 0.9  # only attached shadow is dark
     assert all((visibility_by_kind[kind] < visibility_by_kind["relief"]).sum() > 50 for kind in ("meshes", "forest"))
     np.testing.assert_array_equal(np.prod(list(visibility_by_kind.values()), axis=0), combined)
-    assert plan_of(scene, view, algorithm={"meshes": "planar"}).headline == "relief=none,meshes=planar,forest=shadow_map"
+    assert plan_of(scene, view, algorithm={"meshes": "planar"}).algorithms_text == "relief=none,meshes=planar,forest=shadow_map"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skugga.shadows import draw as module
-from skugga.shadows.draw import SHADING_NEEDS, VISIBILITY_NEEDS, draw, heights_suffice
+from skugga.shadows.draw import SHADING_NEEDS, VISIBILITY_NEEDS, can_draw_from_heights, draw
 from skugga.shadows.picture import Needs
 from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError
@@ -53,7 +53,7 @@ def test_draw_by_heights_equals_the_frame_across_blocks(gl, hills):
     scene = hills(225.0, 22.0)
     view = node_view(scene)
     plan = plan_of(scene, view)
-    assert view.cols > BLOCK_PX and heights_suffice(scene, view, plan, SHADING_NEEDS)
+    assert view.cols > BLOCK_PX and can_draw_from_heights(scene, view, plan, SHADING_NEEDS)
     progress: list[tuple[int, int]] = []
     picture, frame = draw(scene, view, plan, SHADING_NEEDS, lambda *count: progress.append(count)), render_frame(scene, view, plan)
     assert picture.color is not None and picture.opacity is not None and picture.reach is not None
@@ -73,7 +73,7 @@ def test_draw_visibility_by_heights_equals_the_frame(gl, hills, altitude):
     scene = hills(225.0, altitude)
     view = node_view(scene)
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, VISIBILITY_NEEDS)
+    assert can_draw_from_heights(scene, view, plan, VISIBILITY_NEEDS)
     picture, frame = draw(scene, view, plan, VISIBILITY_NEEDS), render_frame(scene, view, plan)
     assert picture.visibility is not None and picture.reach == frame.reach
     np.testing.assert_array_equal(picture.valid, frame.valid)

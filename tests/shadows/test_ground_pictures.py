@@ -8,7 +8,7 @@ from morecantile import tms as matrix_sets
 
 from skugga.selector.film import COLOR_NEEDS
 from skugga.shadows import ground_pictures
-from skugga.shadows.draw import SHADING_NEEDS, draw, heights_suffice
+from skugga.shadows.draw import SHADING_NEEDS, can_draw_from_heights, draw
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -61,7 +61,7 @@ def test_ground_picture_equals_the_frame(gl, hills, azimuth, altitude, zoom, row
     scene = hills(azimuth, altitude)
     view = view_of(scene, zoom, rows, cols)
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, SHADING_NEEDS)
+    assert can_draw_from_heights(scene, view, plan, SHADING_NEEDS)
     picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert picture is not None and frame.valid.any() and not frame.valid.all()
     assert np.array_equal(picture.valid, frame.valid)
@@ -82,7 +82,7 @@ def test_ground_picture_has_the_colours_of_a_style(gl, hills, style, exaggeratio
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
     picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert picture is not None and heights_suffice(scene, view, plan, SHADING_NEEDS)
+    assert picture is not None and can_draw_from_heights(scene, view, plan, SHADING_NEEDS)
     color_difference = np.abs(picture.color.astype(int) - frame.color)
     assert color_difference.max() <= 1 and (color_difference > 0).mean() <= MAX_DIFFERING_SHARE
 
@@ -101,7 +101,7 @@ def test_ground_picture_of_gentle_ground_is_lit(gl, write_raster, make_scene, zo
     scene = make_scene(write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan), 160.0, 50.0)
     view = view_of(scene, zoom)
     plan = plan_of(scene, view)
-    assert plan.headline == "none"
+    assert plan.algorithms_text == "none"
     picture, frame = draw_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert picture is not None and picture.valid.any() and not picture.opacity.any()
     assert np.array_equal(picture.valid, frame.valid) and np.array_equal(picture.opacity, frame.opacity)
@@ -123,7 +123,7 @@ def test_ground_picture_with_other_level_settings(gl, hills, keys):
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
     picture, frame = draw_map(scene, view, plan), render_frame(scene, view, plan)
-    assert heights_suffice(scene, view, plan, SHADING_NEEDS) != ("weather" in keys)
+    assert can_draw_from_heights(scene, view, plan, SHADING_NEEDS) != ("weather" in keys)
     assert np.array_equal(picture.opacity, frame.opacity)
     assert np.abs(picture.color.astype(int) - frame.color).max() <= 1
 
@@ -136,7 +136,7 @@ def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size
     view = scene.view(size=size)
     assert isinstance(view, MapView) and not view.on_nodes
     plan = plan_of(scene, view)
-    assert heights_suffice(scene, view, plan, COLOR_NEEDS)
+    assert can_draw_from_heights(scene, view, plan, COLOR_NEEDS)
     frame = render_frame(scene, view, plan)
     assert np.array_equal(draw(scene, view, plan, COLOR_NEEDS).color, frame.color) and frame.valid.any() and not frame.valid.all()
     if scene.sun_is_up:

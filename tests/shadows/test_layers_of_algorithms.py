@@ -121,19 +121,19 @@ def test_layer_collector_places_blocks():
     collector = LayerCollector((4, 5))
     target, source = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
     block = np.arange(20, dtype=np.uint8).reshape(5, 4)
-    collector.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, target, source)
-    layers = collector.assembled
+    collector.add_block({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, target, source)
+    layers = collector.assembled_pictures
     np.testing.assert_array_equal(layers["stencil"][SUN][target], block[source])
     assert layers["stencil"][SUN].sum() == block[source].sum() and layers["stencil"][SUN].dtype == np.uint8
     assert np.isnan(layers["shadow-height"][SUN]).sum() == 20 - 6
 
 
 def test_layer_collector_refuses_too_many_texels(monkeypatch):
-    monkeypatch.setattr(layer_collector, "MAX_TEXELS", 100)
+    monkeypatch.setattr(layer_collector, "MAX_LAYER_TEXELS", 100)
     collector, empty_window = LayerCollector((4, 4)), (slice(0, 0), slice(0, 0))
-    collector.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, empty_window, empty_window)
+    collector.add_block({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, empty_window, empty_window)
     with pytest.raises(InputError, match="layer: shadow-map has 101 texels, more than the limit of 100"):
-        collector.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, empty_window, empty_window)
+        collector.add_block({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, empty_window, empty_window)
 
 
 # -- content of layers

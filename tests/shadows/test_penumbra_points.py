@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skugga.shadows import algorithm, penumbra
-from skugga.shadows.algorithm import is_area
-from skugga.shadows.penumbra import MAX_LIGHT_POINTS, light_points, penumbra_px
+from skugga.shadows.penumbra import MAX_LIGHT_POINTS, light_point_count, penumbra_px
+from skugga.shadows.requirements import is_area_light
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, Casting, LampFacts, LightFacts
 from skugga.terrain.level.level import Shadows
@@ -32,11 +32,11 @@ def test_penumbra_px_is_the_ball_seen_past_an_edge(tmp_path):
     assert penumbra_px(view_descriptor(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == pytest.approx(2 * 0.2 * 10 / 10 / 0.1)
     assert penumbra_px(view_descriptor(scene, view, 0.2, 20.0, 0.0, 0.1), "spot") == 0.0, "a shadow at the foot of its caster"
     assert penumbra_px(view_descriptor(scene, view, 0.2, 20.0, None, 0.1), "spot") == pytest.approx(2 * 0.2 * 4 / 0.1)
-    assert light_points(view_descriptor(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == 16
-    assert light_points(view_descriptor(scene, view, 0.2, 20.0, 5.0, 0.01), "spot") == MAX_LIGHT_POINTS
+    assert light_point_count(view_descriptor(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == 16
+    assert light_point_count(view_descriptor(scene, view, 0.2, 20.0, 5.0, 0.01), "spot") == MAX_LIGHT_POINTS
     coarse_pixel_descriptor = view_descriptor(scene, view, 0.2, 20.0, 5.0, 30.0)
-    assert light_points(coarse_pixel_descriptor, "spot") == 1
-    assert not is_area(coarse_pixel_descriptor, "spot", Shadows()) and is_area(
+    assert light_point_count(coarse_pixel_descriptor, "spot") == 1
+    assert not is_area_light(coarse_pixel_descriptor, "spot", Shadows()) and is_area_light(
         coarse_pixel_descriptor, "spot", Shadows(filter="sun")
     )
 
@@ -47,9 +47,9 @@ def test_light_points_suffice_for_the_picture(gl, tmp_path, monkeypatch, pixels,
     scene = area_light_scene(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
     view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(pixels, pixels))
     few_points_visibility = rendered_visibility(scene, view, "spot", algorithm="shadow_map", map_size=512)
-    assert light_points(describe(scene, view, "map"), "spot") == points
+    assert light_point_count(describe(scene, view, "map"), "spot") == points
     for module in (algorithm, penumbra):
-        monkeypatch.setattr(module, "light_points", lambda descriptor, light: MAX_LIGHT_POINTS)
+        monkeypatch.setattr(module, "light_point_count", lambda descriptor, light: MAX_LIGHT_POINTS)
     max_points_visibility = rendered_visibility(scene, view, "spot", algorithm="shadow_map", map_size=512)
     assert np.nanmean(np.abs(few_points_visibility - max_points_visibility)) <= MAX_SOFT_ERROR
 

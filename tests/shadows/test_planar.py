@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows import planar
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.planar import clip_from_plane, plane_projection
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.truth import TruthSettings, trace_truth
-from skugga.shadows.truth.truth import fill as truth_fill
+from skugga.shadows.truth.truth import fill_visibility as truth_fill
 from skugga.terrain.casters.reach import NO_CASTERS, find_casters
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
@@ -183,9 +183,9 @@ def test_planar_samples_match_rays_from_their_points(gl, build, light):
     buffer = multisampled(scene, view).buffer
     assert len(buffer.valid) > view.rows
     kinds = scene.objects.kinds
-    visibility = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
+    visibility = planar.fill_visibility(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
     reference = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
-    samples = (buffer.kind == RELIEF) & ~attached(buffer, scene, light)
+    samples = (buffer.kind == RELIEF) & ~attached_shadow_mask(buffer, scene, light)
     samples[: view.rows] = False
     dark_count = (reference < 0.5)[samples].sum()
     assert dark_count > 500 and dark_count < 0.95 * samples.sum()
@@ -222,11 +222,11 @@ def test_planar_casters_receive_no_shadow(gl, build):
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
     kinds = scene.objects.kinds
-    visibility = planar.fill(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
+    visibility = planar.fill_visibility(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
     on_mesh = buffer.kind == MESHES
     assert (visibility[on_mesh] == 1.0).all()
     reference = truth_fill(buffer, scene, SUN, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
-    assert (reference < 0.5)[on_mesh & ~attached(buffer, scene)].mean() > 0.05
+    assert (reference < 0.5)[on_mesh & ~attached_shadow_mask(buffer, scene)].mean() > 0.05
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -240,7 +240,7 @@ def test_planar_clips_casters_below_the_ground(gl, build, light, monkeypatch):
         box = trimesh.creation.box(bounds=[[-4, -3, low], [4, 3, high]])
         casters = [(np.asarray(box.vertices) - buffer.frame.origin_earth_m, np.asarray(box.faces, np.int32))]
         monkeypatch.setattr(planar, "caster_meshes", lambda *_: casters)
-        return planar.fill(buffer, scene, light, ("meshes",), NO_CASTERS, None, PassLog()) == 0.0
+        return planar.fill_visibility(buffer, scene, light, ("meshes",), NO_CASTERS, None, PassLog()) == 0.0
 
     sunk, low, high = shadow(-3.0, 2.0), shadow(0.0, 2.0), shadow(0.0, 5.0)
     ground = (np.abs(buffer.position_frame_m[..., 0]) > 4.01) | (np.abs(buffer.position_frame_m[..., 1]) > 3.01)
@@ -258,7 +258,7 @@ def test_planar_clips_casters_above_a_lamp(gl, build, monkeypatch):
         mast = trimesh.creation.box(bounds=[[2, -1, low], [3, 0, high]])
         casters = [(np.asarray(mast.vertices) - buffer.frame.origin_earth_m, np.asarray(mast.faces, np.int32))]
         monkeypatch.setattr(planar, "caster_meshes", lambda *_: casters)
-        return planar.fill(buffer, scene, "omni", ("meshes",), NO_CASTERS, None, PassLog()) == 0.0
+        return planar.fill_visibility(buffer, scene, "omni", ("meshes",), NO_CASTERS, None, PassLog()) == 0.0
 
     assert not shadow(19.0, 60.0).any()
     low_mast_shadow, tall_mast_shadow = shadow(0.0, 17.999), shadow(0.0, 60.0)

@@ -18,12 +18,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import MAX_INTERIOR, MIN_COVERED_SHARE, block_shares, coverage_error, error_metrics
-from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, trace_truth
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, MIN_COVERED_SHARE, block_shadow_shares, coverage_error, error_metrics
+from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill_visibility, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
@@ -97,11 +97,11 @@ def test_shadow_coverage_of_a_wood_is_near_truth(gl, build, kind):
     frame = render_points(scene, view, map_size=4096)
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
+    shares = coverage_truth(buffer, scene, casters, 16, max_blocks=48, sample_count=16)
     assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
-    rendered_shares = block_shares(1.0 - frame.visibility)
+    rendered_shares = block_shadow_shares(1.0 - frame.visibility)
     assert coverage_error(rendered_shares, shares) <= 0.02
-    inverted_error = coverage_error(block_shares(frame.visibility), shares)
+    inverted_error = coverage_error(block_shadow_shares(frame.visibility), shares)
     assert inverted_error > 0.1
 
 
@@ -114,10 +114,13 @@ def test_shadows_of_buildings_have_no_interior_error(gl, build, kind, altitude):
     buffer = geometry_buffer(scene, view)
     reference = trace_truth(buffer, scene, find_casters(scene, buffer))
     metrics = error_metrics(frame.visibility, reference, describe(scene, view).pixel_m, 0.5)
-    cast_shadow = ~reference.lit & ~reference.attached & reference.valid
+    cast_shadow = ~reference.lit & ~reference.attached_shadow_mask & reference.valid
     assert 0.02 < cast_shadow.sum() / reference.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
     assert (
-        metrics.interior <= MAX_INTERIOR and metrics.interior_parts == 0 and metrics.wrong_cast < 0.03 and metrics.edge_p95 <= 2.0
+        metrics.interior <= MAX_INTERIOR_SHARE
+        and metrics.interior_parts == 0
+        and metrics.wrong_cast < 0.03
+        and metrics.edge_p95 <= 2.0
     )
     assert metrics.interior_sees >= MIN_COVERED_SHARE
 
@@ -133,8 +136,8 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
     casters = find_casters(scene, buffer)
     all_kinds = scene.objects.kinds
     assert all_kinds == ("relief", "meshes", "forest")
-    reference = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
-    combined = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
+    reference = {kind: fill_visibility(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
+    combined = fill_visibility(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
     assert (
         np.prod(list(reference.values()), axis=0) != combined
     ).mean() < 1e-4  # the offset of a ray's start depends on its casters
@@ -152,7 +155,7 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
     assert masks["meshes"][ground].mean() > 0.01 and masks["forest"][ground].mean() > 0.02
     assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
     attached_frame = render_points(scene, view, algorithm="none")
-    np.testing.assert_array_equal(attached_frame.visibility[buffer.valid] == 0.0, attached(buffer, scene)[buffer.valid])
+    np.testing.assert_array_equal(attached_frame.visibility[buffer.valid] == 0.0, attached_shadow_mask(buffer, scene)[buffer.valid])
 
 
 def test_two_algorithms_of_a_light_multiply(gl, build):

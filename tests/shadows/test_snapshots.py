@@ -52,7 +52,7 @@ def test_map_views(gl, level, sun, layer, request):
 def test_algorithms_in_perspective(gl, level, view, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(view, size=(360, 288)), algorithm=algorithm)
-    assert frame.plan.headline == algorithm
+    assert frame.plan.algorithms_text == algorithm
     picture = product_of_frame(scene, frame, "color")[..., :3]
     assert_golden(f"{level}-{view}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
@@ -62,7 +62,7 @@ def test_algorithms_in_perspective(gl, level, view, algorithm, request):
 def test_algorithms_in_maps(gl, level, bounds, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(bounds=bounds, size=(256, 256)), algorithm=algorithm)
-    assert frame.plan.headline == algorithm
+    assert frame.plan.algorithms_text == algorithm
     picture = product_of_frame(scene, frame, "mask")
     assert_golden(f"{level}-map-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 

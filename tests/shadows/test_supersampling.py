@@ -11,7 +11,7 @@ from morecantile import tms
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
-from skugga.shadows.supersampling import _lit_points, lit_nodes, supersampling
+from skugga.shadows.supersampling import _visibilities_at_nodes, lit_nodes, supersampling
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.supersampling import covered_nodes, max_in_pixels, means_in_pixels, subdivision_level, subpixel_grid
 from skugga.terrain.geo.grid import Grid, MapView, tile_grid
@@ -169,11 +169,11 @@ def view_around_middle(scene, zoom: int) -> MapView:
 def test_lit_nodes_by_heights_match_geometry_buffers(jacksboro):
     view = view_around_middle(jacksboro, 9)
     pixels = supersampling(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
-    assert pixels is not None and pixels.heights_only
-    nodes = pixels.nodes(view)
+    assert pixels is not None and pixels.uses_heights_only
+    nodes = pixels.covered_nodes(view)
     (heights_valid, heights_visibility), (buffer_valid, buffer_visibility) = (
         lit_nodes(pixels, nodes, True, PassLog()),
-        _lit_points(pixels, nodes, True, PassLog()),
+        _visibilities_at_nodes(pixels, nodes, True, PassLog()),
     )
     np.testing.assert_array_equal(heights_valid, buffer_valid)
     assert ((buffer_visibility["sun"] > 0.5) != heights_visibility["sun"])[

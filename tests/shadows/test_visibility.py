@@ -35,7 +35,7 @@ def visibility_and_haze_mask(scene: Scene, light: str, effects: set[str]) -> tup
     """Return a light's visibility at the points of the view (n,), and whether haze hides each."""
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
-    steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
+    steps = plan_of(scene, view, algorithm="shadow_volume").steps_of_light(light)
     visibility = fill_steps(steps, buffer, scene, find_casters(scene, buffer), effects, PassLog())
     hidden_by_haze = buffer.valid & ~without_hidden_points(buffer, scene, "sun", {"haze"}).valid
     return visibility[buffer.valid], hidden_by_haze[buffer.valid]
@@ -69,7 +69,7 @@ def test_fill_steps_multiplies_caster_kinds(gl, hazy):
     buffer = geometry_buffer(hazy, view)
     casters = find_casters(hazy, buffer)
     overrides = {"algorithm": {"sun": {"relief": "shadow_map", "meshes": "shadow_volume"}}}
-    steps = plan_of(hazy, view, **overrides).steps_under("sun")
+    steps = plan_of(hazy, view, **overrides).steps_of_light("sun")
     assert [step.algorithm for step in steps] == ["shadow_map", "shadow_volume"]
     combined = fill_steps(steps, buffer, hazy, casters, (), PassLog())
     separate = [fill_steps([step], buffer, hazy, casters, (), PassLog()) for step in steps]

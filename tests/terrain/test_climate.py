@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from skugga.shadows.draw import SHADING_NEEDS, heights_suffice
+from skugga.shadows.draw import SHADING_NEEDS, can_draw_from_heights
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.climate import ARID_RAMP, ICE_RAMP, LATITUDE_ROWS, TUNDRA_RAMP, climate_srgb, ramp_srgb, snow_line_m
@@ -107,7 +107,7 @@ def test_fast_path_has_the_same_climate(gl, hilly):
     rows, cols = int(south - north) // 2, int(east - west) // 2
     view = MapView(grid, float(np.floor(north)) + rows // 2, float(np.floor(west)) + cols // 2, 1.0, 1.0, rows, cols)
     plan = plan_of(hilly, view)
-    assert heights_suffice(hilly, view, plan, SHADING_NEEDS)
+    assert can_draw_from_heights(hilly, view, plan, SHADING_NEEDS)
     fast_picture, frame = draw_by_heights(hilly, view, plan), render_frame(hilly, view, plan)
     assert fast_picture is not None and frame.valid.sum() > 3000
     color_difference = np.abs(fast_picture.color.astype(int) - frame.color).max(axis=-1)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from skugga.api.compute import product_of_frame
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.lamps import apply_lamps
 from skugga.terrain.errors import InputError, LevelError
@@ -60,7 +60,7 @@ def square_map(scene: Scene, half: float = 40.0, px: int = 80):
 def unshadowed_light(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return visibilities without cast shadows by light, and the light (rows, cols, 3) of the lamps among them."""
     buffer = geometry_buffer(scene, view)
-    shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
+    shines = {name: np.where(attached_shadow_mask(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
     lamplight = np.zeros((*buffer.valid.shape, 3), np.float32)
     apply_lamps(lamplight, ShadingBlock(scene, view, buffer, shines))
     return shines, lamplight
@@ -150,7 +150,7 @@ def test_lit_area_of_a_spot_is_its_cone(floor, make_scene):
     """Attached shadow starts exactly at a circle of radius h tan(cutoff)."""
     scene = make_scene(floor, sun="none", lights=spot(15.0, 50.0))
     view, x, y = square_map(scene, px=200)
-    is_unlit = attached(geometry_buffer(scene, view), scene, "lamp")
+    is_unlit = attached_shadow_mask(geometry_buffer(scene, view), scene, "lamp")
     np.testing.assert_array_equal(is_unlit, np.hypot(x, y) > 15.0 * np.tan(np.radians(50.0)))
 
 
@@ -195,7 +195,7 @@ def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post_mesh)
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.valid.all()
     assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "attached", "shading"]
-    assert frame.plan.headline == "none"
+    assert frame.plan.algorithms_text == "none"
     assert 0 < frame.color.mean() < 60
 
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 from math import cos, pi, sin
 
 from skugga.api.report.page.markup import tag
-from skugga.shadows.algorithm import Mark, MarkColour
-from skugga.shadows.registry import ALGORITHMS, FALLBACK
+from skugga.shadows.algorithm import MarkerColour, PlotMarker
+from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM
 
-COLOURS: dict[MarkColour, str] = {
+COLOURS: dict[MarkerColour, str] = {
     "blue": "#0072b2", "vermilion": "#d55e00", "green": "#009e73", "purple": "#b8558f", "orange": "#e69f00", "sky": "#56b4e9",
     "gray": "#6b7280", "black": "#000000",
 }  # fmt: skip
@@ -37,7 +37,7 @@ SHAPE_POINTS: dict[str, str] = {
 """Polygon vertices of marks, about the size of a unit circle."""
 
 
-def mark_svg(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
+def mark_svg(mark: PlotMarker, x: float, y: float, radius: float = 6.0) -> str:
     """Return a mark as an SVG element centred at a point, pixels."""
     colour = COLOURS[mark.colour]
     paint = {"fill": colour, "stroke": "#fff"} if mark.filled else {"fill": "#fff", "stroke": colour}
@@ -48,18 +48,18 @@ def mark_svg(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
     return tag("circle", r=1, **paint) if mark.shape == "circle" else tag("polygon", points=SHAPE_POINTS[mark.shape], **paint)
 
 
-def mark_of(family: str) -> Mark:
+def mark_of(family: str) -> PlotMarker:
     """Return the mark of a combination of algorithms (``summary.algorithm_family``).
 
     It is the mark of the first algorithm other than shadow maps, and hollow if there are several.
     """
     names = family.split(" + ")
-    lead = next((name for name in names if name != FALLBACK), names[0])
-    mark = ALGORITHMS[lead].mark if lead in ALGORITHMS else FALLBACK_MARK
+    lead = next((name for name in names if name != FALLBACK_ALGORITHM), names[0])
+    mark = ALGORITHMS[lead].marker if lead in ALGORITHMS else FALLBACK_MARK
     return mark if len(names) == 1 else replace(mark, filled=False)
 
 
-FALLBACK_MARK = Mark("cross", "black")
+FALLBACK_MARK = PlotMarker("cross", "black")
 
 STAGE_COLOURS = (
     *(COLOURS[name] for name in ("blue", "orange", "green", "vermilion", "sky", "purple")),

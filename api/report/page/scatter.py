@@ -65,12 +65,12 @@ def _plot(comparison: Comparison) -> str:
     figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts_shadow(row.figures, comparison.light)}
     figures_by_row = figures_by_row or {k: row.figures for k, row in enumerate(comparison.rows)}
     x = scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT, SCATTER_WIDTH - MARGIN_RIGHT)
-    y = scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
-    points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in figures_by_row.items()]
+    y = scale_of([f[comparison.error_metric] for f in figures_by_row.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
+    points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error_metric])) for k, f in figures_by_row.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
     stairs = _staircase([point for point in points if is_on_front(point.figures, comparison.light)])
     return "".join([
-        *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error == "wrong_cast" else "error of the shadow share"),
+        *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error_metric == "wrong_cast" else "error of the shadow share"),
         *_noise_band(y, EXACT_NOISE_FLOORS * comparison.noise_floor),
         tag("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in stairs), class_="stairs") if stairs else "",
         *(_mark(point, comparison) for point in points),
@@ -170,7 +170,7 @@ def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:
 
 def _mark(point: ScatterPoint, comparison: Comparison) -> str:
     figures = point.figures
-    tooltip = f"{figures['name']}: {format_percent(figures[comparison.error])} in {format_duration(figures['ms_median'])}"
+    tooltip = f"{figures['name']}: {format_percent(figures[comparison.error_metric])} in {format_duration(figures['ms_median'])}"
     tooltip += ", on the front" if figures["pareto"] else ""
     return tag(
         "a",

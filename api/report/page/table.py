@@ -93,11 +93,11 @@ GLOSSARY = {f"{c.heading} ({c.unit})" if c.unit else c.heading: c.meaning for c 
 def rows_table(comparison: Comparison) -> str:
     """Return the table, smallest error first. A script turns its headings into buttons that sort."""
     figures = [row.figures for row in comparison.rows]
-    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
+    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error_metric], figures[k]["ms_median"]))
     head = [
         tag("th", "front", scope="col"),
         tag("th", "algorithm and settings", scope="col"),
-        *(_heading(column, column.key == comparison.error) for column in COLUMNS),
+        *(_heading(column, column.key == comparison.error_metric) for column in COLUMNS),
     ]
     lines = (_table_row(k, figures[k], comparison.light) for k in order)
     return tag("table", tag("thead", tag("tr", *head)), tag("tbody", *lines))

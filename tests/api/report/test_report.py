@@ -365,7 +365,7 @@ def test_one_slow_row_does_not_hide_the_others() -> None:
 
 
 def test_marks_differ_in_shape_and_colour() -> None:
-    marks = [algorithm.mark for algorithm in ALGORITHMS.values() if algorithm.is_served]
+    marks = [algorithm.marker for algorithm in ALGORITHMS.values() if algorithm.is_selectable]
     assert len({mark.shape for mark in marks}) == len({mark.colour for mark in marks}) == len(marks)
     assert mark_of("shadow_map + sweep") == mark_of("sweep + shadow_map") != mark_of("sweep")
     assert mark_of("sweep + hybrid").colour == mark_of("sweep").colour

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from skugga.api.report.summary import algorithm_family, format_summary
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.measure.compare import Comparison, ComparisonRow
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
@@ -131,7 +131,7 @@ def test_interior_errors_of_accurate_rows_are_reported(further_interior_errors: 
         *(figures("hybrid", 20.0, 0.005, interior=i) for i in further_interior_errors),
     ]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
-    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
+    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR_SHARE)
     sentences = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
     assert len(sentences) == 1 and sentences[0].startswith(expected_start)
 
@@ -157,7 +157,7 @@ def test_none_on_the_front_lists_no_dominated_algorithms() -> None:
 
 def test_the_summary_names_its_error_metric() -> None:
     row = figures("sweep", 10.0, 0.5, coverage=0.031)
-    assert "3.1 % difference in shadow share" in format_summary(comparison(row, error="coverage"))[0]
+    assert "3.1 % difference in shadow share" in format_summary(comparison(row, error_metric="coverage"))[0]
 
 
 def test_soft_edges_are_reported_if_another_row_is_best() -> None:
@@ -178,7 +178,9 @@ def test_soft_edges_are_reported_if_another_row_is_best() -> None:
 def test_default_algorithm_is_compared_with_pareto_front(ms: float, soft_front: bool, expected_start: str) -> None:
     default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
     sentences = [
-        text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text
+        text
+        for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default_row_name="sweep"))
+        if "default" in text
     ]
     assert len(sentences) == 1 and sentences[0].startswith(expected_start)
 
@@ -209,7 +211,7 @@ def test_the_algorithm_family_is_that_of_one_light() -> None:
 )
 def test_any_times_and_errors_give_finite_sentences(rows: list[Any], floor: float, error: str) -> None:
     row_figures = [figures(f"sweep-{k}", ms, error_share, coverage=error_share) for k, (ms, error_share) in enumerate(rows)]
-    sentences = format_summary(comparison(NONE_FIGURES, *row_figures, noise_floor=floor, error=error))
+    sentences = format_summary(comparison(NONE_FIGURES, *row_figures, noise_floor=floor, error_metric=error))
     assert sentences and all(text.endswith(".") and "nan" not in text and "inf" not in text for text in sentences)
     assert len(sentences) == len(set(sentences))
 

@@ -234,7 +234,7 @@ def test_single_frames_equal_those_of_the_film(
         expected_frames.append(rendered)
     assert (
         any(film_frame.transition is not None for film_frame in expected_frames)
-        and expected_frames[0].plan.headline != expected_frames[-1].plan.headline
+        and expected_frames[0].plan.algorithms_text != expected_frames[-1].plan.algorithms_text
     )
 
     before: FilmPlanState | None = None

@@ -74,7 +74,12 @@ def test_comments_of_shaders_are_not_code():
 
 def test_shared_code_counts_for_each_algorithm_that_uses_it():
     names = {path.relative_to(ROOT).as_posix() for path in _files_of(hybrid)}
-    assert {"shadows/hybrid/hybrid.py", "shadows/volumes/volumes.py", "shadows/maps/drawing.py", "shadows/attached.py"} <= names
+    assert {
+        "shadows/hybrid/hybrid.py",
+        "shadows/volumes/volumes.py",
+        "shadows/maps/drawing.py",
+        "shadows/attached_shadow.py",
+    } <= names
     assert any(name.startswith("shadows/volumes/shaders/") for name in names)
 
 

@@ -20,7 +20,7 @@ from benchmarks.selection.judge import (
     score_choices,
     single_best,
 )
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 Figures = dict[str, Any]
 
@@ -218,7 +218,7 @@ def test_the_time_of_the_selection_counts_as_regret():
 
 
 def test_interior_errors_count_if_a_clean_row_meets_the_target():
-    leaky = row(1.0, 0.0, 2.0 * MAX_INTERIOR)
+    leaky = row(1.0, 0.0, 2.0 * MAX_INTERIOR_SHARE)
     view_with_goal, view_without_goal = (
         view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK_IS_RIGHT, NOTHING_IS_RIGHT)
     )

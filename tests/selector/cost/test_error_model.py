@@ -32,7 +32,7 @@ from skugga.shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMa
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import DECIMATED_GROUP
-from skugga.shadows.truth.metrics import MAX_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
@@ -324,9 +324,9 @@ def test_probability_over_is_one_half_at_the_expected_error():
 
 
 def test_probability_over_counts_the_interior_error():
-    assert errors(0.001, interior=MAX_INTERIOR).probability_over(1.0) == pytest.approx(0.5)
-    probability = errors(0.001, interior=10.0 * MAX_INTERIOR).probability_over(1.0)
-    ratio = (10.0 * MAX_INTERIOR + INTERIOR_OFFSET) / (MAX_INTERIOR + INTERIOR_OFFSET)
+    assert errors(0.001, interior=MAX_INTERIOR_SHARE).probability_over(1.0) == pytest.approx(0.5)
+    probability = errors(0.001, interior=10.0 * MAX_INTERIOR_SHARE).probability_over(1.0)
+    ratio = (10.0 * MAX_INTERIOR_SHARE + INTERIOR_OFFSET) / (MAX_INTERIOR_SHARE + INTERIOR_OFFSET)
     assert probability == pytest.approx(1.0 / (1.0 + exp(-log(ratio) / 0.4)))
 
 
@@ -335,7 +335,7 @@ def test_probability_over_is_monotonic(expected, allowed, factor, spread, interi
     estimate = errors(expected, interior, spread)
     assert 0.0 <= estimate.probability_over(allowed * factor) <= estimate.probability_over(allowed) <= 1.0
     assert errors(min(expected * factor, 1.0), interior, spread).probability_over(allowed) >= estimate.probability_over(allowed)
-    is_within_target = expected <= allowed and interior <= MAX_INTERIOR
+    is_within_target = expected <= allowed and interior <= MAX_INTERIOR_SHARE
     assert (estimate.probability_over(allowed) <= 0.5) == is_within_target or abs(estimate.probability_over(allowed) - 0.5) < 1e-9
 
 

@@ -13,7 +13,7 @@ from skugga.api.catalogue import find_level
 from skugga.selector.candidates import MAX_CANDIDATES, candidates, name_of
 from skugga.selector.measure.compare import COUNTERS, Comparison, compare, measure_plan, picture_blocks, run_light
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.texels import texel_on_level_ground_m
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
@@ -94,7 +94,7 @@ def test_run_light_draws_what_a_frame_draws(gl, scene):
     triangles = {name: record.triangles for name, record in run.log.records.items()}
     assert triangles == {record.name: record.triangles for record in frame.passes if record.name in triangles} != {}
     visibility = run.parts[0].copy()
-    visibility[attached(picture.pixel_buffer, scene, "sun")] = 0.0
+    visibility[attached_shadow_mask(picture.pixel_buffer, scene, "sun")] = 0.0
     np.testing.assert_array_equal(np.where(picture.pixel_buffer.valid, visibility, np.nan), frame.visibility)
 
 
@@ -122,7 +122,7 @@ def test_compare_ignores_points_hidden_by_haze(gl, hazy):
         frame = render_frame(hazy, view, plan)
         visibility_u8 = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
         np.testing.assert_array_equal(row.visibility, np.where(haze_mask, 255, visibility_u8))
-        unhazed_visibility = fill_steps(plan.steps_under("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
+        unhazed_visibility = fill_steps(plan.steps_of_light("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
         assert min(np.count_nonzero((unhazed_visibility < 0.5) & valid) for valid in (haze_mask, buffer.valid & ~haze_mask)) > 50
         assert not (row.false_shadow | row.missed_shadow)[haze_mask].any()
         assert not comparison.valid[haze_mask].any()
@@ -176,7 +176,7 @@ def test_compare_rows_are_consistent(gl, comparison):
 @pytest.mark.parametrize(("front", "error"), [("pareto", "wrong_cast"), ("pareto_soft", "soft_error")])
 def test_compare_marks_the_pareto_front(gl, comparison, front, error):
     rows = [row.figures for row in comparison.rows]
-    assert comparison.error == "wrong_cast"
+    assert comparison.error_metric == "wrong_cast"
     for row in rows:
         is_dominated = any(
             other["ms_median"] <= row["ms_median"] and other[error] <= row[error]

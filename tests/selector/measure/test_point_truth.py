@@ -12,7 +12,7 @@ from skugga.selector.measure.point_truth import PictureTruth, PointCounts, latti
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import error_metrics
-from skugga.shadows.truth.truth import ALL_KINDS, ray_scene, trace_truth
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, ray_scene, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.subsampled import subsampled_points, subsampled_view
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -67,7 +67,7 @@ def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     assert truth.spacing_px == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
-        for field in ("lit", "attached", "valid"):
+        for field in ("lit", "attached_shadow_mask", "valid"):
             assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(full_truth, field)))
         differ = lattice.truth.decidable != lattice.at_points(full_truth.decidable)
         assert differ.mean() < 1e-3
@@ -94,7 +94,7 @@ def test_lattice_of_a_map_walks_rays_to_the_same_truth(gl, request, tmp_path, le
     full = scene.view("map")
     view = full.part(full.rows // 3, full.cols // 3, 200, 280)
     truth = picture_truth(scene, view)
-    embree = ray_scene(truth.picture, scene, truth.casters, ALL_KINDS)
+    embree = ray_scene(truth.picture, scene, truth.casters, ALL_CASTER_KINDS)
     assert truth.casters.patches and embree.offset_m == truth.rays.offset_m
     for number in (0, 3):
         lattice_truth = truth.lattice(number).truth

@@ -29,7 +29,7 @@ from skugga.selector.planner.advice_rules import (
     RuleInput,
 )
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.bent_rays import MAX_STRAIGHT_M, MAX_SUMMIT_SHIFT_PX
+from skugga.shadows.bent_rays import MAX_STRAIGHT_RAYS_EXTENT_M, MAX_SUMMIT_SHIFT_PX
 from skugga.shadows.registry import can_serve
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
@@ -117,7 +117,7 @@ def test_rules_do_not_sweep_under_lamps():
 
 def test_rules_sweep_ground_only_while_rays_are_straight():
     """The block has 1024 pixels and reaches as far as its longest shadow: 50 m / tan 30 degrees, slightly less on a round earth."""
-    max_pixel_m = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
+    max_pixel_m = (MAX_STRAIGHT_RAYS_EXTENT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
     for pixel_m, algorithm in ((0.999 * max_pixel_m, "sweep"), (1.001 * max_pixel_m, "shadow_map")):
         wide = map_descriptor(
             "relief", flat_world=False, pixel_m=pixel_m, receivers_light_m=(2e5, 1e5, 2e5), lights=sun_facts(area_share=0.9)
@@ -127,7 +127,7 @@ def test_rules_sweep_ground_only_while_rays_are_straight():
     assert chosen_algorithm(small, "relief") == "sweep"  # the whole level, in large pixels
     assert chosen_algorithm(map_descriptor("relief", pixel_m=1e4), "relief") == "sweep"  # rays are straight in a flat world
     # In perspective the whole level counts: square, with 512 m x 300 m / sin 30 degrees visible.
-    limit_share = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
+    limit_share = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_RAYS_EXTENT_M**2
     for share, algorithm in ((1.001 * limit_share, "sweep"), (0.999 * limit_share, "perspective_shadow_map")):
         assert (
             chosen_algorithm(sun_descriptor("relief", flat_world=False, lights=sun_facts(area_share=share)), "relief") == algorithm
@@ -137,7 +137,7 @@ def test_rules_sweep_ground_only_while_rays_are_straight():
 def test_rules_sweep_as_wide_an_angle_on_a_small_body():
     """The block, 1024 pixels of 10 m and its longest shadow, is as wide as 200 km on the earth if the radius is as much smaller."""
     block_m = 1024 * 10.0 + 50.0 / np.tan(np.radians(30.0))
-    limit_m = EARTH_RADIUS_M * block_m / MAX_STRAIGHT_M
+    limit_m = EARTH_RADIUS_M * block_m / MAX_STRAIGHT_RAYS_EXTENT_M
     for radius_m, algorithm in ((1.001 * limit_m, "sweep"), (0.999 * limit_m, "shadow_map")):
         small_body = map_descriptor(
             "relief", flat_world=False, radius_m=radius_m, pixel_m=10.0, block_relief_m=1.0, receivers_light_m=(2e4, 1e4, 2e4),

@@ -34,7 +34,7 @@ def reasons_of(plan: Plan) -> dict[str, str]:
 
 def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
     plan = plan_of(scene, scene.view())
-    assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.headline == "sweep" and plan.predicted is None
+    assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.algorithms_text == "sweep" and plan.predicted is None
     assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "outside_casters", "sky_view"]
     assert [effect.name for effect in plan.left_out] == [
         "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "lamps", "water", "haze",
@@ -64,7 +64,7 @@ def test_plan_gives_reasons_for_rejected_algorithms(scene):
     rejected_reasons = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
     plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=rejected_reasons)
     reasons = reasons_of(plan)
-    assert plan.headline == "hybrid" and reasons["sun/relief: hybrid"] == "it is mine" and reasons["sweep"] == "12 ms more"
+    assert plan.algorithms_text == "hybrid" and reasons["sun/relief: hybrid"] == "it is mine" and reasons["sweep"] == "12 ms more"
     assert reasons["shadow_volume"] == "hybrid was preferred: it is mine"
 
 
@@ -95,13 +95,13 @@ def test_plan_overrides_win_and_are_named(scene):
         return make_plan(describe(scene, view), Level.model_validate({"version": 1, "terrain": terrain, **keys}))
 
     plan = plan_of(scene, view, algorithm="none")
-    assert plan.headline == "none" and "set by the request" in plan.reasons[0].reason
+    assert plan.algorithms_text == "none" and "set by the request" in plan.reasons[0].reason
     assert "no caster has a shadow algorithm" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
     assert reasons_of(plan)["sweep"] == "the request sets none"
     assert "set by the level" in of_level(shadows={"algorithm": "none"}).reasons[0].reason
     plan = of_level(effects={"cast_shadows": "off"})
     left_out = {item.name: item.reason for item in plan.left_out}
-    assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
+    assert plan.algorithms_text == "none" and "forced off by the level" in left_out["cast_shadows"]
     assert "needs cast_shadows, which is left out" in left_out["soft_edges"]
 
 
@@ -171,7 +171,7 @@ def test_render_rejects_a_skipped_pass(gl, scene, monkeypatch):
         with log.record_pass(log.pass_names(light, kinds, shadow_map.PASSES)[1]):
             return np.ones(buffer.valid.shape, np.float32)
 
-    monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=skip_depth_pass))
+    monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill_visibility=skip_depth_pass))
     with pytest.raises(RenderError, match="differ from those of the plan"):
         render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 

@@ -220,12 +220,12 @@ def test_conservative_map_resolves_stacked_plates() -> None:
     a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
     plates = [[[*p, float(k)] for p in corners] for k in range(2 * MAX_DEPTH_RUNS + 1) for corners in ((a, b, c), (a, c, d))]
     shadow_map = conservative_map((8, 8), np.array(plates[::-1]), np.zeros((0, 2, 3)))
-    assert (np.abs(shadow_map.nearest) < 1e-9).all()
+    assert (np.abs(shadow_map.nearest_depth) < 1e-9).all()
     assert (np.abs(shadow_map.nearest_other_depth - 1.0) < 1e-9).all()
     assert (np.abs(shadow_map.shadow_depth) < 1e-9).all()
     edge = np.array([[[4.5, 4.5, -1.0], [4.6, 4.6, -1.0]]])  # a wire before the plates does not change what they shade
     shadow_map = conservative_map((8, 8), np.array(plates), edge)
-    assert shadow_map.nearest[4, 4] == shadow_map.nearest_other_depth[4, 4] == pytest.approx(-1.0)
+    assert shadow_map.nearest_depth[4, 4] == shadow_map.nearest_other_depth[4, 4] == pytest.approx(-1.0)
     assert abs(shadow_map.shadow_depth[4, 4]) < 1e-9
     edge[..., 2] = 0.0  # an edge in the first plate opens its run, and the next plate shades
     assert conservative_map((8, 8), np.array(plates), edge).shadow_depth[4, 4] == pytest.approx(1.0)
@@ -283,7 +283,7 @@ def test_conservative_map_ignores_a_fin_seen_edge_on() -> None:
             fin = np.array([[a, b, c], [b, a, c]])
             shadow_map = conservative_map((9, 9), fin, np.zeros((0, 2, 3)))
             assert np.isinf(shadow_map.shadow_depth).all()
-            assert shadow_map.nearest[4, 4] == pytest.approx(1.0)
+            assert shadow_map.nearest_depth[4, 4] == pytest.approx(1.0)
 
 
 def test_conservative_map_is_robust_to_rounding_at_borders() -> None:
@@ -310,7 +310,7 @@ def test_conservative_map_ignores_triangles_outside() -> None:
     triangle = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0]])
     for offset in ([-9, 0], [9, 0], [0, -9], [0, 9], [-6, 4], [5, 5], [-1e6, 1e6]):
         shifted = triangle + [*offset, 0.0]
-        assert np.isinf(conservative_map((4, 4), shifted[None], boundary_edges(shifted[None])).nearest).all()
+        assert np.isinf(conservative_map((4, 4), shifted[None], boundary_edges(shifted[None])).nearest_depth).all()
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import InputError
@@ -36,7 +36,7 @@ def shaded_share(make_scene, raster, azimuth: float, altitude: float, **override
     """Return the share of a plane's pixels that are not wholly lit. The sun faces the plane."""
     scene = make_scene(raster, azimuth, altitude)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(120, 120))
-    assert not attached(geometry_buffer(scene, view), scene).any()
+    assert not attached_shadow_mask(geometry_buffer(scene, view), scene).any()
     return float((visibility(scene, view, map_size=512, **overrides)[0] < 1.0).mean())
 
 
@@ -77,7 +77,7 @@ def test_bias_keeps_shadows_right_away_from_edges(gl, tmp_path, bias, light):
     view = scene.view("eye")
     rendered, buffer = visibility(scene, view, light, bias=bias, filter=1, map_size=4096)
     truth = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
-    assert (truth.valid & ~truth.lit & ~truth.attached).mean() > 0.03
+    assert (truth.valid & ~truth.lit & ~truth.attached_shadow_mask).mean() > 0.03
     assert not interior_errors(rendered, truth, buffer).any()
 
 
@@ -102,7 +102,7 @@ def test_front_culling_of_closed_bodies_needs_no_bias(gl, tmp_path, light):
     for culling in ("none", "front"):
         for scale in (0.0, 1.0):
             rendered[culling, scale], buffer = visibility(scene, view, light, scale, culling=culling, filter=1, map_size=1024)
-    lit_side = (buffer.kind == MESHES) & ~attached(buffer, scene, light)
+    lit_side = (buffer.kind == MESHES) & ~attached_shadow_mask(buffer, scene, light)
     inside = lit_side & ~binary_dilation(~lit_side, iterations=3)
     assert inside.mean() > 0.02
     assert (rendered["none", 0.0][inside] < 1.0).mean() > 0.05

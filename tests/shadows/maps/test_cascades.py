@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.maps.resolve import MAX_AUTOMATIC_MAP_SIZE, MAX_CASCADE_TEXEL_PX
 from skugga.shadows.passes import PassLog
@@ -73,10 +73,10 @@ def test_four_cascades_halve_the_edge_displacement(gl, mountains, azimuth, altit
     for count, size in ((1, 1024), (4, 512)):
         (step,) = plan_for(scene, cascades=count, map_size=size, depth_bits=24).steps
         assert len(step.settings.cascades) == count
-        rendered = shadow_map.fill(
+        rendered = shadow_map.fill_visibility(
             receivers_of(buffer, scene, "sun"), scene, step.light, step.kinds, casters, step.settings, PassLog()
         )
-        rendered[attached(buffer, scene)] = 0.0
+        rendered[attached_shadow_mask(buffer, scene)] = 0.0
         metrics[count] = error_metrics(rendered, truth, 1.0)
     assert metrics[1].edge_p95 > 1.0
     assert metrics[4].edge_p95 <= 0.5 * metrics[1].edge_p95

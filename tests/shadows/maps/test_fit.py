@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap, sun_maps
 from skugga.shadows.passes import PassLog
@@ -55,8 +55,10 @@ def shadow_and_ground(scene: Scene, view: MapView | PerspectiveView, plan: Plan)
     buffer = geometry_buffer(scene, view)
     (step,) = plan.steps
     receivers = receivers_of(buffer, scene, step.light)
-    rendered = shadow_map.fill(receivers, scene, step.light, step.kinds, find_casters(scene, buffer), step.settings, PassLog())
-    return (rendered < 0.5) | attached(buffer, scene), buffer.valid
+    rendered = shadow_map.fill_visibility(
+        receivers, scene, step.light, step.kinds, find_casters(scene, buffer), step.settings, PassLog()
+    )
+    return (rendered < 0.5) | attached_shadow_mask(buffer, scene), buffer.valid
 
 
 def overlap(original: np.ndarray, shifted: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -139,13 +141,15 @@ def test_tight_fit_holds_receivers_and_is_never_coarser(jacksboro, azimuth, alti
     for stable_map, tight_map in zip(stable, tight, strict=True):
         assert (np.array(tight_map.uniforms["texel_m"]) <= stable_map.uniforms["texel_m"]).all()
         assert tight_map.uniforms["window_m"][2] <= stable_map.uniforms["window_m"][2] * (1.0 + 1e-5)
-        np.testing.assert_array_equal(tight_map.pixels, stable_map.pixels)
+        np.testing.assert_array_equal(tight_map.point_indices, stable_map.point_indices)
         for depth_map in (stable_map, tight_map):
             rotation = np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3).T
-            points = buffer.position_frame_m.reshape(-1, 3)[depth_map.pixels] @ rotation.T + depth_map.uniforms["light_offset_m"]
+            points = (
+                buffer.position_frame_m.reshape(-1, 3)[depth_map.point_indices] @ rotation.T + depth_map.uniforms["light_offset_m"]
+            )
             texels = points[:, :2] / depth_map.uniforms["texel_m"]
             assert (texels >= MAP_BORDER_TEXELS - 1e-6).all() and (
-                texels <= np.array(depth_map.size) - MAP_BORDER_TEXELS + 1e-6
+                texels <= np.array(depth_map.face_size) - MAP_BORDER_TEXELS + 1e-6
             ).all()
             assert (points[:, 2] > 0.0).all() and (points[:, 2] <= depth_map.uniforms["window_m"][2]).all()
 

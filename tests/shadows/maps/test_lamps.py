@@ -10,9 +10,9 @@ import pytest
 import shapely
 import trimesh
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.render import Frame
-from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics
 from skugga.shadows.truth.truth import trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
@@ -232,11 +232,11 @@ def test_lamp_map_agrees_with_truth(gl, grove, light, kind):
     buffer = geometry_buffer(grove, view)
     truth = trace_truth(buffer, grove, find_casters(grove, buffer), light=light)
     metrics = error_metrics(frame.visibilities[light], truth, describe(grove, view).pixel_m, 1.0)
-    cast_shadow = ~truth.lit & ~truth.attached & truth.valid
+    cast_shadow = ~truth.lit & ~truth.attached_shadow_mask & truth.valid
     assert 0.02 < cast_shadow.sum() / truth.valid.sum() < 0.8 and truth.decidable.mean() > 0.3
-    assert metrics.interior <= MAX_INTERIOR and metrics.wrong < 0.02 and metrics.wrong_cast < 0.05
+    assert metrics.interior <= MAX_INTERIOR_SHARE and metrics.wrong < 0.02 and metrics.wrong_cast < 0.05
     dark = frame.visibilities[light] < 0.5
-    assert (dark[attached(buffer, grove, light) & buffer.valid]).all()
+    assert (dark[attached_shadow_mask(buffer, grove, light) & buffer.valid]).all()
 
 
 def test_lamp_that_lights_nothing_visible_leaves_it_dark(gl, floor, make_scene, tmp_path):

@@ -9,8 +9,14 @@ import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc_directions
-from skugga.shadows.attached import attached
-from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, MAX_HALF_DISC_TEXELS, disc_samples_before_edges
+from skugga.shadows.attached_shadow import attached_shadow_mask
+from skugga.shadows.maps.sun_disc import (
+    DISC_EDGE_STEPS,
+    DISC_SAMPLES,
+    DISC_TANGENT,
+    MAX_HALF_DISC_TEXELS,
+    disc_samples_before_edges,
+)
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.resolve import MESHES
@@ -32,7 +38,7 @@ def disc_visibility(scene: Scene, view: View) -> np.ndarray:
     """Return the visibility of the sun's disc by rays, attached shadow included."""
     buffer = geometry_buffer(scene, view)
     expected = soft_truth(buffer, scene, find_casters(scene, buffer))
-    return np.where(attached(buffer, scene) & buffer.valid, 0.0, expected)
+    return np.where(attached_shadow_mask(buffer, scene) & buffer.valid, 0.0, expected)
 
 
 def mean_difference(rendered: np.ndarray, expected: np.ndarray) -> float:
@@ -130,10 +136,10 @@ def test_disc_samples_are_the_rays_of_truth():
     for bits, coordinate in zip(
         disc_samples_before_edges(), (disc_radius * np.cos(angle), disc_radius * np.sin(angle)), strict=True
     ):
-        assert bits.shape == (EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
-        for number in (0, 13, 64, 100, EDGE_STEPS):
+        assert bits.shape == (DISC_EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
+        for number in (0, 13, 64, 100, DISC_EDGE_STEPS):
             set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(DISC_SAMPLES)]
-            np.testing.assert_array_equal(set_bits, coordinate < 2.0 * number / EDGE_STEPS - 1.0)
+            np.testing.assert_array_equal(set_bits, coordinate < 2.0 * number / DISC_EDGE_STEPS - 1.0)
 
 
 # -- scenes

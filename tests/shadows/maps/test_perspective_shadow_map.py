@@ -12,12 +12,12 @@ import shapely
 import trimesh
 
 from skugga.selector.measure.compare import measure_plan
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.post_perspective import UNIFORM_MAP_CONE_DEG
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.passes import PassLog
-from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics
 from skugga.shadows.truth.truth import coverage_truth, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.reach import find_casters
@@ -44,8 +44,8 @@ def render_visibility(
     settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **overrides})
     log = PassLog()
     receivers = receivers_of(buffer, scene, light)
-    rendered = perspective_shadow_map.fill(receivers, scene, light, kinds, find_casters(scene, buffer), settings, log)
-    rendered[attached(buffer, scene, light)] = 0.0
+    rendered = perspective_shadow_map.fill_visibility(receivers, scene, light, kinds, find_casters(scene, buffer), settings, log)
+    rendered[attached_shadow_mask(buffer, scene, light)] = 0.0
     rendered[~buffer.valid] = np.nan
     return rendered, log
 
@@ -75,7 +75,7 @@ def test_perspective_map_does_not_self_shadow_planes(gl, write_raster, make_scen
         for light in ("sun", "lamp"):
             for taps in (1, 2, 3, 5) if bits == 24 else (3,):
                 rendered, _ = render_visibility(buffer, scene, light, filter=taps, depth_bits=bits, map_size=256)
-                receivers = buffer.valid & ~attached(buffer, scene, light)
+                receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
                 assert (rendered[receivers] == 1.0).all(), (light, altitude, azimuth_offset, taps)
 
 
@@ -113,8 +113,8 @@ def check_against_truth(scene: Scene, light: str) -> None:
     rendered, log = render_visibility(buffer, scene, light, map_size=2048)
     truth = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     metrics = error_metrics(rendered, truth, describe(scene, view, "eye").pixel_m)
-    assert (truth.valid & ~truth.lit & ~truth.attached).mean() > 0.005 and truth.decidable.mean() > 0.5
-    assert metrics.interior <= MAX_INTERIOR and metrics.interior_parts == 0, (light, metrics, log.records)
+    assert (truth.valid & ~truth.lit & ~truth.attached_shadow_mask).mean() > 0.005 and truth.decidable.mean() > 0.5
+    assert metrics.interior <= MAX_INTERIOR_SHARE and metrics.interior_parts == 0, (light, metrics, log.records)
     assert metrics.edge_p95 <= 1.5 and metrics.missed_shadow < 0.02 and metrics.wrong_cast < 0.03  # interior misses thin shadows
 
 
@@ -248,23 +248,27 @@ def wide_view(tmp_path: Path, **view: Any) -> Scene:
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspective_shadow_map.FittedMap]:
     settings = PerspectiveMapSettings(map_size=map_size, depth_bits=24, filter=1)
-    return perspective_shadow_map.perspective_maps(buffer, buffer.valid & ~attached(buffer, scene), scene, "sun", settings, None)
+    return perspective_shadow_map.perspective_maps(
+        buffer, buffer.valid & ~attached_shadow_mask(buffer, scene), scene, "sun", settings, None
+    )
 
 
 def test_perspective_maps_split_where_one_map_is_too_coarse(gl, tmp_path):
     """Each receiver is in one map. Truth agrees within the edge displacement of a texel, and fewer texels need more maps."""
     scene = wide_view(tmp_path, eye=[2, -18, 0.4], target=[0, 10, -1], fov=120)
     buffer = geometry_buffer(scene, scene.view("eye"))
-    receivers = np.flatnonzero(buffer.valid & ~attached(buffer, scene))
+    receivers = np.flatnonzero(buffer.valid & ~attached_shadow_mask(buffer, scene))
     counts = []
     for map_size in (2048, 256):
         maps = maps_of(scene, buffer, map_size)
         counts.append(len(maps))
-        np.testing.assert_array_equal(np.sort(np.concatenate([fitted_map.depth_map.pixels for fitted_map in maps])), receivers)
+        np.testing.assert_array_equal(
+            np.sort(np.concatenate([fitted_map.depth_map.point_indices for fitted_map in maps])), receivers
+        )
     assert counts[0] < counts[1] <= perspective_shadow_map.MAX_DISTANCE_RANGES
     single_map = perspective_shadow_map.perspective_map(
         buffer,
-        buffer.valid & ~attached(buffer, scene),
+        buffer.valid & ~attached_shadow_mask(buffer, scene),
         scene,
         "sun",
         PerspectiveMapSettings(map_size=256, depth_bits=24, filter=1),

@@ -65,7 +65,7 @@ def test_point_lookup_compares_on_the_points_own_triangle(gl, landscape, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(
             lookup_module,
-            "_comparison",
+            "_depth_comparison",
             lambda settings, taps: point_lookup.DepthComparison(False, False, np.float32(0), taps, taps),
         )
         uncompared_frame = render_close_view(landscape, map_size=256)

@@ -66,11 +66,11 @@ def test_light_matrix_maps_any_light_to_one_point(place, w, middle):
 
 def test_camera_matrix_maps_its_planes_to_the_cube():
     camera = make_camera([3, -2, 5], 30, -10)
-    points = np.array([camera.eye_m + camera.axis * distance for distance in (2.0, 50.0)])
+    points = np.array([camera.eye_m + camera.forward_axis * distance for distance in (2.0, 50.0)])
     for slide in (0.0, 7.0):
         matrix = camera_matrix(camera, 0.5, 2.0, 50.0, slide)
         np.testing.assert_allclose(project_points(matrix, points)[:, 2], [-1, 1], atol=1e-9)
-    corner = camera.eye_m + 10.0 * (camera.axis + 0.5 * camera.camera_from_frame[0] - 0.5 * camera.camera_from_frame[1])
+    corner = camera.eye_m + 10.0 * (camera.forward_axis + 0.5 * camera.camera_from_frame[0] - 0.5 * camera.camera_from_frame[1])
     np.testing.assert_allclose(project_points(camera_matrix(camera, 0.5, 2.0, 50.0, 0.0), corner[None])[0, :2], [1, -1], atol=1e-9)
 
 
@@ -182,8 +182,8 @@ def test_post_perspectives_lose_no_caster_in_a_thousand_set_ups(lamp):
         if len(points) < 3:
             continue
         best_map, clip = fitted_map(camera, light, points)
-        kinds["coarser" if "has smaller texels" in best_map.note else best_map.kind] += 1
-        assert np.isfinite(clip).all() and bool(best_map.note) == (best_map.kind is None)
+        kinds["coarser" if "has smaller texels" in best_map.uniform_map_reason else best_map.kind] += 1
+        assert np.isfinite(clip).all() and bool(best_map.uniform_map_reason) == (best_map.kind is None)
         corners = to_clip_space(clip.astype(np.float32), points.astype(np.float32))
         assert corners.dtype == np.float32 and (corners[:, 3] > 0).all()
         ndc = corners[:, :3] / corners[:, 3:]
@@ -191,10 +191,10 @@ def test_post_perspectives_lose_no_caster_in_a_thousand_set_ups(lamp):
         sample = points[:: max(len(points) // 60, 1)]
         if lamp:
             share = np.array([0.0, 0.1, 0.5, 0.9, 0.99])[:, None, None]
-            casters = sample + share * (light.homogeneous[:3] - sample)
+            casters = sample + share * (light.homogeneous_position[:3] - sample)
         else:
-            casters = sample + np.array([0.0, 1.0, 30.0, 1e3, 1e5])[:, None, None] * light.homogeneous[:3]
-        behind_count += int((camera.camera_points(casters[1:])[..., 2] < 0).sum())
+            casters = sample + np.array([0.0, 1.0, 30.0, 1e3, 1e5])[:, None, None] * light.homogeneous_position[:3]
+        behind_count += int((camera.to_camera(casters[1:])[..., 2] < 0).sum())
         clip_points = to_clip_space(clip, casters.reshape(-1, 3)).reshape(*casters.shape[:2], 4)
         assert np.isfinite(clip_points).all() and (clip_points[..., 3] > 0).all()
         map_points = clip_points[..., :3] / clip_points[..., 3:]
@@ -216,8 +216,8 @@ def test_post_perspectives_are_never_coarser_than_uniform(lamp):
         if len(points) < 3:
             continue
         maps = post_perspectives(camera, light, points, INNER_EXTENT)
-        gain.append(maps[0].texel / maps[-1].texel)
-        assert [post_map.texel for post_map in maps] == sorted(post_map.texel for post_map in maps)
+        gain.append(maps[0].texel_size / maps[-1].texel_size)
+        assert [post_map.texel_size for post_map in maps] == sorted(post_map.texel_size for post_map in maps)
     assert max(gain) <= 1.0 and np.median(gain) < 0.5
 
 
@@ -231,14 +231,17 @@ def test_post_perspectives_are_uniform_around_the_view_axis(away):
     points = camera.eye_m + (np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)]) * 30.0) @ camera.camera_from_frame
     for off_deg in (0.0, 0.9 * UNIFORM_MAP_CONE_DEG, 1.1 * UNIFORM_MAP_CONE_DEG, 30.0):
         turned_camera = make_camera([0, 0, 20], 0, -30 + off_deg)
-        maps = post_perspectives(camera, make_sun_light(away * turned_camera.axis), points, INNER_EXTENT)
+        maps = post_perspectives(camera, make_sun_light(away * turned_camera.forward_axis), points, INNER_EXTENT)
         if off_deg < UNIFORM_MAP_CONE_DEG:
             assert len(maps) == 1 and maps[0].kind is None
-            assert f"{off_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}" in maps[0].note
+            assert (
+                f"{off_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
+                in maps[0].uniform_map_reason
+            )
             w = horizon_distance(maps[0].clip_from_frame, points)
             np.testing.assert_allclose(w, w[0])
         else:
-            assert maps[0].kind == ("point" if away > 0 else "sink") and not maps[0].note
+            assert maps[0].kind == ("point" if away > 0 else "sink") and not maps[0].uniform_map_reason
 
 
 def test_post_perspectives_of_a_lamp_amid_receivers_are_uniform():
@@ -248,7 +251,7 @@ def test_post_perspectives_of_a_lamp_amid_receivers_are_uniform():
     points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
     light = Light(np.array([0.0, 0.0, 0.6, 1.0]), np.zeros(3))
     maps = post_perspectives(camera, light, points, INNER_EXTENT)
-    assert (horizon_distance(maps[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in maps[-1].note
+    assert (horizon_distance(maps[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in maps[-1].uniform_map_reason
     for post_map in maps[:-1]:
         assert (horizon_distance(post_map.clip_from_frame, points) > 0).all()
 
@@ -264,7 +267,7 @@ def test_post_perspectives_are_continuous_across_the_axis():
     maps = [post_perspectives(camera, make_sun_light(np.array([0, np.cos(a), np.sin(a)])), points, INNER_EXTENT)[0] for a in angles]
     kinds = [post_map.kind for post_map in maps]
     assert kinds[:2] == ["point", "point"] and kinds[3:] == ["sink", "sink"]
-    sizes = np.array([post_map.texel for post_map in maps])
+    sizes = np.array([post_map.texel_size for post_map in maps])
     assert sizes.max() < 1.01 * sizes.min()
 
 
@@ -280,7 +283,7 @@ def test_post_perspectives_try_slide_backs_of_all_scales():
         rays = np.column_stack([np.tile(tangents, 2), np.zeros(18), np.ones(18)])
         points = camera.eye_m + (rays * depths[:, None]) @ camera.camera_from_frame
         maps = post_perspectives(camera, make_sun_light(np.array([1.0, 0.2, 0.5])), points, INNER_EXTENT)[:-1]
-        slides = sorted(post_map.slide_m for post_map in maps)
+        slides = sorted(post_map.slide_back_m for post_map in maps)
         assert slides[0] == 0.0 and slides[1] <= 4.0 / 2.0 and slides[-1] == pytest.approx(64 * 4.0 * depth_ratio)
         np.testing.assert_allclose(np.diff(np.log2(slides[1:])), 1.0)
 
@@ -302,7 +305,7 @@ def test_post_perspectives_hold_outer_receivers_without_weight():
 
 def test_post_perspectives_of_one_receiver_are_not_degenerate():
     camera, light = make_camera([0, 0, 20], 0, -30), make_sun_light(np.array([1.0, 0.3, 0.6]))
-    point = (camera.eye_m + 30.0 * camera.axis)[None]
+    point = (camera.eye_m + 30.0 * camera.forward_axis)[None]
     for post_map in post_perspectives(camera, light, point, INNER_EXTENT):
         rows = (
             post_map.clip_from_frame[:2, :3]

@@ -7,7 +7,7 @@ import pytest
 from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.maps.settings import Cascade
-from skugga.shadows.maps.taps import DISC_WIDTH, MAX_FINE_TEXEL_SHARE, fine_texel_share, sun_taps
+from skugga.shadows.maps.taps import MAX_FINE_TEXEL_SHARE, PENUMBRA_WIDTH_SHARE, fine_texel_share, sun_taps
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
@@ -39,7 +39,7 @@ def cascade(texel_m: float, far_m: float | None = None) -> Cascade:
 
 
 THROW_DISTANCE_M = 50.0
-MAX_FINE_TEXEL_M = MAX_FINE_TEXEL_SHARE * DISC_WIDTH * THROW_DISTANCE_M
+MAX_FINE_TEXEL_M = MAX_FINE_TEXEL_SHARE * PENUMBRA_WIDTH_SHARE * THROW_DISTANCE_M
 
 
 @pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * MAX_FINE_TEXEL_M, 3), (1.1 * MAX_FINE_TEXEL_M, 1)])

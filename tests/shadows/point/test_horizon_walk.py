@@ -7,7 +7,7 @@ import pytest
 from pyproj import CRS, Proj
 
 from skugga.shadows.point import relief_pages
-from skugga.shadows.point.horizon_walk import NO_GROUND, is_ground_occluded, relief_horizon
+from skugga.shadows.point.horizon_walk import NO_GROUND_TANGENT, is_ground_occluded, relief_horizon
 from skugga.shadows.point.place import place_at
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import InputError
@@ -126,7 +126,7 @@ def test_horizon_is_no_lower_than_any_node(tmp_path, make_scene, rough_heights):
     distance_m = np.hypot(east, north)
     off_centre = distance_m > 0
     azimuth = np.degrees(np.arctan2(east[off_centre], north[off_centre])) % 360.0
-    rise = (rough_heights[off_centre].astype(float) - place.eye_m) / distance_m[off_centre]
+    rise = (rough_heights[off_centre].astype(float) - place.eye_elevation_m) / distance_m[off_centre]
     horizon = relief_horizon(scene, place, azimuth)
     assert (horizon.tangent >= rise - 1e-9).all()
     assert (np.abs(horizon.tangent - rise) < 1e-9).sum() > 20  # and some nodes reach it
@@ -171,7 +171,7 @@ def test_horizon_at_the_rim_has_no_ground_outwards(tmp_path, make_scene):
     scene = flat_world(tmp_path, make_scene, np.zeros((9, 9)))
     place = place_at(scene, (-40.0, 0.0))
     horizon = relief_horizon(scene, place, np.array([270.0, 90.0]))
-    assert horizon.tangent[0] == NO_GROUND and horizon.tangent[1] == pytest.approx(0.0, abs=1e-12)
+    assert horizon.tangent[0] == NO_GROUND_TANGENT and horizon.tangent[1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_horizon_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):

@@ -10,7 +10,7 @@ import pytest
 from skugga.shadows.point.clock import clock_of, solar_clock
 from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
-from skugga.shadows.point.sun_angles import angles_at, sun_directions
+from skugga.shadows.point.sun_angles import sun_angles_at, sun_directions
 from skugga.shadows.point.sun_day import sampled_sun_hours, sun_day
 from skugga.shadows.point.sun_year import sun_year
 from skugga.terrain.errors import InputError
@@ -49,10 +49,10 @@ def test_sun_day_over_level_ground_is_the_astronomical_day(surroundings_at):
         assert altitude == pytest.approx(0.0, abs=0.02)
     assert day.first_sun == pytest.approx(day.sunrise, abs=timedelta(seconds=5))
     assert day.last_sun == pytest.approx(day.sunset, abs=timedelta(seconds=5))
-    assert day.direct_h == pytest.approx(day.daylight_h, abs=0.003) and day.masked_h < 0.003
+    assert day.direct_sun_h == pytest.approx(day.daylight_h, abs=0.003) and day.hidden_sun_h < 0.003
     _, noon, _ = apparent_position(day.noon, place.lon_deg, place.lat_deg)
     assert noon == pytest.approx(day.noon_altitude_deg, abs=0.01)
-    assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].occluder_before is None
+    assert day.remark is None and len(day.sunlit_intervals) == 1 and day.sunlit_intervals[0].occluder_before is None
 
 
 def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
@@ -60,25 +60,25 @@ def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(surroundings_at):
     day = sun_day(surroundings, DAY, UTC)
     begin = day_bounds(DAY, UTC)[0].timestamp()
     timestamps = begin + np.arange(0.0, 86400.0, 10.0)
-    lit = sees_sun(surroundings, *angles_at(surroundings.place, sun_directions(surroundings.scene.world, timestamps)))
+    lit = sees_sun(surroundings, *sun_angles_at(surroundings.place, sun_directions(surroundings.scene.world, timestamps)))
     first, last = timestamps[np.flatnonzero(lit)[[0, -1]]]
     assert day.first_sun.timestamp() == pytest.approx(first, abs=15)
     assert day.last_sun.timestamp() == pytest.approx(last, abs=15)
-    assert day.direct_h == pytest.approx(lit.sum() * 10 / 3600, abs=0.02)
-    assert day.masked_h > 1.0 and day.first_sun > day.sunrise and day.last_sun < day.sunset
-    caster = day.sunlit[0].occluder_before
+    assert day.direct_sun_h == pytest.approx(lit.sum() * 10 / 3600, abs=0.02)
+    assert day.hidden_sun_h > 1.0 and day.first_sun > day.sunrise and day.last_sun < day.sunset
+    caster = day.sunlit_intervals[0].occluder_before
     assert caster.kind == "relief" and 1000 < caster.distance_m < 4500 and caster.height_m > 100
-    assert sum(interval.hours for interval in day.sunlit) == pytest.approx(day.direct_h, abs=0.002)
-    assert sampled_sun_hours(surroundings, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
+    assert sum(interval.hours for interval in day.sunlit_intervals) == pytest.approx(day.direct_sun_h, abs=0.002)
+    assert sampled_sun_hours(surroundings, DAY, UTC) == pytest.approx(day.direct_sun_h, abs=0.1)
 
 
 def test_sun_year_agrees_with_its_days(surroundings_at):
     surroundings = surroundings_at(ridge_heights())
     year = sun_year(surroundings, 2024, UTC)
-    assert len(year.days) == 366 and (year.direct_h <= year.daylight_h).all()
+    assert len(year.days) == 366 and (year.direct_sun_h <= year.daylight_h).all()
     for number in (0, 171, 294):
         day = sun_day(surroundings, year.days[number], UTC)
-        assert year.direct_h[number] == pytest.approx(day.direct_h, abs=0.1)
+        assert year.direct_sun_h[number] == pytest.approx(day.direct_sun_h, abs=0.1)
         assert year.daylight_h[number] == pytest.approx(day.daylight_h, abs=0.1)
 
 
@@ -87,11 +87,13 @@ def test_sun_day_of_polar_day_and_night(surroundings_at):
     polar_night = sun_day(surroundings, date(2024, 12, 21), UTC)
     assert (
         polar_night.sunrise is polar_night.sunset is polar_night.first_sun is None
-        and polar_night.daylight_h == polar_night.direct_h == 0.0
+        and polar_night.daylight_h == polar_night.direct_sun_h == 0.0
     )
     assert polar_night.remark == "polar night: the sun stays below the level horizon all day"
     polar_day = sun_day(surroundings, date(2024, 6, 21), UTC)
-    assert polar_day.sunrise is None and polar_day.daylight_h == pytest.approx(24.0) and polar_day.direct_h == pytest.approx(24.0)
+    assert (
+        polar_day.sunrise is None and polar_day.daylight_h == pytest.approx(24.0) and polar_day.direct_sun_h == pytest.approx(24.0)
+    )
     assert polar_day.remark == "polar day: the sun does not set"
 
 
@@ -99,7 +101,7 @@ def test_sun_day_in_a_pit_has_no_sun(surroundings_at):
     heights = np.full((41, 41), 5000.0)
     heights[20, 20] = 0.0
     day = sun_day(surroundings_at(heights), date(2024, 12, 21), UTC)
-    assert day.sunlit == () and day.first_sun is None and day.masked_h == pytest.approx(day.daylight_h)
+    assert day.sunlit_intervals == () and day.first_sun is None and day.hidden_sun_h == pytest.approx(day.daylight_h)
     assert day.remark == "the sun rises, but terrain or objects hide it all day"
 
 

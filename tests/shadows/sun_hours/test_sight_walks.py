@@ -121,7 +121,7 @@ def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch)
     hours, _, _ = ray_truth(scene, view, row, col, day, step_min=0.5)
 
     def mean_error_min() -> float:
-        result = sun_hours(scene, view, [day], SunRules(step_min=15.0), forbid_plan)
+        result = sun_hours(scene, view, [day], SunRules(step_minutes=15.0), forbid_plan)
         return float(60.0 * np.abs(result.hours[row, col] - hours).mean())
 
     walked_error_min = mean_error_min()

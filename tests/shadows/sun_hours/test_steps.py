@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.api.raster_view import raster_view
-from skugga.shadows.sun_hours.steps import LONG_STEP_MINUTES, SHORT_STEP_MINUTES, missed_minutes, sampling_step_min
+from skugga.shadows.sun_hours.steps import LONG_STEP_MINUTES, SHORT_STEP_MINUTES, missed_minutes, sampling_step_minutes
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
@@ -61,7 +61,7 @@ def open_scene(tmp_path: Path):
 def sampling_step_of(scene: Scene) -> float:
     view = raster_view(scene).view.as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
-    return sampling_step_min(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
+    return sampling_step_minutes(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
 
 
 def dome() -> np.ndarray:

@@ -60,7 +60,7 @@ def forbid_plan(scene: Scene):
 
 def compute_sun_hours(scene: Scene, *windows: DailyWindow, **rules: float) -> SunHours:
     return sun_hours(
-        scene, raster_cell_view(scene), window_suns(scene.world, windows), SunRules(**{"step_min": 5.0, **rules}), forbid_plan
+        scene, raster_cell_view(scene), window_suns(scene.world, windows), SunRules(**{"step_minutes": 5.0, **rules}), forbid_plan
     )
 
 
@@ -87,7 +87,7 @@ def test_sun_hours_behind_a_wall(open_scene, day, step):
     heights = np.zeros((301, 121))
     heights[:, 60] = 80.0  # the wall runs along grid north
     scene = open_scene(heights)
-    result = compute_sun_hours(scene, window_of(scene, day), step_min=step)
+    result = compute_sun_hours(scene, window_of(scene, day), step_minutes=step)
     minutes, azimuth, altitude = sun_by_minute(scene, day)
     convergence_deg = grid_north_deg(scene)
     assert abs(convergence_deg) > 2.0
@@ -110,7 +110,7 @@ def test_sun_hours_of_deep_pits_are_zero_at_dusk_too(open_scene, step):
     heights = np.zeros((41, 41))
     heights[5:36:5, 5:36:5] = -9000.0  # pits of one cell, 3 km wide, with a horizon 72 degrees high
     scene = open_scene(heights, "EPSG:32611", 500e3, 3800e3, 3000.0)
-    result = compute_sun_hours(scene, window_of(scene, WINTER), step_min=step)
+    result = compute_sun_hours(scene, window_of(scene, WINTER), step_minutes=step)
     pits = heights < 0.0
     assert (result.hours[pits] == 0.0).all() and np.isnan(result.first[pits]).all()
     assert (result.hours[0] > 9.0).all()
@@ -120,7 +120,7 @@ def test_sun_hours_in_a_bowl(open_scene):
     row, col = np.mgrid[-100:101, -100:101]
     distance_cells = np.hypot(row, col)
     scene = open_scene(np.where(distance_cells < 30.0, 0.0, distance_cells * CELL_M * np.tan(np.radians(25.0))))
-    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_minutes=5.0)
     minutes, _, altitude = sun_by_minute(scene, SPRING)
     minutes_above_rim = minutes[altitude > 25.0]
     assert result.hours[100, 100] * 60.0 == pytest.approx(minutes_above_rim[-1] - minutes_above_rim[0], abs=1.0)
@@ -131,7 +131,7 @@ def test_sun_hours_of_a_slope_follow_its_incidence_angle(open_scene):
     tilt_deg = 30.0
     heights = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls towards grid north
     scene = open_scene(heights)
-    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=5.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_minutes=5.0)
     minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
     convergence_deg = grid_north_deg(scene)
     incidence_cosine = np.sin(np.radians(altitude)) * np.cos(np.radians(tilt_deg)) + np.cos(np.radians(altitude)) * np.sin(
@@ -140,16 +140,16 @@ def test_sun_hours_of_a_slope_follow_its_incidence_angle(open_scene):
     is_sunlit = (incidence_cosine > 0.0) & (altitude > 0.0)
     assert 60.0 * result.hours[40, 30] == pytest.approx(0.1 * is_sunlit.sum(), abs=0.5)
     assert result.first[40, 30] == pytest.approx(minutes[is_sunlit][0], abs=0.5)
-    winter = compute_sun_hours(scene, window_of(scene, WINTER), step_min=5.0)
+    winter = compute_sun_hours(scene, window_of(scene, WINTER), step_minutes=5.0)
     assert winter.hours[40, 30] == 0.0 and np.isnan(winter.first[40, 30]) and np.isnan(winter.last[40, 30])
 
 
 def test_sun_hours_of_polar_day_and_night(open_scene):
     scene = open_scene(np.full((40, 40), 100.0), "EPSG:32633", 500e3, 8_900e3)
-    day = compute_sun_hours(scene, window_of(scene, SUMMER), step_min=15.0)
+    day = compute_sun_hours(scene, window_of(scene, SUMMER), step_minutes=15.0)
     assert (day.hours == 24.0).all() and (day.longest == 24.0).all() and (day.days == 1.0).all()
     assert (day.first == 0.0).all() and (day.last == 1440.0).all()
-    night = compute_sun_hours(scene, window_of(scene, WINTER), step_min=15.0)
+    night = compute_sun_hours(scene, window_of(scene, WINTER), step_minutes=15.0)
     assert (night.hours == 0.0).all() and (night.days == 0.0).all() and np.isnan(night.first).all()
 
 
@@ -162,7 +162,7 @@ def test_sun_hours_with_window_least_altitude_and_height(open_scene):
     noon_hours = compute_sun_hours(scene, noon)
     assert noon_hours.hours[60, 110] == pytest.approx(2.0, abs=1e-4)  # clear of the wall throughout
     assert (noon_hours.first[60, 110], noon_hours.last[60, 110]) == (600.0, 720.0)
-    high_sun_hours = compute_sun_hours(scene, window_of(scene, SPRING), least_altitude_deg=20.0)
+    high_sun_hours = compute_sun_hours(scene, window_of(scene, SPRING), min_altitude_deg=20.0)
     high_sun_minutes = minutes[altitude > 20.0]
     assert high_sun_hours.last[60, 40] == pytest.approx(high_sun_minutes[-1], abs=0.2)
     assert high_sun_hours.hours.max() * 60.0 == pytest.approx(high_sun_minutes[-1] - high_sun_minutes[0], abs=0.4)
@@ -180,8 +180,8 @@ def test_sun_hours_over_dates_average_hours_and_count_days(open_scene):
     heights[:, 30] = 60.0
     scene = open_scene(heights)
     windows = [window_of(scene, day) for day in (SPRING, SUMMER, WINTER)]
-    daily_results = [compute_sun_hours(scene, window, step_min=30.0, threshold_h=9.0) for window in windows]
-    combined = compute_sun_hours(scene, *windows, step_min=30.0, threshold_h=9.0)
+    daily_results = [compute_sun_hours(scene, window, step_minutes=30.0, threshold_h=9.0) for window in windows]
+    combined = compute_sun_hours(scene, *windows, step_minutes=30.0, threshold_h=9.0)
     np.testing.assert_allclose(combined.hours, np.mean([daily_result.hours for daily_result in daily_results], axis=0), atol=1e-4)
     np.testing.assert_array_equal(combined.days, np.sum([daily_result.days for daily_result in daily_results], axis=0))
     assert set(np.unique(combined.days)) >= {1.0, 2.0}
@@ -192,13 +192,14 @@ def test_sun_hours_over_dates_average_hours_and_count_days(open_scene):
 def test_sun_hours_follow_the_clock_and_23_hour_days(open_scene):
     scene = open_scene(np.zeros((21, 21)))
     before, after = (
-        compute_sun_hours(scene, window_of(scene, date(2024, 3, day), ZoneInfo("Europe/Oslo")), step_min=30.0) for day in (30, 31)
+        compute_sun_hours(scene, window_of(scene, date(2024, 3, day), ZoneInfo("Europe/Oslo")), step_minutes=30.0)
+        for day in (30, 31)
     )
     assert after.first[10, 10] - before.first[10, 10] == pytest.approx(
         58.0, abs=1.0
     )  # an hour later by the clock, less a day's change of sunrise
     assert after.hours[10, 10] == pytest.approx(before.hours[10, 10] + 3.4 / 60.0, abs=0.02)
-    solar_clock_day = compute_sun_hours(scene, window_of(scene, date(2024, 11, 3), SOLAR), step_min=30.0)
+    solar_clock_day = compute_sun_hours(scene, window_of(scene, date(2024, 11, 3), SOLAR), step_minutes=30.0)
     assert solar_clock_day.first[10, 10] + solar_clock_day.last[10, 10] == pytest.approx(
         1440.0, abs=1.0
     )  # noon is midway between first and last sun
@@ -206,7 +207,7 @@ def test_sun_hours_follow_the_clock_and_23_hour_days(open_scene):
 
 def test_sun_hours_of_a_wide_raster_have_local_sunrise(open_scene):
     scene = open_scene(np.zeros((20, 70)), cell=2000.0)
-    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=15.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_minutes=15.0)
     start, minutes = datetime(2024, 3, 21, tzinfo=UTC), np.arange(0.0, 1440.0, 0.25)
     to_degrees = Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform
     for col in (2, 35, 67):
@@ -221,7 +222,7 @@ def test_sun_hours_keep_nodata(open_scene):
     heights = np.zeros((40, 50))
     heights[10:20, 30:35] = np.nan
     scene = open_scene(heights)
-    result = compute_sun_hours(scene, window_of(scene, SPRING), step_min=30.0)
+    result = compute_sun_hours(scene, window_of(scene, SPRING), step_minutes=30.0)
     for values in (result.hours, result.longest, result.days):
         np.testing.assert_array_equal(np.isnan(values), np.isnan(heights))
 
@@ -232,9 +233,9 @@ def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
     (day,) = window_suns(scene.world, [window])
     hours, first, last = ray_truth(scene, view, row, col, day, step_min=0.5)
-    result = compute_sun_hours(scene, window, step_min=2.0)
-    error_min = 60.0 * np.abs(result.hours[row, col] - hours)
-    assert error_min.mean() < 0.5 and np.percentile(error_min, 99) < 3.0
+    result = compute_sun_hours(scene, window, step_minutes=2.0)
+    error_minutes = 60.0 * np.abs(result.hours[row, col] - hours)
+    assert error_minutes.mean() < 0.5 and np.percentile(error_minutes, 99) < 3.0
     for computed, expected in ((result.first, first), (result.last, last)):
         assert np.nanpercentile(np.abs(computed[row, col] - expected), 90) < 1.0  # a missed glance of sun shifts it by hours
 
@@ -242,7 +243,7 @@ def test_sun_hours_match_rays_over_fractal_mountains(open_scene):
 def test_sun_hours_locate_crossings_between_steps(open_scene):
     scene = open_scene(fractal_heights_m(128), cell=30.0)
     noon = window_of(scene, SPRING, UTC, 600.0, 800.0)
-    fine_hours, coarse_hours = (compute_sun_hours(scene, noon, step_min=step).hours for step in (1.0, 5.0))
+    fine_hours, coarse_hours = (compute_sun_hours(scene, noon, step_minutes=step).hours for step in (1.0, 5.0))
     difference_min = 60.0 * np.abs(coarse_hours - fine_hours)[3:-3, 3:-3]
     assert (difference_min > 0.0).mean() > 0.1 and difference_min[
         difference_min > 0.0
@@ -255,10 +256,10 @@ def test_sun_spans_sample_sunrise_and_sunset(open_scene):
     (span,) = sun_spans(day, raster_cell_view(scene), scene.world, 0.0, 15.0)
     minutes, _, altitude = sun_by_minute(scene, SPRING)
     sunlit_minutes = minutes[altitude > 0.0]
-    assert span.samples_min[0] == pytest.approx(sunlit_minutes[0], abs=0.2) and span.samples_min[-1] == pytest.approx(
+    assert span.samples_minutes[0] == pytest.approx(sunlit_minutes[0], abs=0.2) and span.samples_minutes[-1] == pytest.approx(
         sunlit_minutes[-1], abs=0.2
     )
-    assert (span.samples_min[1:-1] % 15.0 == 0.0).all()
+    assert (span.samples_minutes[1:-1] % 15.0 == 0.0).all()
     assert not sun_spans(day, raster_cell_view(scene), scene.world, 80.0, 15.0)
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import fill
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.sweep.sweep import fill_visibility
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import MESHES
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -32,7 +32,7 @@ def city_heights(cells: int, cell_m: float) -> np.ndarray:
 
 def sweep_visibility(buffer: Any, scene: Any, log: PassLog | None = None, kinds: Any = ("relief",), **settings: Any) -> np.ndarray:
     casters = find_casters(scene, buffer)
-    return fill(buffer, scene, "sun", kinds, casters, SweepSettings(**settings), log or PassLog())
+    return fill_visibility(buffer, scene, "sun", kinds, casters, SweepSettings(**settings), log or PassLog())
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(113.0, 30.0), (341.0, 9.0), (19.0, 3.0)])
@@ -47,7 +47,7 @@ def test_sweep_of_a_city_on_the_globe_matches_rays(tmp_path: Path, cell: Any, cr
     buffer = geometry_buffer(scene, scene.view(crs=crs, bounds=quarter, size=(160, 160)))
     casters = find_casters(scene, buffer)
     assert casters.patches and buffer.valid.all()
-    rays = ray_scene(buffer, scene, casters, ALL_KINDS)
+    rays = ray_scene(buffer, scene, casters, ALL_CASTER_KINDS)
     log = PassLog(requested_layers=frozenset({"shadow-height"}))
     lit = sweep_visibility(buffer, scene, log) > 0.5
     ((shadow_m,),) = log.take_layers().values()
@@ -68,7 +68,7 @@ def test_sweep_of_columns_reads_far_ground_at_half_detail(tmp_path: Path, crs: s
     assert max(patch.lod for patch in casters.patches) == 1
     lit = sweep_visibility(buffer, scene) > 0.5
     assert 10 < (~lit).all(axis=1).sum() < 30  # the sun is half a degree off the rows, or grid north off true north: 52 m aside
-    rays = ray_scene(buffer, scene, casters, ALL_KINDS)
+    rays = ray_scene(buffer, scene, casters, ALL_CASTER_KINDS)
     np.testing.assert_array_equal(lit, lit_mask(buffer, scene, "sun", rays, 0.25))
 
 

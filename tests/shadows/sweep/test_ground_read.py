@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.passes import PassLog
-from skugga.shadows.sweep import rays
-from skugga.shadows.sweep.grid import allocate_bordered_grid, fitted_cubics
-from skugga.shadows.sweep.rays import patch_windows
+from skugga.shadows.sweep import ground_windows
+from skugga.shadows.sweep.grid import allocate_bordered_grid
+from skugga.shadows.sweep.ground_windows import patch_windows
+from skugga.shadows.sweep.position_cubics import fit_cubics
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import fill, fill_nodes
+from skugga.shadows.sweep.sweep import fill_visibility, find_lit_nodes
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -38,9 +39,9 @@ def test_fitted_cubics_reproduce_cubics():
     x = np.sort(np.random.default_rng(5).uniform(900.0, 3000.0, (6, 17)), axis=1)
     coefficients = np.random.default_rng(6).normal(size=(6, 4)) * (1.0, 1e-1, 1e-5, 1e-9)
     y = np.stack([np.polynomial.polynomial.polyval(*pair) for pair in zip(x, coefficients, strict=True)])
-    fitted = fitted_cubics(x, y)
+    fitted = fit_cubics(x, y)
     assert np.allclose(fitted, coefficients, rtol=1e-6, atol=1e-12)
-    assert np.allclose(fitted_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
+    assert np.allclose(fit_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 100.0, 190.0, 280.0])
@@ -61,8 +62,8 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
 
     def sweep_results() -> list[np.ndarray]:
         return [
-            fill(buffer, scene, SUN, ("relief",), point_casters, SweepSettings(), PassLog()),
-            fill_nodes(nodes, scene, SUN, ("relief",), node_casters, SweepSettings(), PassLog()),
+            fill_visibility(buffer, scene, SUN, ("relief",), point_casters, SweepSettings(), PassLog()),
+            find_lit_nodes(nodes, scene, SUN, ("relief",), node_casters, SweepSettings(), PassLog()),
         ]
 
     empty_row_counts = []
@@ -76,7 +77,7 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
         return with_border, inside
 
     before = sweep_results()
-    monkeypatch.setattr(rays, "allocate_bordered_grid", with_high_ground)
+    monkeypatch.setattr(ground_windows, "allocate_bordered_grid", with_high_ground)
     after = sweep_results()
     assert all(0.02 < (visibility == 0.0).mean() < 0.98 for visibility in before) and min(empty_row_counts) > 0
     assert all(np.array_equal(original, patched) for original, patched in zip(before, after, strict=True))

@@ -7,14 +7,14 @@ import pytest
 from pyproj import Transformer
 
 from skugga.selector.planner.planner import make_plan
-from skugga.shadows.attached import attached
-from skugga.shadows.bent_rays import MAX_STRAIGHT_M
+from skugga.shadows.attached_shadow import attached_shadow_mask
+from skugga.shadows.bent_rays import MAX_STRAIGHT_RAYS_EXTENT_M
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
 from skugga.shadows.sweep import sweep
 from skugga.shadows.sweep.rays import rays_at
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics, soft_error
+from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics, soft_error
 from skugga.shadows.truth.truth import ray_scene, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters import reach
@@ -54,10 +54,10 @@ def sweep_view(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters,
     """Return a view's buffer, its casters, and the sweep's visibility with attached shadow dark."""
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    visibility = sweep.fill(
+    visibility = sweep.fill_visibility(
         receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog()
     )
-    visibility[attached(buffer, scene)] = 0.0
+    visibility[attached_shadow_mask(buffer, scene)] = 0.0
     return buffer, casters, visibility
 
 
@@ -92,13 +92,15 @@ def test_sweep_casts_far_ground_through_coarse_windows(write_raster, make_scene,
     casters = find_casters(scene, buffer)
     assert {patch.lod for patch in casters.patches} >= {0, 1}
     reference = trace_truth(buffer, scene, casters)
-    visibility = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
+    visibility = sweep.fill_visibility(
+        receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog()
+    )
     near_casters = Casters(tuple(patch for patch in casters.patches if patch.lod == 0), casters.reach)
-    near_visibility = sweep.fill(
+    near_visibility = sweep.fill_visibility(
         receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near_casters, SweepSettings(), PassLog()
     )
     assert (near_visibility - visibility).mean() > 0.05  # the far ground casts the shadow
-    visibility[attached(buffer, scene)] = 0.0
+    visibility[attached_shadow_mask(buffer, scene)] = 0.0
     assert error_metrics(visibility, reference, 20.0).wrong <= 1e-3 and visibility.mean() > 0.05
 
 
@@ -143,7 +145,7 @@ def test_sweep_lines_follow_rays_across_wide_maps(write_raster, make_scene, lati
 
     Plans fall back to shadow maps (``skugga.shadows.bent_rays``).
     """
-    assert 1e3 * width_km > MAX_STRAIGHT_M
+    assert 1e3 * width_km > MAX_STRAIGHT_RAYS_EXTENT_M
     x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform(10.0, latitude)
     stretch, heights = 1.0 / np.cos(np.radians(latitude)), np.zeros((8, 8), np.float32)
     heights[4, 4] = 100.0
@@ -189,7 +191,7 @@ views:
     assert buffer.ground is not None and (buffer.ground.tolerance_px > 0.0) == decimated
     metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 5.0)
     assert (visibility[buffer.valid] < 0.5).mean() > 0.02
-    assert metrics.wrong <= (1.5e-3 if decimated else 3e-4) and metrics.interior <= MAX_INTERIOR
+    assert metrics.wrong <= (1.5e-3 if decimated else 3e-4) and metrics.interior <= MAX_INTERIOR_SHARE
 
 
 def test_sweep_shades_trees_and_houses_by_hills():
@@ -200,7 +202,7 @@ def test_sweep_shades_trees_and_houses_by_hills():
     buffer, casters, visibility = sweep_view(scene, view)
     on_object = buffer.valid & (buffer.kind != RELIEF)
     reference = trace_truth(buffer, scene, casters, kinds=("relief",))
-    decidable_object = on_object & reference.decidable & ~reference.attached
+    decidable_object = on_object & reference.decidable & ~reference.attached_shadow_mask
     assert decidable_object.sum() > 1000 and (~reference.lit & decidable_object).sum() > 50
     assert (((visibility < 0.5) == reference.lit) & decidable_object).sum() <= 2e-3 * decidable_object.sum()
 
@@ -211,7 +213,7 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
         scene = with_sun_at(jacksboro, *sun)
         buffer, casters, visibility = sweep_view(scene, tile, filter="sun")
         reference = soft_truth(buffer, scene, casters, 64)
-        self_shadow = attached(buffer, scene)
+        self_shadow = attached_shadow_mask(buffer, scene)
         reference[self_shadow], visibility[self_shadow] = 0.0, 0.0
         in_penumbra = buffer.valid & (reference > 0.05) & (reference < 0.95)
         assert in_penumbra.sum() > 200
@@ -220,7 +222,7 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
 
 
 def test_strips_of_sun_have_equal_areas():
-    angles = sweep.sun_strip_angles(16)
+    angles = sweep.sun_strip_angles_rad(16)
     assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
     rng = np.random.default_rng(0)
     disc = rng.uniform(-1.0, 1.0, (200_000, 2))

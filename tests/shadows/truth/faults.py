@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from skugga.shadows.truth.metrics import block_shares, coverage_error, error_metrics, soft_error
+from skugga.shadows.truth.metrics import block_shadow_shares, coverage_error, error_metrics, soft_error
 from skugga.shadows.truth.truth import Truth
 from tests.hard_cases.table import replace_table
 from tests.metrics import flicker
@@ -157,7 +157,7 @@ def figures(fault: str) -> dict[str, float]:
     errors = vars(error_metrics(picture.visibility, truth, 1.0, picture.texel_px))
     next_visibility = picture.visibility if picture.next_visibility is None else picture.next_visibility
     other_metrics = {
-        "coverage": coverage_error(block_shares(1.0 - picture.visibility), block_shares(share)),
+        "coverage": coverage_error(block_shadow_shares(1.0 - picture.visibility), block_shadow_shares(share)),
         "flicker": flicker(picture.visibility < 0.5, next_visibility < 0.5, ~truth.lit, ~truth.lit, truth.decidable),
         "soft_error": soft_error(picture.visibility, 1.0 - share),
     }

@@ -31,17 +31,17 @@ def test_cached_truth_is_computed_once_per_content(tmp_path, monkeypatch):
         calls.append(args)
         return trace_truth(*args, **keys)
 
-    first = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
-    second = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
+    first = cached_truth(buffer, scene, casters, 4, folder=tmp_path, compute=make)
+    second = cached_truth(buffer, scene, casters, 4, folder=tmp_path, compute=make)
     assert len(calls) == 1 and first.decidable.any()
-    for name in ("lit", "attached", "decidable", "valid"):
+    for name in ("lit", "attached_shadow_mask", "decidable", "valid"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     (stored,) = tmp_path.glob("*.npz")
     other_archive = BytesIO()
     np.savez(other_archive, something=np.zeros(3))
     for count, damaged in enumerate((b"damaged", stored.read_bytes()[:-30], other_archive.getvalue()), start=2):
         stored.write_bytes(damaged)
-        cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
+        cached_truth(buffer, scene, casters, 4, folder=tmp_path, compute=make)
         assert len(calls) == count
     assert buffer.surface is not None
     # the same nodes, but cut along the lower diagonals

@@ -9,18 +9,18 @@ import pytest
 
 from skugga.shadows.truth.metrics import (
     MIN_COVERED_SHARE,
-    block_shares,
-    boundary,
+    block_shadow_shares,
     coverage_error,
     distance_to_edges_px,
     edge_distances,
     edge_metric_coverage,
     edge_test_region,
     error_metrics,
-    interior,
+    interior_error_mask,
     interior_region,
     is_far_from_edges,
     metric_coverage,
+    shadow_boundary_mask,
     soft_error,
 )
 from skugga.shadows.truth.truth import Truth
@@ -76,10 +76,10 @@ def test_error_metrics_count_one_half_as_lit():
 def test_boundary_is_shadow_pixels_beside_lit_ones():
     dark = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1], [0, 1, 1, 1]], bool)
     expected = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 0, 0], [0, 1, 0, 0]], bool)
-    np.testing.assert_array_equal(boundary(dark, np.ones((4, 4), bool)), expected)
+    np.testing.assert_array_equal(shadow_boundary_mask(dark, np.ones((4, 4), bool)), expected)
     no_surface_above = np.ones((4, 4), bool)
     no_surface_above[0] = False
-    assert boundary(dark, no_surface_above)[1].tolist() == [False, True, False, False]
+    assert shadow_boundary_mask(dark, no_surface_above)[1].tolist() == [False, True, False, False]
 
 
 def test_edge_distances_of_a_displaced_edge():
@@ -120,11 +120,13 @@ def test_interior_excludes_pixels_near_the_boundary():
     wrong_mask = np.zeros((20, 20), bool)
     wrong_mask[:, 8:12] = True
     all_pixels = np.ones((20, 20), bool)
-    assert not interior(wrong_mask, reference, all_pixels, 2.0).any()
+    assert not interior_error_mask(wrong_mask, reference, all_pixels, 2.0).any()
     wrong_mask[4, 3] = True
-    assert interior(wrong_mask, reference, all_pixels, 2.0).sum() == 1
-    assert not interior(wrong_mask, reference, all_pixels, 7.0).any()  # within two footprints of a coarse texel
-    assert interior(wrong_mask, np.zeros((20, 20), bool), all_pixels, 2.0).sum() == wrong_mask.sum()  # truth has no boundary
+    assert interior_error_mask(wrong_mask, reference, all_pixels, 2.0).sum() == 1
+    assert not interior_error_mask(wrong_mask, reference, all_pixels, 7.0).any()  # within two footprints of a coarse texel
+    assert (
+        interior_error_mask(wrong_mask, np.zeros((20, 20), bool), all_pixels, 2.0).sum() == wrong_mask.sum()
+    )  # truth has no boundary
 
 
 def test_interior_parts_have_at_least_eight_pixels():
@@ -140,10 +142,10 @@ def test_coverage_error_compares_shares_in_blocks():
     share[:4, :16], reference[:8, :16] = 1.0, 1.0
     share[:, 16:32] = reference[:, 16:32] = 1.0
     reference[:, 32:] = 1.0
-    assert coverage_error(block_shares(share), block_shares(reference)) == pytest.approx((0.25 + 0.0) / 2)
+    assert coverage_error(block_shadow_shares(share), block_shadow_shares(reference)) == pytest.approx((0.25 + 0.0) / 2)
     share[:, 16:32] = np.nan  # a block without surface does not count
     reference[:, 16:32] = np.nan
-    assert coverage_error(block_shares(share), block_shares(reference)) == pytest.approx(0.25)
+    assert coverage_error(block_shadow_shares(share), block_shadow_shares(reference)) == pytest.approx(0.25)
 
 
 def test_soft_error_is_the_mean_difference():
@@ -168,7 +170,7 @@ def test_metrics_are_finite_without_surface_light_or_shadow(dark):
         metrics = error_metrics(np.full((20, 20), 0.0 if dark else 1.0), reference, 1.0)
         assert all(np.isfinite(value) for value in vars(metrics).values())
         assert metrics.wrong == 0.0 and metrics.interior == 0.0
-    assert coverage_error(*[block_shares(np.full((20, 20), np.nan))] * 2) == 0.0
+    assert coverage_error(*[block_shadow_shares(np.full((20, 20), np.nan))] * 2) == 0.0
     assert soft_error(np.full((2, 2), np.nan), np.full((2, 2), np.nan)) == 0.0
 
 

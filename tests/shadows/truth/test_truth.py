@@ -10,12 +10,19 @@ import pytest
 from skugga.selector.candidates import candidates
 from skugga.selector.measure.compare import Comparison, compare, false_colours
 from skugga.shadows.area_light import sun_disc_directions
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth
-from skugga.shadows.truth.metrics import MAX_INTERIOR, ErrorMetrics, block_shares, coverage_error, error_metrics, soft_error
-from skugga.shadows.truth.truth import Truth, coverage_truth, fill, jittered_views, simplification_error, trace_truth
+from skugga.shadows.truth.metrics import (
+    MAX_INTERIOR_SHARE,
+    ErrorMetrics,
+    block_shadow_shares,
+    coverage_error,
+    error_metrics,
+    soft_error,
+)
+from skugga.shadows.truth.truth import Truth, coverage_truth, fill_visibility, jittered_views, simplification_error, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
@@ -60,8 +67,8 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
         casters = Casters((), casters.reach)
     settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
     settings = settings.model_copy(update={"bias_scale": bias_scale})
-    filled = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, settings, PassLog())
-    filled[attached(buffer, scene)] = 0.0
+    filled = shadow_map.fill_visibility(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, settings, PassLog())
+    filled[attached_shadow_mask(buffer, scene)] = 0.0
     return filled
 
 
@@ -72,7 +79,12 @@ def baseline(scene, view, reference) -> ErrorMetrics:
 
 def test_shadow_map_is_near_truth(gl, baseline):
     """This is the baseline of the defects below."""
-    assert baseline.wrong < 0.005 and baseline.wrong_cast < 0.03 and baseline.interior < MAX_INTERIOR and baseline.edge_p95 <= 2.0
+    assert (
+        baseline.wrong < 0.005
+        and baseline.wrong_cast < 0.03
+        and baseline.interior < MAX_INTERIOR_SHARE
+        and baseline.edge_p95 <= 2.0
+    )
     assert baseline.boundary < 0.15
 
 
@@ -144,7 +156,7 @@ def test_truth_is_decidable_away_from_edges(reference):
 
 
 def test_truth_with_more_samples_decides_fewer_pixels(scene, view, reference):
-    finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), samples=16)
+    finer = trace_truth(*_trace_arguments(scene, geometry(scene, view)), sample_count=16)
     np.testing.assert_array_equal(finer.lit, reference.lit)
     assert finer.undecidable_share >= reference.undecidable_share - 0.01
     with pytest.raises(ValueError, match="square"):
@@ -177,7 +189,7 @@ def test_soft_truth_is_soft_only_at_edges(scene, view, reference):
     buffer, casters = geometry(scene, view)
     soft = soft_truth(buffer, scene, casters, samples=16)
     assert ((soft > 0) & (soft < 1)).mean() > 0.005
-    hard = fill(buffer, scene, "sun", ("relief",), casters, truth.TruthSettings(), PassLog())
+    hard = fill_visibility(buffer, scene, "sun", ("relief",), casters, truth.TruthSettings(), PassLog())
     assert soft_error(np.where(buffer.valid, hard, np.nan), soft) < 0.1
     assert ((soft < 0.5) == ~reference.lit)[reference.decidable].mean() > 0.97
 
@@ -187,8 +199,8 @@ def test_coverage_error_of_truth_is_small(scene, view, reference):
     shares = coverage_truth(buffer, scene, casters, 16)
     assert np.isfinite(shares).sum() == 256
     hard = np.where(reference.valid, (~reference.lit).astype(float), np.nan)
-    assert coverage_error(block_shares(hard), shares) < 0.02
-    assert coverage_error(block_shares(1.0 - hard), shares) > 0.3
+    assert coverage_error(block_shadow_shares(hard), shares) < 0.02
+    assert coverage_error(block_shadow_shares(1.0 - hard), shares) > 0.3
 
 
 @pytest.mark.long

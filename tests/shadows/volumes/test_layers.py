@@ -8,8 +8,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.shadows.volumes.edges import edges_of
-from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, layer_batches, max_layers, may_shade_near
+from skugga.shadows.volumes.edges import find_edges
+from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, layer_batches, max_layers, may_shade_near_plane
 from skugga.shadows.volumes.silhouettes import (
     FACING_RULE_CODES,
     Silhouette,
@@ -57,7 +57,7 @@ def folded_strip(count: int) -> Mesh:
 
 def caster_silhouette(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
     vertices, triangles = mesh
-    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))  # type: ignore
+    return silhouette(triangles, find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))  # type: ignore
 
 
 def count_covering_triangles(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ def test_max_layers_of_a_thousand_boxes_fits_the_stencil(light: np.ndarray):
         max_layers(mesh[0], outline, light),
     )
     assert counted_layers <= layer_bound <= 60
-    assert len(layer_batches(*mesh, edges_of(*mesh), orientations_of(faces_light(*mesh, light), "facing"), light)) == 1
+    assert len(layer_batches(*mesh, find_edges(*mesh), orientations_of(faces_light(*mesh, light), "facing"), light)) == 1
 
 
 def test_max_layers_of_rough_ground_fits_the_stencil():
@@ -166,7 +166,7 @@ def test_max_layers_of_rough_ground_fits_the_stencil():
 )
 def test_batches_fit_the_stencil_and_partition_the_mesh(mesh: Mesh):
     vertices, triangles = mesh
-    edges, orientations = edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
+    edges, orientations = find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
     layers = len(triangles) // 2
     assert max_layers(vertices, silhouette(triangles, edges, orientations), OVERHEAD_LIGHT) == layers > MAX_STENCIL_LAYERS
     groups = layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT)
@@ -180,7 +180,7 @@ def test_batches_fit_the_stencil_and_partition_the_mesh(mesh: Mesh):
 
 def test_batches_keep_plates_whole():
     vertices, triangles = stacked_squares(300)
-    edges, orientations = edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
+    edges, orientations = find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, OVERHEAD_LIGHT), "all")
     groups = layer_batches(vertices, triangles, edges, orientations, OVERHEAD_LIGHT, 100)
     assert all((group[::2] == group[1::2]).all() for group in groups)
     heights = [vertices[triangles[group != 0], 2] for group in groups]
@@ -193,14 +193,14 @@ def test_max_layers_of_no_caster_is_zero():
     none = sheet_silhouette(sheet_of(position), OVERHEAD_LIGHT, "turned_away")
     assert len(none.caps) == 0 and max_layers(position, none, OVERHEAD_LIGHT) == 0
     vertices, triangles = position.reshape(-1, 3), sheet_of(position).triangles
-    [group] = layer_batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD_LIGHT)
+    [group] = layer_batches(vertices, triangles, find_edges(vertices, triangles), np.zeros(8, np.int8), OVERHEAD_LIGHT)
     assert not group.any()
 
 
 def test_batches_refuse_zero_layers():
     vertices, triangles = stacked_squares(2)
     with pytest.raises(InputError, match="layer_limit: '0' is not allowed. Allowed: 1 or more"):
-        layer_batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD_LIGHT, 0)
+        layer_batches(vertices, triangles, find_edges(vertices, triangles), np.ones(4, np.int8), OVERHEAD_LIGHT, 0)
 
 
 COORDINATE = st.floats(-5, 5, allow_subnormal=False)
@@ -221,7 +221,7 @@ def test_may_shade_near_finds_casters_towards_the_light(middle, turns, width, he
     start = middle + [(2 * width_share - 1) * width, (2 * height_share - 1) * height] @ rotation[:2]
     occluding_point = start + (distance_share if is_lamp else 20 * distance_share) * (light[:3] - light[3] * start)
     low = occluding_point - np.array(size) * corner
-    assert may_shade_near(low[None], (low + size)[None], rectangle, light).all()
+    assert may_shade_near_plane(low[None], (low + size)[None], rectangle, light).all()
 
 
 def test_may_shade_near_excludes_other_casters():
@@ -229,11 +229,11 @@ def test_may_shade_near_excludes_other_casters():
     middle = np.array([[0, 0, 5], [0, 0, -5], [5, 0, 0.5], [5, 0, 5], [0, -9, 5], [4, 4, 20]], float)
     low, high = middle - 0.4, middle + 0.4
     up, aslant, lamp = np.array([[0.0, 0, 1, 0], [1.0, 0, 1, 0], [0.0, 0, 8, 1]])
-    assert may_shade_near(low, high, rectangle, up).tolist() == [True, False, False, False, False, False]
-    assert may_shade_near(low, high, rectangle, aslant).tolist() == [False, False, False, True, False, False]
-    assert may_shade_near(low, high, rectangle[::-1], aslant).tolist() == [False, False, False, True, False, False]
-    assert may_shade_near(low, high, rectangle, lamp).tolist() == [True, False, False, False, False, False]
-    assert may_shade_near(low[:0], high[:0], rectangle, up).shape == (0,)
+    assert may_shade_near_plane(low, high, rectangle, up).tolist() == [True, False, False, False, False, False]
+    assert may_shade_near_plane(low, high, rectangle, aslant).tolist() == [False, False, False, True, False, False]
+    assert may_shade_near_plane(low, high, rectangle[::-1], aslant).tolist() == [False, False, False, True, False, False]
+    assert may_shade_near_plane(low, high, rectangle, lamp).tolist() == [True, False, False, False, False, False]
+    assert may_shade_near_plane(low[:0], high[:0], rectangle, up).shape == (0,)
 
 
 def test_may_shade_near_of_a_light_in_the_near_plane():
@@ -241,5 +241,5 @@ def test_may_shade_near_of_a_light_in_the_near_plane():
     low, high = np.array([[50.0, 50, -50]]), np.array([[51.0, 51, -49]])
     for degrees, expected in ((0.0, True), (0.09, True), (-0.09, True), (0.11, False), (-0.11, False)):
         rise = np.tan(np.radians(degrees))
-        assert may_shade_near(low, high, rectangle, np.array([1.0, 0.0, rise, 0.0])).all() == expected
-    assert may_shade_near(low, high, rectangle, np.array([0.3, 0.2, 0.0, 1.0])).all()
+        assert may_shade_near_plane(low, high, rectangle, np.array([1.0, 0.0, rise, 0.0])).all() == expected
+    assert may_shade_near_plane(low, high, rectangle, np.array([0.3, 0.2, 0.0, 1.0])).all()

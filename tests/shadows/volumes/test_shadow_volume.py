@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from skugga.shadows.algorithm import SettingsRequest
-from skugga.shadows.attached import attached
+from skugga.shadows.algorithm_settings import SettingsRequest
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.hybrid import hybrid
 from skugga.shadows.hybrid.settings import resolve_hybrid
 from skugga.shadows.passes import PassLog
@@ -21,7 +21,7 @@ from skugga.shadows.sweep import sweep
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.truth.metrics import ErrorMetrics, error_metrics
 from skugga.shadows.truth.truth import Truth, TruthSettings, trace_truth
-from skugga.shadows.truth.truth import fill as truth_fill
+from skugga.shadows.truth.truth import fill_visibility as truth_fill
 from skugga.shadows.visibility import receivers_of
 from skugga.shadows.volumes import shadow_volume
 from skugga.shadows.volumes.settings import VolumeSettings
@@ -79,16 +79,18 @@ class ShadowCase:
         buffer = receivers_of(self.buffer, self.scene, self.light)
         kinds, log = tuple(kind for kind in self.scene.objects.kinds if kind != "forest"), log or PassLog()
         if mask is None:
-            visibility = shadow_volume.fill(buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log)
+            visibility = shadow_volume.fill_visibility(
+                buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log
+            )
         else:
             shadow_settings = self.scene.loaded.level.shadows.model_copy(update={"mask": mask, **settings})
             hybrid_settings, _ = resolve_hybrid(SettingsRequest(describe(self.scene, buffer.view), self.light, shadow_settings))
-            visibility = hybrid.fill(buffer, self.scene, self.light, kinds, self.casters, hybrid_settings, log)
+            visibility = hybrid.fill_visibility(buffer, self.scene, self.light, kinds, self.casters, hybrid_settings, log)
         assert set(np.unique(visibility)) <= {0.0, 1.0}
         return self.with_attached_shadow(visibility)
 
     def with_attached_shadow(self, visibility: np.ndarray) -> np.ndarray:
-        with_attached = np.where(attached(self.buffer, self.scene, self.light), np.float32(0.0), visibility)
+        with_attached = np.where(attached_shadow_mask(self.buffer, self.scene, self.light), np.float32(0.0), visibility)
         return np.where(self.buffer.valid, with_attached, np.nan)
 
     def rays(self) -> np.ndarray:
@@ -124,7 +126,7 @@ def check_volumes(case: ShadowCase, least_dark: float = 0.0, reference: Truth | 
     visibility, reference = case.volume_visibility(), reference or case.truth()
     errors = error_metrics(visibility, reference, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
-    assert (reference.valid & ~reference.lit & ~reference.attached).sum() >= least_dark * reference.valid.sum()
+    assert (reference.valid & ~reference.lit & ~reference.attached_shadow_mask).sum() >= least_dark * reference.valid.sum()
     for settings in EQUIVALENT_SETTINGS:
         np.testing.assert_array_equal(case.volume_visibility(**settings), visibility, err_msg=str(settings))
     return visibility, errors
@@ -188,7 +190,7 @@ def test_volumes_match_truth_in_bundled_scenes(gl, name, view):
     visibility = case.volume_visibility()
     errors = error_metrics(visibility, reference, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior <= 2e-5 and errors.interior_parts == 0, errors
-    assert (~reference.lit & ~reference.attached & reference.valid).sum() > 0.02 * reference.valid.sum()
+    assert (~reference.lit & ~reference.attached_shadow_mask & reference.valid).sum() > 0.02 * reference.valid.sum()
     for settings in EQUIVALENT_SETTINGS:
         np.testing.assert_array_equal(case.volume_visibility(**settings), visibility, err_msg=str(settings))
 
@@ -346,7 +348,7 @@ RIDGES = {"generate": {"kind": "ridges", "size": [1400, 1400], "cell": 20, "reli
 
 def by_sweep(case: ShadowCase) -> np.ndarray:
     return case.with_attached_shadow(
-        sweep.fill(
+        sweep.fill_visibility(
             receivers_of(case.buffer, case.scene, "sun"), case.scene, "sun", ("relief",), case.casters, SweepSettings(), PassLog()
         )
     )
@@ -481,7 +483,7 @@ def test_volumes_at_samples_match_rays_from_their_points(gl, tmp_path, light, ma
     assert len(buffer.valid) > picture_rows
     case = ShadowCase(scene, buffer, NO_CASTERS, scene.light_names[0])
     visibility, reference = case.volume_visibility(mask), case.rays()
-    samples = buffer.valid & ~attached(buffer, scene, case.light)
+    samples = buffer.valid & ~attached_shadow_mask(buffer, scene, case.light)
     samples[:picture_rows] = False
     dark_count = (reference[samples] < 0.5).sum()
     assert dark_count > 200 and dark_count < 0.95 * samples.sum()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from skugga.shadows.volumes.edges import edges_of
+from skugga.shadows.volumes.edges import find_edges
 from skugga.shadows.volumes.silhouettes import (
     ALL_CODE,
     FACING_CODE,
@@ -149,7 +149,7 @@ def signed_count(
 
 def silhouette_of(mesh: Mesh, light: np.ndarray, rule: FacingRule | np.ndarray) -> Silhouette:
     vertices, triangles = mesh
-    return silhouette(triangles, edges_of(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))
+    return silhouette(triangles, find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))
 
 
 def vertex_balance(outline: Silhouette) -> np.ndarray:

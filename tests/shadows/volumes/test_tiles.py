@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from skugga.shadows.attached import attached
+from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes import drawing as volume_drawing
 from skugga.shadows.volumes.drawing import count_volumes
 from skugga.shadows.volumes.settings import VolumeSettings
-from skugga.shadows.volumes.tiles import CULLING_TILE_PX, CulledFaces, cull_faces, depth_bounds, marked_tiles, rectangles
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, CulledFaces, covering_rectangles, cull_faces, depth_bounds, marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
 from tests.shadows.boxes import box, build_mesh_scene
 from tests.shadows.volumes.test_shadow_volume import ShadowCase, eye_views, join_meshes, shadow_case, top_view
@@ -39,7 +39,7 @@ def test_rectangles_cover_each_marked_pixel_once(size, seed):
     """Rectangles are disjoint, lie inside the picture and begin at tile borders. Each holds a marked tile."""
     rows, cols = random_pixels(size, seed)
     tiles = marked_tiles(rows, cols, size)
-    tile_rectangles = rectangles(tiles, size, 10_000)
+    tile_rectangles = covering_rectangles(tiles, size, 10_000)
     cover_counts = np.zeros(size, int)
     for col, row, width, height in tile_rectangles.tolist():
         assert col % CULLING_TILE_PX == row % CULLING_TILE_PX == 0 and width > 0 and height > 0
@@ -57,7 +57,7 @@ def test_rectangles_cover_each_marked_pixel_once(size, seed):
 def test_rectangles_cost_no_more_than_their_bounding_box(tiles):
     """The cost is the number of tiles, plus a constant for each further rectangle."""
     size = tuple(side * CULLING_TILE_PX for side in tiles.shape)
-    tile_rectangles = rectangles(tiles, size, 10_000)
+    tile_rectangles = covering_rectangles(tiles, size, 10_000)
     rows, cols = np.nonzero(tiles)
     if len(rows):
         bounding_box_cost = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
@@ -70,7 +70,7 @@ def test_rectangles_cost_no_more_than_their_bounding_box(tiles):
 def test_depth_bounds_are_those_of_the_pixels(size, seed):
     rows, cols = random_pixels(size, seed)
     depth = np.random.default_rng(seed).random(len(rows))
-    parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
+    parts = covering_rectangles(marked_tiles(rows, cols, size), size, 10_000)
     for (col, row, width, height), (low, high) in zip(parts, depth_bounds(rows, cols, depth, parts, size), strict=True):
         inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
         assert inside.any() and low == depth[inside].min() and high == depth[inside].max()
@@ -108,7 +108,7 @@ def test_cull_faces_keeps_every_count(seed, behind, clamped):
     rows, cols = random_pixels(size, seed)
     near = np.inf if clamped else 1.0
     depth = rng.uniform(0.1, 2.0 if clamped else 0.95, len(rows))
-    parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
+    parts = covering_rectangles(marked_tiles(rows, cols, size), size, 10_000)
     culled = cull_faces(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
     x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
     counts = np.zeros((len(faces), len(rows)), int)
@@ -121,7 +121,7 @@ def test_cull_faces_keeps_every_count(seed, behind, clamped):
         )
     for number, (col, row, width, height) in enumerate(parts.tolist()):
         inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
-        kept_faces = culled.faces[culled.starts[number] : culled.starts[number + 1]]
+        kept_faces = culled.face_numbers[culled.rectangle_starts[number] : culled.rectangle_starts[number + 1]]
         assert len(np.unique(kept_faces)) == len(kept_faces)
         np.testing.assert_array_equal(
             counts[kept_faces][:, inside].sum(axis=0) + culled.added_layers[number], counts[:, inside].sum(axis=0)
@@ -182,7 +182,7 @@ def test_stencil_counts_equal_those_of_all_faces(gl, tmp_path, monkeypatch, seed
     views = eye_views(start, target, fov=rng.uniform(30, 100))
     scene = build_mesh_scene(tmp_path, [random_objects(rng)], rng.uniform(0, 360), rng.choice([2.0, 35.0, 80.0]), **views, **keys)
     for case in (shadow_case(scene), shadow_case(scene, top_view(scene, 12.0, 70))):
-        lit = case.buffer.valid & ~attached(case.buffer, scene, case.light)
+        lit = case.buffer.valid & ~attached_shadow_mask(case.buffer, scene, case.light)
         sparse = lit & (rng.random(lit.shape) < 0.01)
         for pixel_mask, is_marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
             with monkeypatch.context() as patch:
@@ -199,7 +199,7 @@ def test_stencil_counts_ignore_faces_before_the_near_plane(gl, tmp_path, monkeyp
     case = shadow_case(
         build_mesh_scene(tmp_path, [body], 0, 0, **eye_views((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp})
     )
-    lit = case.buffer.valid & ~attached(case.buffer, case.scene, case.light)
+    lit = case.buffer.valid & ~attached_shadow_mask(case.buffer, case.scene, case.light)
     culled_counts = stencil_counts(case, lit, False)
     monkeypatch.setattr(volume_drawing, "cull_faces", all_faces)
     np.testing.assert_array_equal(culled_counts, stencil_counts(case, lit, False))

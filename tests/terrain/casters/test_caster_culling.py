@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as arrays
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.sweep.sweep import fill
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.sweep.sweep import fill_visibility
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
 from skugga.terrain.casters.casting import caster_sheets
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, rise_support
@@ -73,7 +73,7 @@ def lit_at_altitude(scene: Scene, buffer, casters: Casters, altitude_deg: float)
     """Return whether each point sees a sun of another altitude past the casters' ground (rows, cols)."""
     assert scene.sun is not None
     other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
-    return lit_mask(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # cached: the same under each sun
+    return lit_mask(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_CASTER_KINDS))  # cached: the same under each sun
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -119,7 +119,7 @@ def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene)
     unculled_casters = find_casters(scene, buffer)
     casters = replace(unculled_casters, culled=culled_patches(scene, buffer, unculled_casters.patches))
     unculled_light, culled_light = (
-        fill(buffer, scene, SUN, ("relief",), tested_casters, SweepSettings(), PassLog())
+        fill_visibility(buffer, scene, SUN, ("relief",), tested_casters, SweepSettings(), PassLog())
         for tested_casters in (unculled_casters, casters)
     )
     assert casters.culled and 0.05 < (unculled_light == 0.0).mean() < 0.95

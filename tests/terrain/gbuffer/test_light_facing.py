@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from skugga.shadows.attached import attached
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.attached_shadow import attached_shadow_mask
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.gbuffer.light_facing import facing_normals
@@ -91,7 +91,10 @@ def test_a_ridge_faces_the_sun_on_either_side(make_ground, along, azimuth):
     """
     scene, view = make_ground(ridge_heights(along), azimuth, 30.0)
     buffer = geometry(scene, view)
-    attached_shadow, blocked = attached(buffer, scene), facing_normals(buffer, scene.light_position("sun", buffer.frame)).is_blocked
+    attached_shadow, blocked = (
+        attached_shadow_mask(buffer, scene),
+        facing_normals(buffer, scene.light_position("sun", buffer.frame)).is_blocked,
+    )
     if along == "row":
         attached_shadow, blocked = attached_shadow.T, blocked.T
     ridge = SIDE_NODES // 2
@@ -110,7 +113,7 @@ def test_a_node_faces_away_if_all_of_its_facets_do(make_ground):
     buffer = geometry(scene, view)
     normals, is_touched = casting_facets(buffer)
     assert len(np.unique(np.round(normals[is_touched[4, 4]], 6), axis=0)) == 2
-    attached_shadow = attached(buffer, scene)
+    attached_shadow = attached_shadow_mask(buffer, scene)
     assert attached_shadow[:, 1:-1].all() and not attached_shadow[:, [0, -1]].any()
     higher = scene.sun.in_frame(buffer.frame) + [0.0, 0.0, 1.0]  # over 45 degrees, under atan(2): the lower facets see it
     facing = facing_normals(buffer, light_position(higher / np.linalg.norm(higher), 0.0)).normal_frame @ higher > 0.0
@@ -131,7 +134,7 @@ def test_facing_depends_on_the_position_of_a_lamp(make_ground):
     buffer = geometry(scene, view)
     west, east = (np.s_[:, :crest], np.s_[:, 1:crest]), (np.s_[:, crest + 1 :], np.s_[:, crest + 1 : -1])
     for name, slope, other in (("west", west[0], east[1]), ("east", east[0], west[1])):
-        attached_shadow = attached(buffer, scene, name)
+        attached_shadow = attached_shadow_mask(buffer, scene, name)
         source = scene.light_position(name, buffer.frame)
         assert source.w == 1.0 and source.z == pytest.approx((crest - 1.5) * CELL_M)
         assert not attached_shadow[slope].any() and not attached_shadow[:, crest].any()
@@ -326,5 +329,5 @@ def test_points_are_lifted_upwards_everywhere_on_the_globe(write_raster, make_sc
     assert ((facing.lift_frame * up).sum(axis=-1)[buffer.valid] > 0.9).all()
     to_sun = np.array(source[:3])
     day = buffer.valid & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
-    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
     assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.is_blocked[day].any()

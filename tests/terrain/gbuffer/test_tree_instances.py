@@ -13,7 +13,7 @@ from pyproj import Transformer
 
 from skugga.api.catalogue import find_level
 from skugga.shadows.truth import truth
-from skugga.shadows.truth.truth import ALL_KINDS
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS
 from skugga.terrain.casters.rays import sample_alpha
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer import tree_instances as module
@@ -274,7 +274,7 @@ def test_drawn_share_in_a_map_follows_the_pixel_size(floor, make_wooded_scene):
 def shadow_share(scene: Scene, view: PerspectiveView) -> float:
     """Return the share of shadow, by ground truth, on what a view shows of a stand and its ground."""
     buffer = geometry_buffer(scene, view)
-    rays = truth.ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    rays = truth.ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
     return float(1.0 - truth.lit_mask(buffer, scene, "sun", rays)[buffer.valid].mean())
 
 

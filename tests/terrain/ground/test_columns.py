@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -119,5 +119,5 @@ def test_meshes_stand_on_column_tops(tmp_path: Path):
     )
     assert scene.elevation.ground_m(10.1, 10.0) == 12.0 and scene.elevation.ground_m(9.9, 10.0) == 0.0
     buffer = geometry_buffer(scene, scene.view(size=(40, 40)))
-    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
     assert lit_mask(buffer, scene, "sun", rays).any()

@@ -12,7 +12,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 
-def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
+def attached_shadow_mask(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
     """Return where a surface faces away from a light or lies outside its cone, bool (rows, cols); True off the surface, too.
 
     A surface is in attached shadow in these cases:
@@ -32,36 +32,41 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
     cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.valid.shape, np.bool_)
-    run_in_chunks(len(out), _outside_lamp_cone, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
+    run_in_chunks(len(out), _write_lamp_shadow_mask, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
     return out
 
 
-def faces_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
+def faces_away(normal: np.ndarray, leaf_mask: np.ndarray, to_light: np.ndarray) -> np.ndarray:
     """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN.
 
-    Where ``leaves`` (rows, cols) is true, either side of a surface may face it.
+    Where ``leaf_mask`` (rows, cols) is true, either side of a surface may face it.
     """
-    out = np.empty(leaves.shape, np.bool_)
-    run_in_chunks(len(out), _turned_away, normal, leaves, to_light, out)
+    out = np.empty(leaf_mask.shape, np.bool_)
+    run_in_chunks(len(out), _write_facing_away_mask, normal, leaf_mask, to_light, out)
     return out
 
 
 @compiled
-def _turned_away(first, last, normal, leaves, to_light, out):
+def _write_facing_away_mask(first, last, normal, leaf_mask, to_light, out):
+    """Write to ``out`` (rows, cols) where normals (rows, cols, 3) do not face a direction (3,): rows ``first`` to ``last``."""
     for i in range(first, last):
         for j in range(normal.shape[1]):
             n = normal[i, j]
             facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE
+            out[i, j] = not (abs(facing) if leaf_mask[i, j] else facing) > MIN_LIGHT_SINE
 
 
 @compiled
-def _outside_lamp_cone(first, last, point, normal, leaves, position, axis, cosine, out):
+def _write_lamp_shadow_mask(first, last, point, normal, leaf_mask, lamp_position, lamp_axis, cutoff_cosine, out):
+    """Write to ``out`` (rows, cols) where points (rows, cols, 3) face away from a lamp, or lie outside of its cone.
+
+    ``lamp_axis`` (3,) is the cone's unit axis, and ``cutoff_cosine`` the cosine of half its angle.
+    """
     for i in range(first, last):
         for j in range(normal.shape[1]):
-            x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
+            x, y, z = lamp_position[0] - point[i, j, 0], lamp_position[1] - point[i, j, 1], lamp_position[2] - point[i, j, 2]
             facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
-            along_axis = -(axis[0] * x + axis[1] * y + axis[2] * z)
+            along_axis = -(lamp_axis[0] * x + lamp_axis[1] * y + lamp_axis[2] * z)
             length = np.sqrt(x * x + y * y + z * z)
-            inside = along_axis >= cosine * length
-            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE * length and inside)
+            inside = along_axis >= cutoff_cosine * length
+            out[i, j] = not ((abs(facing) if leaf_mask[i, j] else facing) > MIN_LIGHT_SINE * length and inside)

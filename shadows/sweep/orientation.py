@@ -1,0 +1,105 @@
+"""How a grid is turned (rotated and mirrored) so that the sun stands before row 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skugga.terrain.compiled import compiled
+
+
+@dataclass(frozen=True)
+class GridOrientation:
+    """How a grid is turned so that the sun stands before row 0.
+
+    Attributes
+    ----------
+    axes_swapped
+        Whether rows and columns are swapped first.
+    rows_reversed
+        Whether the order of the rows is reversed then.
+    cols_reversed
+        Whether the order of the columns is reversed then.
+    """
+
+    axes_swapped: bool
+    rows_reversed: bool
+    cols_reversed: bool
+
+    def sun_aligned_cuts(self, is_cut_nw_se: np.ndarray) -> np.ndarray:
+        """Return which quads of the sun-aligned grid are cut into triangles from (i, j) to (i + 1, j + 1), bool.
+
+        ``is_cut_nw_se`` is the same mask for the grid before turning.
+        """
+        return self.sun_aligned_view(is_cut_nw_se) != (self.rows_reversed != self.cols_reversed)
+
+    def to_sun_aligned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert rows and columns of a grid (``rows``, ``cols``) to those of the sun-aligned grid.
+
+        Fractions and positions outside of the grid are allowed.
+        """
+        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
+        return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
+
+    def to_sun_aligned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert as ``to_sun_aligned`` does, but overwrite ``row`` and ``col``.
+
+        The results are these arrays, in the order of the sun-aligned grid. New memory for many points would cost more time than the
+        arithmetic.
+        """
+        i, j, n, m = (col, row, cols, rows) if self.axes_swapped else (row, col, rows, cols)
+        for is_reversed, index, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
+            if is_reversed:
+                np.subtract(last, index, out=index)
+        return i, j
+
+    def from_sun_aligned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Convert rows and columns of the sun-aligned grid to those of the grid (``rows``, ``cols``).
+
+        This is the inverse of ``to_sun_aligned``.
+        """
+        n, m = (cols, rows) if self.axes_swapped else (rows, cols)
+        i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
+        return (j, i) if self.axes_swapped else (i, j)
+
+    def sun_aligned_view(self, values: np.ndarray) -> np.ndarray:
+        """Return a view of a grid's values (rows, cols) in the order of the sun-aligned grid."""
+        return (values.T if self.axes_swapped else values)[self._index_slices]
+
+    def grid_order_view(self, values: np.ndarray) -> np.ndarray:
+        """Return a view of the sun-aligned grid's values (n, m) in the order of the grid, the inverse of ``sun_aligned_view``."""
+        values = values[self._index_slices]
+        return values.T if self.axes_swapped else values
+
+    def grid_order_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
+        """Return a contiguous copy of a window of ``grid_order_view``."""
+        view = self.grid_order_view(values)[window]
+        out = np.empty(view.shape, view.dtype)
+        copy_in_blocks(view, out)
+        return out
+
+    @property
+    def _index_slices(self) -> tuple[slice, slice]:
+        return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
+
+
+def orientation_towards(rows: float, cols: float) -> GridOrientation:
+    """Return the orientation for a sun in the direction of ``rows`` rows down and ``cols`` columns to the right on a grid."""
+    swapped = abs(cols) > abs(rows)
+    main, cross = (cols, rows) if swapped else (rows, cols)
+    return GridOrientation(swapped, main > 0, cross > 0)
+
+
+@compiled
+def copy_in_blocks(values, out):
+    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
+
+    This matters if one array is stored by rows and the other by columns.
+    """
+    rows, cols = values.shape
+    for r0 in range(0, rows, 64):
+        for c0 in range(0, cols, 64):
+            for r in range(r0, min(r0 + 64, rows)):
+                for c in range(c0, min(c0 + 64, cols)):
+                    out[r, c] = values[r, c]
