@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, Entry, serialize_directory, serialize_header, tileid_to_zxy
 
-from skugga.api.archive_format import HEADER_BYTES, TILE_TYPES
+from skugga.api.archive_format import PMTILES_HEADER_BYTES, TILE_TYPE_BY_FORMAT
 from skugga.api.errors import BrokenShardError
 from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.errors import InputError, Problem
@@ -213,12 +213,12 @@ def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
     # Readers accept no degrees beyond 180, so bounds across the antimeridian become all longitudes.
     west, east = (-180.0, 180.0) if east > 180.0 or west < -180.0 else (west, east)
     edges = [round(degrees * 1e7) for degrees in (west, max(south, -90.0), east, min(north, 90.0))]
-    metadata_at, leaves_at = HEADER_BYTES + len(root), HEADER_BYTES + len(root) + len(metadata)
+    metadata_at, leaves_at = PMTILES_HEADER_BYTES + len(root), PMTILES_HEADER_BYTES + len(root) + len(metadata)
     first_zoom = tileid_to_zxy(int(layout.ids[0]))[0]
     header = serialize_header(
         {
             "version": 3,
-            "root_offset": HEADER_BYTES,
+            "root_offset": PMTILES_HEADER_BYTES,
             "root_length": len(root),
             "metadata_offset": metadata_at,
             "metadata_length": len(metadata),
@@ -232,7 +232,7 @@ def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
             "clustered": True,
             "internal_compression": Compression.GZIP,
             "tile_compression": Compression.NONE,
-            "tile_type": TILE_TYPES[facts.format],
+            "tile_type": TILE_TYPE_BY_FORMAT[facts.format],
             "min_zoom": first_zoom,
             "max_zoom": tileid_to_zxy(int(layout.ids[-1]))[0],
             "min_lon_e7": edges[0],
@@ -249,7 +249,7 @@ def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
     """Return the root directory and the leaf directories. Leaves hold more and more entries until the root fits its size limit."""
-    count, max_root_bytes = len(layout.ids), MAX_ROOT_END - HEADER_BYTES
+    count, max_root_bytes = len(layout.ids), MAX_ROOT_END - PMTILES_HEADER_BYTES
     if count <= MAX_ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
         if len(root) <= max_root_bytes:

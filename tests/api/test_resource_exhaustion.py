@@ -26,7 +26,7 @@ from skugga.api.workers.jobs import Failure
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_state import WorkerState
 from skugga.terrain.errors import SourceError
-from tests.api.animations.test_animations import order as film_order
+from tests.api.animations.test_animations import spec as animation_spec
 from tests.api.http.test_level_checks import no_threads
 from tests.api.http.test_openapi import ROUTERS
 from tests.api.workers.test_pool import block, run_with_pool, wait_until
@@ -175,11 +175,11 @@ def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPa
     async def scenario() -> None:
         animations = Animations(Settings(), draw, lambda path, frames, film_request: path.write_bytes(bytes(len(list(frames)))))
         with no_threads(monkeypatch):
-            first = animations.request(film_order(1), 1.0)
-            await wait_until(lambda: first.ended)
+            first = animations.request(animation_spec(1), 1.0)
+            await wait_until(lambda: first.has_ended)
         assert isinstance(first.error, ExhaustedError) and not draw_calls
-        second = animations.request(film_order(2), 1.0)
-        await wait_until(lambda: second.ended)
+        second = animations.request(animation_spec(2), 1.0)
+        await wait_until(lambda: second.has_ended)
         assert second.status == "successful" and len(draw_calls) == 1
         await animations.close()
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, HeaderDict, TileType, deserialize_header, tileid_to_zxy, zxy_to_tileid
 
-from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_FORMATS
+from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, FORMAT_BY_TILE_TYPE, PMTILES_HEADER_BYTES
 from skugga.api.errors import ArchiveError
 from skugga.api.file_stamps import Stamp, file_stamps
 from skugga.terrain.cache import MIB, Cache, Missing
@@ -91,7 +91,7 @@ class ArchiveFile:
         self.version = self._version()
         self._root = self._checked_root()
         self.first_tile = self._first_tile()
-        self.format = TILE_FORMATS[self.header["tile_type"]]
+        self.format = FORMAT_BY_TILE_TYPE[self.header["tile_type"]]
         self.media_type = ARCHIVED_MEDIA_TYPES[self.format]
 
     @property
@@ -140,18 +140,18 @@ class ArchiveFile:
         raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
     def _header(self) -> HeaderDict:
-        raw = os.pread(self._file, HEADER_BYTES, 0)
+        raw = os.pread(self._file, PMTILES_HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
             raise self._error("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
         if raw[7:8] not in (b"", b"\x03"):
             raise self._error(f"a PMTiles archive of version {raw[7]}")
-        if len(raw) < HEADER_BYTES:
+        if len(raw) < PMTILES_HEADER_BYTES:
             raise self._error("truncated: it ends in its header")
         try:
             header = deserialize_header(raw)
         except ValueError as error:
             raise self._error(f"its header is wrong: {error}") from None
-        if header["tile_type"] not in TILE_FORMATS:
+        if header["tile_type"] not in FORMAT_BY_TILE_TYPE:
             kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
             raise self._error(f"it has {kind}, which are not served")
         for part in ("internal", "tile"):

@@ -107,7 +107,7 @@ class _ServiceCollector(Collector):
             animations.add_metric([status], count)
         yield animations
         ended = CounterMetricFamily("skugga_animations_ended", "Animations by how they ended.", labels=("status",))
-        for status, count in self._animations.ended.items():
+        for status, count in self._animations.ended_counts.items():
             ended.add_metric([status], count)
         yield ended
         lookups = CounterMetricFamily("skugga_cache_requests", "Lookups of tiles in the cache.", labels=("cache", "result"))

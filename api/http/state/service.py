@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
+from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_job
-from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.request_times import freshness_s
@@ -63,9 +63,9 @@ class Service:
         is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.requested_count
         return freshness_s(request, min(default_s, METADATA_MAX_AGE_S) if is_plan_pending else default_s)
 
-    def expected_frame_s(self, order: FilmOrder, check_result: FilmCheckResult) -> float:
+    def expected_frame_s(self, spec: AnimationSpec, check_result: FilmCheckResult) -> float:
         """Return the expected seconds of one frame of a film: the prediction of its plan, else that of ``ExpectedTimes``."""
-        return self.pool.expected_s(frame_job(order, 0)) if check_result.frame_ms is None else check_result.frame_ms / 1000.0
+        return self.pool.expected_s(frame_job(spec, 0)) if check_result.frame_ms is None else check_result.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
         """Return the present version of a level. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""

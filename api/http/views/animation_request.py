@@ -1,4 +1,4 @@
-"""Parse the body of a request for an animation into a ``FilmOrder``."""
+"""Parse the body of a request for an animation into a ``AnimationSpec``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
-from skugga.api.animations.film_order import FilmFormat, FilmOrder
+from skugga.api.animations.animation_spec import AnimationSpec, FilmFormat
 from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.http.parameters import served_settings, style_named
 from skugga.api.http.state.served_levels import ServedLevel
@@ -92,8 +92,8 @@ AnimationRequest: Any = create_model(
 """The pydantic model of the request's body. Its last fields are the shadow settings."""
 
 
-def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
-    """Return the order of a film from a body (an ``AnimationRequest``).
+def animation_spec_of(body: Any, level: ServedLevel, settings: Settings) -> AnimationSpec:
+    """Return the specification of an animation from a request's body (an ``AnimationRequest``).
 
     All checks that need no height of the level's ground are done here. Raises ``InputError``.
     """
@@ -116,13 +116,13 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
         slope_exaggeration=body.slope_exaggeration,
         overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SETTINGS}),
     )
-    return FilmOrder(
+    return AnimationSpec(
         level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,
         format=body.format, lossless=body.lossless, fps=body.fps,
     )  # fmt: skip
 
 
-def error_in_body(error: InputError, order: FilmOrder) -> InputError:
+def error_with_body_key(error: InputError, spec: AnimationSpec) -> InputError:
     """Return an error from checking a film, renamed to the key of the request's body that is wrong.
 
     The engine's errors name a parameter of films, a key of camera files, or a frame.
@@ -135,7 +135,7 @@ def error_in_body(error: InputError, order: FilmOrder) -> InputError:
         if isinstance(error.value, Problem):
             return type(error)("path", Problem(f"{frame_location}: {error.value}"), error.allowed)
         return type(error)("path", f"{frame_location}: {error.value}", error.allowed)
-    if name == "time" and order.span.start is not None:
+    if name == "time" and spec.span.start is not None:
         return error.renamed("from")
     return error
 

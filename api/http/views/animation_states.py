@@ -68,10 +68,10 @@ class AnimationState(BaseModel):
 
 def state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
     """Return the state of an animation. ``address`` is the URL of the animation, for links."""
-    done, frames = animation.frames_done, animation.order.span.frames
+    done, frames = animation.frames_done, animation.spec.span.frames
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
-        media_type = FILM_MEDIA[animation.order.format]
+        media_type = FILM_MEDIA[animation.spec.format]
         links.append(Link(href=f"{address}/result", rel=RESULTS_RELATION, type=media_type, title="The film"))
     problem = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
@@ -82,7 +82,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     return AnimationState(
         job_id=animation.id, status=animation.status, message=messages[animation.status], progress=100 * done // frames,
         frames=frames, frames_done=done,
-        seconds_left=None if animation.ended else round(animations.seconds_left(animation), 1),
+        seconds_left=None if animation.has_ended else round(animations.seconds_left(animation), 1),
         created=animation.created, started=animation.started, updated=animation.updated, finished=animation.finished,
         expires=animation.expires, problem=problem, links=links,
     )  # fmt: skip
@@ -118,7 +118,7 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
     if animation.status == "dismissed":
         raise NotServedError("animation", f"This animation was dismissed. {animation.message or ''}".strip())
     if animation.film is None:
-        message = f"{animation.frames_done} of {animation.order.span.frames} frames of this animation are drawn."
+        message = f"{animation.frames_done} of {animation.spec.span.frames} frames of this animation are drawn."
         raise UnfinishedError(message, poll_after_s(animations.seconds_left(animation), settings))
     nbytes = animation.film.nbytes
     headers = {
@@ -132,7 +132,7 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
     first, end = part or (0, nbytes)
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
     reader = animation.film.open_reader(first, end)
-    return StreamingResponse(_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.order.format])
+    return StreamingResponse(_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.spec.format])
 
 
 def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
@@ -152,7 +152,7 @@ def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
 
 async def _chunks(reader: FilmReader) -> AsyncIterator[bytes]:
     try:
-        while chunk := await asyncio.to_thread(reader.chunk):
+        while chunk := await asyncio.to_thread(reader.read_chunk):
             yield chunk
     finally:
         reader.close()

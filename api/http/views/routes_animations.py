@@ -11,7 +11,7 @@ from skugga.api.http.answers import base_url
 from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, ResponseDocs, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.service import Service, ServiceDep
-from skugga.api.http.views.animation_request import AnimationRequest, error_in_body, film_order
+from skugga.api.http.views.animation_request import AnimationRequest, animation_spec_of, error_with_body_key
 from skugga.api.http.views.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
 from skugga.api.workers.jobs import FilmCheckJob, FilmCheckResult
 from skugga.terrain.errors import InputError
@@ -58,18 +58,18 @@ async def ask_for_animation(
     animation while it is drawn, or while its film is kept.
     """
     served_level = await service.level(level)
-    order = film_order(animation_request, served_level, service.settings)
-    animation = service.animations.find(order)
+    spec = animation_spec_of(animation_request, served_level, service.settings)
+    animation = service.animations.find(spec)
     if animation is None:
         service.animations.check_queue()
-        check = FilmCheckJob(**{name: getattr(order, name) for name in FilmCheckJob.model_fields})
+        check = FilmCheckJob(**{name: getattr(spec, name) for name in FilmCheckJob.model_fields})
         try:
             checked = await service.run_job(request, check)
         except InputError as error:
-            raise error_in_body(error, order) from None
+            raise error_with_body_key(error, spec) from None
         assert isinstance(checked, FilmCheckResult)
-        animation = service.animations.request(order, service.expected_frame_s(order, checked))
-    return _state_response(request, service, animation, 200 if animation.ended else 202)
+        animation = service.animations.request(spec, service.expected_frame_s(spec, checked))
+    return _state_response(request, service, animation, 200 if animation.has_ended else 202)
 
 
 @router.get(
