@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 Row = dict[str, Any]
 """A frame's costs as ``benchmarks.frame_worker`` reports them."""
 
-Rows = dict[str, list[Row]]
+ReportRows = dict[str, list[Row]]
 """Rows of costs by side, one for each turn. Rows at the same index were drawn one after the other."""
 
 NOW, BASE, YARDSTICK = "now", "before", "yardstick"
@@ -90,7 +90,7 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
     return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
 
 
-def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -> list[Target]:
+def frame_targets(frames: dict[FrameKey, ReportRows], first_frames: dict[str, ReportRows]) -> list[Target]:
     """Return the targets whose figures were measured."""
     result: list[Target] = []
 
@@ -136,7 +136,10 @@ def frame_targets(frames: dict[FrameKey, Rows], first_frames: dict[str, Rows]) -
 
 
 def format_report(
-    result: dict[str, Any], frames: dict[FrameKey, Rows], first_frames: dict[str, Rows], differences: dict[FrameKey, Row]
+    result: dict[str, Any],
+    frames: dict[FrameKey, ReportRows],
+    first_frames: dict[str, ReportRows],
+    differences: dict[FrameKey, Row],
 ) -> str:
     """Format all tables as Markdown. ``differences`` holds the comparison with the other commit's pictures by kind of frame."""
     parts = [
@@ -183,7 +186,7 @@ def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row]) -> str:
+def _frame_table(frames: dict[FrameKey, ReportRows], differences: dict[FrameKey, Row]) -> str:
     head = ["picture", "plan", "moved", "before, ms", "now, ms", "ratio", "CPU before", "CPU now", "ratio", "of the yardstick",
             "read-backs", "draws", "same picture", "same shadow"]  # fmt: skip
     rows = []
@@ -223,7 +226,7 @@ def _equality_cells(difference: Row | None) -> list[str]:
     return [f"{difference['color']} of {count}{color}", f"{difference['visibility']} of {count}{classes}"]
 
 
-def _first_table(first_frames: dict[str, Rows]) -> str:
+def _first_table(first_frames: dict[str, ReportRows]) -> str:
     head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
     rows = []
     for picture, sides in first_frames.items():
@@ -236,7 +239,7 @@ def _first_table(first_frames: dict[str, Rows]) -> str:
     return _table(head, rows)
 
 
-def _pass_table(key: FrameKey, sides: Rows) -> str:
+def _pass_table(key: FrameKey, sides: ReportRows) -> str:
     passes_by_side = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
     names = list(dict.fromkeys(name for passes in passes_by_side.values() for name in passes))
     rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in passes_by_side.values())] for name in names]

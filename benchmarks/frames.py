@@ -61,8 +61,8 @@ from benchmarks.frame_tables import (
     TABLES_BEGIN,
     YARDSTICK,
     FrameKey,
+    ReportRows,
     Row,
-    Rows,
     format_report,
     frame_targets,
     replace_between_marks,
@@ -186,9 +186,9 @@ class FrameMeasurements:
         The highest one-minute load average of the machine.
     """
 
-    frames: dict[FrameKey, Rows] = field(default_factory=dict)
+    frames: dict[FrameKey, ReportRows] = field(default_factory=dict)
     plans: dict[str, dict[str, Any]] = field(default_factory=dict)
-    first_frames: dict[str, Rows] = field(default_factory=dict)
+    first_frames: dict[str, ReportRows] = field(default_factory=dict)
     differences: dict[FrameKey, Row] = field(default_factory=dict)
     renderer: str = ""
     load: float = 0.0
@@ -232,7 +232,7 @@ def measure_interleaved(
                 measurements.plans[name][side_name].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
 
 
-def _difference(rows: Rows, drawers: dict[str, FrameProcess], folder: Path) -> Row:
+def _difference(rows: ReportRows, drawers: dict[str, FrameProcess], folder: Path) -> Row:
     """Return the number of frames with equal colours and with equal visibilities on both sides, and how the last frame differs."""
     equal_counts = {
         quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW], rows[BASE], strict=True))

@@ -21,10 +21,10 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
 from skugga.api.library.grids import grid_of_heights
+from skugga.api.library.north_up_grid import NorthUpGrid, north_up_grid
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
-from skugga.api.library.upright_grid import NorthUpGrid, north_up_grid
 from skugga.api.raster_file import TILE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError

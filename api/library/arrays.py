@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from affine import Affine
 
-from skugga.api.library.checked import (
+from skugga.api.library.argument_types import (
     AltitudeDeg,
     AzimuthDeg,
     CellSides,

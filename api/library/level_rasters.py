@@ -9,8 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.api.compute import raster_array
-from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import (
+from skugga.api.library.argument_types import (
     AltitudeDeg,
     AzimuthDeg,
     Bounds,
@@ -26,6 +25,7 @@ from skugga.api.library.checked import (
     Time,
     validate_arguments,
 )
+from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.level_state import LevelState, crs_text, requested_sun
 from skugga.api.library.memory import check_memory
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named

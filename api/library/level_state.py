@@ -8,8 +8,8 @@ from typing import cast
 from affine import Affine
 from pyproj import CRS
 
+from skugga.api.library.argument_types import Time
 from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import Time
 from skugga.api.raster_view import raster_view
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level import parse_sun

@@ -17,8 +17,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skugga.api.catalogue import find_level
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, CrsLike, Time, Transform, validate_arguments
 from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, CrsLike, Time, Transform, validate_arguments
 from skugga.api.library.grids import Heights
 from skugga.api.library.level_pictures import LevelPictures
 from skugga.api.library.level_points import LevelPoints

@@ -32,7 +32,7 @@ from skugga.api.workers.block_tiles import BLOCK_TILES
 from skugga.api.workers.block_views import block_of_grid
 from skugga.api.workers.jobs import LevelKey, ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan

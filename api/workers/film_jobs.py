@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FilmPlanState, FrameJob
 from skugga.api.workers.map_plans import view_plan_selector
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.selector.film import FrameMoment, film_frames, frame_moments
 from skugga.selector.replanning import Replanner
 from skugga.shadows.plan import Plan

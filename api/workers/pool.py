@@ -29,7 +29,7 @@ from skugga.api.workers.jobs import (
 )
 from skugga.api.workers.pending_jobs import PendingJobs
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.pool_counters import PoolCounters
 from skugga.api.workers.supervisor import WorkerSupervisor
 from skugga.api.workers.worker_config import first_config

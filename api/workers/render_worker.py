@@ -54,7 +54,7 @@ from skugga.api.workers.jobs import (
 )
 from skugga.api.workers.map_jobs import map_file
 from skugga.api.workers.map_plans import select_view_plan, unprobed_class
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.point_jobs import point_answer, points_answer
 from skugga.api.workers.preparation import import_pvlib, prepare_level
 from skugga.api.workers.process_life import lower_priority

@@ -15,7 +15,7 @@ from skugga.api.workers.job_queue import PendingJob
 from skugga.api.workers.jobs import BlockJob, Failure, HeartbeatAnswer, HeartbeatRequest, PreparationProgress, WorkerReady
 from skugga.api.workers.pending_jobs import PendingJobs
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.worker_config import first_config
 from skugga.api.workers.worker_process import WorkerProcess

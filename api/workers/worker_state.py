@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
 from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.process_life import resident_bytes
 from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan

@@ -8,7 +8,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_standard_bounds
+from skugga.api.http.openapi_parts import COMMON_ERROR_STATUSES, EXAMPLE_QUERY_KEY, problem_docs, with_standard_bounds
 from skugga.api.http.problems import Problem
 from skugga.api.http.server.bearer_token import PUBLIC_PATHS
 from skugga.api.http.state.archive_file import ArchiveFile
@@ -43,15 +43,17 @@ def _complete_document(document: dict[str, Any], service: Service) -> dict[str, 
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             needs_token = has_token and path not in PUBLIC_PATHS
-            answers = problem_docs(*COMMON_ERRORS, *([401] if needs_token else [])) | _with_integer_statuses(operation["responses"])
-            operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
+            responses = problem_docs(*COMMON_ERROR_STATUSES, *([401] if needs_token else [])) | _with_integer_statuses(
+                operation["responses"]
+            )
+            operation["responses"] = {str(status): responses[status] for status in sorted(responses)}
             if needs_token:
                 operation["security"] = [{"token": []}]
             _set_examples(
                 operation,
                 archive_examples(service.archives.cached_archives()) if path.startswith("/archives") else location_examples,
             )
-            query = operation.pop(EXAMPLE_QUERY, {})
+            query = operation.pop(EXAMPLE_QUERY_KEY, {})
             operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
     if has_token:
         document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
@@ -68,8 +70,8 @@ def _plan_schemas() -> dict[str, Any]:
     return schemas
 
 
-def _with_integer_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
-    return {int(status): answer for status, answer in answers.items() if "HTTPValidationError" not in str(answer)}
+def _with_integer_statuses(responses: dict[str, Any]) -> dict[int | str, Any]:
+    return {int(status): answer for status, answer in responses.items() if "HTTPValidationError" not in str(answer)}
 
 
 def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:

@@ -11,11 +11,11 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from skugga.api.errors import NotReadyError, UnhealthyError
 from skugga.api.http.openapi_parts import problem_docs
-from skugga.api.http.parameters import allow_only
+from skugga.api.http.parameters import allow_only_parameters
 from skugga.api.http.state.metrics import METRICS_MEDIA_TYPE
 from skugga.api.http.state.service import ServiceDep
 
-router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
+router = APIRouter(tags=["health"], dependencies=[Depends(allow_only_parameters())])
 
 NO_STORE_HEADERS = {"Cache-Control": "no-store"}
 

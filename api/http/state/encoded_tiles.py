@@ -12,8 +12,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
 
-from skugga.api.http.answers import is_fresh
-from skugga.api.http.request_times import TIME_HEADER, is_current
+from skugga.api.http.request_times import TIME_HEADER, requests_current_time
+from skugga.api.http.responses import has_current_copy
 from skugga.terrain.cache import MIB, Cache, Missing
 
 TileVersions = tuple[str | None, ...]
@@ -45,7 +45,7 @@ class EncodedTile:
 
     def answer(self, request: Request) -> Response:
         """Return the response to a request; 304 if the client's copy is current."""
-        if is_fresh(request, self.headers["ETag"]):
+        if has_current_copy(request, self.headers["ETag"]):
             not_modified_headers = {
                 name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)
             }
@@ -114,7 +114,7 @@ class EncodedTiles:
         """
         tag = tile.headers["ETag"]
         self._by_tag.put(tag, value=tile)
-        if is_current(request):
+        if requests_current_time(request):
             return
         self._by_address.put(_address(request.scope), value=_AddressEntry(tag, level, versions))
 

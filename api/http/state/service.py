@@ -14,8 +14,8 @@ from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_job
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.request_times import freshness_s
+from skugga.api.http.responses import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.http.state.rate_limiter import RateLimiter, client_key
@@ -54,14 +54,14 @@ class Service:
         """Whether the service has render processes. A service of archives alone has none."""
         return bool(self.levels.names()) or self.settings.levels is not None
 
-    def max_age_s(self, request: Request, default_s: int) -> int:
+    def max_age_s(self, request: Request, default_age_s: int) -> int:
         """Return the freshness lifetime of a picture in seconds.
 
-        It is ``default_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
+        It is ``default_age_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
         measurements may change plans (choices of algorithms), and clients must not combine pictures of different plans for long.
         """
         is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.requested_count
-        return freshness_s(request, min(default_s, METADATA_MAX_AGE_S) if is_plan_pending else default_s)
+        return freshness_s(request, min(default_age_s, METADATA_MAX_AGE_S) if is_plan_pending else default_age_s)
 
     def expected_frame_s(self, spec: AnimationSpec, check_result: FilmCheckResult) -> float:
         """Return the expected seconds of one frame of a film: the prediction of its plan, else that of ``ExpectedTimes``."""

@@ -25,11 +25,11 @@ from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
-MAX_TEXT_CHARACTERS = 60
+MAX_TIME_CHARACTERS = 60
 """Maximum number of characters of a time or a duration."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
-Text = Annotated[str, Field(max_length=MAX_TEXT_CHARACTERS)]
+Text = Annotated[str, Field(max_length=MAX_TIME_CHARACTERS)]
 
 
 _FROM_FIELD = Field(

@@ -20,11 +20,11 @@ from skugga.api.animations.animation import Animation, AnimationStatus
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.film_file import FilmReader
 from skugga.api.errors import NotServedError, UnfinishedError
-from skugga.api.http.answers import entity_tag, is_fresh
 from skugga.api.http.problems import Problem, error_response, public_problem
+from skugga.api.http.responses import entity_tag, has_current_copy
 from skugga.api.settings import Settings
 
-FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
+FILM_MEDIA_TYPES: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 
 RESULTS_RELATION = "http://www.opengis.net/def/rel/ogc/1.0/results"
 """Link relation from a job to its results (OGC API - Processes)."""
@@ -71,7 +71,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     done, frames = animation.frames_done, animation.spec.span.frames
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
-        media_type = FILM_MEDIA[animation.spec.format]
+        media_type = FILM_MEDIA_TYPES[animation.spec.format]
         links.append(Link(href=f"{address}/result", rel=RESULTS_RELATION, type=media_type, title="The film"))
     problem = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
@@ -88,7 +88,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     )  # fmt: skip
 
 
-def state_answer(status: int, state: AnimationState, settings: Settings) -> Response:
+def state_response(status: int, state: AnimationState, settings: Settings) -> Response:
     """Return a state as JSON with an HTTP ``status``. Caches must not store it.
 
     ``Location`` is the animation's URL. ``Retry-After`` is present until the animation has ended.
@@ -108,7 +108,7 @@ def poll_after_s(seconds_left: float, settings: Settings) -> int:
     return max(math.ceil(min(seconds_left, settings.animation_abandoned_s / 3.0)), 1)
 
 
-def film_answer(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
+def film_response(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
     """Return the film, the bytes of it that ``Range`` asks for, or 304; for a failed animation return its problem.
 
     Raises ``UnfinishedError`` for an unfinished animation and ``NotServedError`` for a dismissed one.
@@ -125,14 +125,16 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
         "ETag": entity_tag("animation", animation.id), "Accept-Ranges": "bytes",
         "Cache-Control": f"private, max-age={int(settings.animation_age_s)}",
     }  # fmt: skip
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if_range = request.headers.get("if-range", headers["ETag"])
     part = byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
     first, end = part or (0, nbytes)
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
     reader = animation.film.open_reader(first, end)
-    return StreamingResponse(_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.spec.format])
+    return StreamingResponse(
+        _chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA_TYPES[animation.spec.format]
+    )
 
 
 def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 
 from skugga.api.cli.level_argument import _named_level_source
-from skugga.api.http import answers
+from skugga.api.http import responses
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
@@ -48,7 +48,7 @@ def test_redirects_use_the_request_host_by_default(serve_with):
     [("gzip", True), ("br, gzip;q=0.5", True), ("gzip;q=0", False), ("gzip; q=0.0", False), ("br", False), ("", False)],
 )
 def test_long_documents_are_gzipped_if_accepted(serve_with, monkeypatch: pytest.MonkeyPatch, accepted: str, is_packed: bool):
-    monkeypatch.setattr(answers, "MIN_GZIP_BYTES", 1000)
+    monkeypatch.setattr(responses, "MIN_GZIP_BYTES", 1000)
     client = serve_with(fake_workers.scripted)
     for path in ("/wms?REQUEST=GetCapabilities", "/wmts/1.0.0/WMTSCapabilities.xml"):
         with client.stream("GET", path, headers={"Accept-Encoding": accepted}) as answer:

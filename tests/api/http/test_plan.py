@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from skugga.api.http.levels.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import DescriptorPlanJob, ZoomTiles
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, representative_block
 from skugga.selector.cost.device_profile import DeviceProfile, profile_digest

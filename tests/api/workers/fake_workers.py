@@ -28,7 +28,7 @@ from skugga.api.workers.jobs import (
     PreparationProgress,
     WorkerReady,
 )
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.selector.map_probes import MapClass
 from skugga.terrain.errors import GraphicsError, InputError, RenderError

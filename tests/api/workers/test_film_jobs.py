@@ -23,7 +23,7 @@ from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import BACKGROUND_PENALTY_S, JobQueue, PendingJob
 from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan

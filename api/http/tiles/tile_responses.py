@@ -10,16 +10,16 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.encoding import ARRAY_FORMATS, check_format
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import (
+from skugga.api.http.request_times import time_headers
+from skugga.api.http.responses import (
     DEFAULT_SUN_MAX_AGE_S,
     REQUESTED_SUN_MAX_AGE_S,
     cache_headers,
     entity_tag,
-    is_fresh,
+    has_current_copy,
     reach_headers,
     render_headers,
 )
-from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
@@ -31,7 +31,7 @@ from skugga.api.workers.jobs import BlockJob, BlockTiles
 from skugga.terrain.geo.grid import TILE_PX
 
 
-async def tile_answer(
+async def tile_response(
     request: Request,
     service: Service,
     name: str,
@@ -100,7 +100,7 @@ async def tile_answer(
     headers = (
         cache_headers(entity_tag(*render_versions, *tag_parts), service.max_age_s(request, default_max_age_s)) | sun_time_headers
     )
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if is_empty:
         if service.settings.empty_tile == "204":

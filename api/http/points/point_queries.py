@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fastapi import Request
 
-from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.request_times import current_quarter_hour
+from skugga.api.http.responses import REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.state.service import Service
 from skugga.api.point.values import PointQuery
 from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
