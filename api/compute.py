@@ -36,7 +36,7 @@ ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
 BLOCK_CACHE_BYTES = 24 * MIB
 """Size of the cache of recently computed blocks, for products that need no picture."""
 
-OnBlock = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Callback of progress: the number of finished steps and the total."""
 
 
@@ -72,7 +72,7 @@ def compute(
     request: ProductRequest,
     plan: Plan | None,
     light: str | None = None,
-    on_block: OnBlock | None = None,
+    on_block: ProgressCallback | None = None,
 ) -> ComputedProduct:
     """Compute a product of a view.
 
@@ -130,18 +130,18 @@ def plan_for(
     name: str,
     product: Product,
     overrides: dict[str, Any],
-    limits_time: bool = False,
+    has_time_limit: bool = False,
 ) -> Plan | None:
     """Return the plan of a view for a product; ``None`` if the product needs no picture.
 
-    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``limits_time`` says whether the
+    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``has_time_limit`` says whether the
     caller compares the plan's expected time with a time limit. Raises ``InputError`` if the product is not defined for this kind of
     view.
     """
     check_view(product, view)
     if not product.needs_of(view):
         return None
-    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=limits_time)
+    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=has_time_limit)
     return plan_of_view(scene, view, name, overrides, device=device)
 
 
@@ -151,7 +151,7 @@ def draw_picture(
     product: Product,
     plan: Plan,
     light: str | None = None,
-    on_block: OnBlock | None = None,
+    on_block: ProgressCallback | None = None,
 ) -> Picture:
     """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
     needed_parts = product.needs_of(view)
@@ -197,7 +197,7 @@ def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOp
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
-def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
     return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
 
 
@@ -265,12 +265,12 @@ def plan_requests(
         if product.when == "sun" and scene.sun is None and request.sun is None:
             raise InputError.missing("time", "The level has no sun. Give a time, or an azimuth and an altitude")
     scenes = [request.applied_to(scene) for request in requests]
-    plans = _plans(scenes, view, product, overrides)
+    plans = _plans_of_scenes(scenes, view, product, overrides)
     return [PlannedRequest(*parts) for parts in zip(requests, scenes, plans, strict=True)]
 
 
 def raster_parts(
-    scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: OnBlock | None = None
+    scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: ProgressCallback | None = None
 ) -> Iterator[RasterPart]:
     """Yield the parts of a raster, for each of several planned requests for one product. Raises ``SkuggaError``.
 
@@ -278,11 +278,11 @@ def raster_parts(
     of the sun is thus done once for each block.
     """
     product, view = planned_requests[0].request.product_record, raster.view
-    blocks = _blocks(scene, view, product)
+    blocks = _blocks_of_view(scene, view, product)
     total = sum(product.step_count(planned_request.request.options) for planned_request in planned_requests) * len(blocks)
     done = 0
 
-    def step() -> None:
+    def report_step() -> None:
         nonlocal done
         done += 1
         if on_step is not None:
@@ -292,16 +292,16 @@ def raster_parts(
         window, block_window = overlap_windows(view, block, row, col)
         for number, planned_request in enumerate(planned_requests):
             if planned_request.plan is None:
-                array = _compute_block(planned_request.scene, block, product, planned_request.request.options, step)
+                array = _compute_block(planned_request.scene, block, product, planned_request.request.options, report_step)
             else:
                 array = _picture_block(planned_request.scene, block, product, planned_request.request.options, planned_request.plan)
             yield RasterPart(number, *raster.window_in_raster_order(window[0].start, window[1].start, array[block_window]))
             if product.when != "days":
-                step()
+                report_step()
         trim_bare_ground_cache(1)
 
 
-def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
+def _plans_of_scenes(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
     """Return one plan for each scene, made for the middle block; ``None`` if the product needs no picture."""
     if not product.needs:
         return [None] * len(scenes)
@@ -316,7 +316,7 @@ def write_rasters(
     requests: Sequence[ProductRequest],
     paths: Sequence[Path],
     overrides: dict[str, Any] | None = None,
-    on_step: OnBlock | None = None,
+    on_step: ProgressCallback | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
     """Write a raster file for each of several requests, and optionally contours of the first raster.

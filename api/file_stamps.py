@@ -9,7 +9,7 @@ from pathlib import Path
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.linked_files import is_remote, sidecar_files
 
-MAX_FILES = 20_000
+MAX_WATCHED_FILES = 20_000
 """Upper bound of the number of a mosaic's source files whose changes are detected."""
 
 Stamp = tuple[int, int, int, int] | None
@@ -22,7 +22,9 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
 
     They are the level file, the files that it names, the files to which those refer, and possible side-car files of all of them.
     """
-    files = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
+    files = dict.fromkeys(
+        [loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_WATCHED_FILES] if not is_remote(source))]
+    )
     return tuple(dict.fromkeys([*files, *(sidecar for path in files for sidecar in sidecar_files(path))]))
 
 

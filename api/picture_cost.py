@@ -55,18 +55,20 @@ def is_over_limit(plan: Plan, limit_ms: float) -> bool:
     return plan.predicted.ms > limit_ms * (ESTIMATE_MARGIN if plan.predicted.is_estimate else 1.0)
 
 
-def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str, has_size: bool = True) -> None:
+def check_cost(plan: Plan, subject: str, limit_ms: float | None, limit_name: str, has_free_size: bool = True) -> None:
     """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
 
     On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
-    ``subject``, and the setting of the limit ``bound``. ``has_size`` tells whether the caller can choose the picture's size: blocks
-    of tiles and maps have a fixed one.
+    ``subject``, and the setting of the limit ``limit_name``. ``has_free_size`` says whether the caller can choose the picture's
+    size. Blocks of tiles and maps have a fixed size.
     """
     if limit_ms is None or plan.predicted is None or not is_over_limit(plan, limit_ms):
         return
     reason = f"{subject} by {plan.headline} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
     cheaper = remedy(plan)
-    advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_size else ''}"
-    if bound == MAX_MS_OPTION:
-        advice += f", or allow more time with {bound}"
-    raise TooCostlyError.over_limit("size" if has_size else bound, reason, f"{limit_ms / 1000.0:g} s ({bound})", advice)
+    advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_free_size else ''}"
+    if limit_name == MAX_MS_OPTION:
+        advice += f", or allow more time with {limit_name}"
+    raise TooCostlyError.over_limit(
+        "size" if has_free_size else limit_name, reason, f"{limit_ms / 1000.0:g} s ({limit_name})", advice
+    )

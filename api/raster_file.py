@@ -20,7 +20,7 @@ from rasterio.windows import Window
 
 from skugga.terrain.atomic_files import atomic_path, write_error
 
-TILE_CELLS = 512
+TILE_SIDE_CELLS = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def cog(
         raw.parent.mkdir()
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
-            nodata=nodata, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw", bigtiff="if_safer",
+            nodata=nodata, tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS, compress="lzw", bigtiff="if_safer",
             sparse_ok=True,
         ) as dataset:  # fmt: skip
             if metadata is not None:
@@ -127,7 +127,7 @@ def cog(
             yield RasterFile(dataset)
         try:
             copy(
-                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE_CELLS, BIGTIFF="IF_SAFER",
+                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE_SIDE_CELLS, BIGTIFF="IF_SAFER",
                 OVERVIEW_RESAMPLING="AVERAGE" if is_smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
         except Exception as error:  # GDAL's own errors, for which rasterio has no public base class

@@ -149,7 +149,7 @@ def _check_costs(
         descriptor = describe(moment.scene(scene), moment.view, request.view_name)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
         subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
-        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=not isinstance(moment.view, MapView))
+        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_free_size=not isinstance(moment.view, MapView))
 
 
 class _FilmProgress:

@@ -10,7 +10,7 @@ from typing import Any
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.times import paths_by_time
 from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
-from skugga.api.compute import OnBlock, write_rasters
+from skugga.api.compute import ProgressCallback, write_rasters
 from skugga.api.products.visibility import VISIBILITY
 from skugga.api.raster_file import RasterCells
 from skugga.api.raster_view import Bounds, raster_view
@@ -56,7 +56,7 @@ def write_product(
     requests: Sequence[ProductRequest],
     output_grid: OutputGrid,
     overrides: dict[str, Any],
-    on_step: OnBlock | None = None,
+    on_step: ProgressCallback | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
     """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``."""

@@ -84,11 +84,11 @@ def snapshot(
     if request.sun is None and request.product_record.when == "sun":
         print_default_sun(scene)
     scene = scene.with_style(*style_overrides)
-    plan = plan_for(scene, view_value, view, request.product_record, overrides, limits_time=max_ms is not None)
+    plan = plan_for(scene, view_value, view, request.product_record, overrides, has_time_limit=max_ms is not None)
     if plan is not None:
         is_map = isinstance(view_value, MapView)
         subject = "a block of the map" if is_map else "the view"
-        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=not is_map)
+        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_free_size=not is_map)
     return Snapshot(scene, view_value, plan, compute(scene, view_value, request, plan, light, on_block))
 
 

@@ -25,7 +25,7 @@ from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, Date, Tim
 from skugga.api.library.grids import grid_of_heights
 from skugga.api.library.north_up_grid import NorthUpGrid, north_up_grid
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
-from skugga.api.raster_file import TILE_CELLS
+from skugga.api.raster_file import TILE_SIDE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
@@ -167,7 +167,7 @@ class _StagedRaster:
         rows, cols = grid.heights.shape
         self._dataset = rasterio.open(
             self.path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", nodata=float("nan"),
-            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS,
+            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS,
             compress="lzw", bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
 

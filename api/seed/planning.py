@@ -15,7 +15,7 @@ from skugga.api.matrices import (
     MAX_OVERZOOM,
     LonLatBounds,
     ZoomRange,
-    detail_m,
+    finest_detail_m,
     is_extent_without_data,
     matrix_set_of,
     tile_limits,
@@ -256,7 +256,9 @@ def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLat
     if data_bounds is None or scene.world.off_earth_reason is not None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")
     cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
-    served_zooms, ground_zooms = (zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (detail_m(scene), cell_m))
+    served_zooms, ground_zooms = (
+        zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (finest_detail_m(scene), cell_m)
+    )
     if served_zooms is None or ground_zooms is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
     native_zoom = max(ground_zooms.last - MAX_OVERZOOM, served_zooms.first)

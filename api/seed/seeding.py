@@ -103,7 +103,7 @@ def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> Non
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
             subject = f"a block of zoom {planned.zoom}"
-            check_cost(planned.parsed_plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=False)
+            check_cost(planned.parsed_plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_free_size=False)
 
 
 def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:

@@ -38,7 +38,7 @@ from skugga.api.http.state.job_responses import job_response
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.tiles.legends import legend_response
-from skugga.api.http.tiles.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
+from skugga.api.http.tiles.map_extents import MapBounds, check_side, crs_code, crs_of_code, is_north_first, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_response
 from skugga.api.point.values import PointQuery
 from skugga.api.products import PRODUCTS
@@ -162,7 +162,7 @@ def _requested_extent(parameters: KeyValuePairs) -> tuple[str, CRS, MapBounds, t
     """Return a request's CRS code, CRS, bounds in that CRS, and (width, height) in pixels. Raises ``InputError``."""
     code = crs_code(parameters.require("CRS", "Give a CRS, such as EPSG:3857"))
     crs = crs_of_code(code)
-    bounds = parse_bounds(parameters.require("BBOX", "Give four numbers"), "BBOX", north_first(crs))
+    bounds = parse_bounds(parameters.require("BBOX", "Give four numbers"), "BBOX", is_north_first(crs))
     width, height = (check_side(name, parameters.require_integer(name)) for name in ("WIDTH", "HEIGHT"))
     return code, crs, bounds, (width, height)
 

@@ -15,7 +15,7 @@ from skugga.api.http.ogc.ogc_xml import XLINK_NAMESPACE, XSI_NAMESPACE, add_elem
 from skugga.api.http.ogc.wmts_capabilities import layer_abstract, legend_url
 from skugga.api.http.request_times import DEFAULT_TIME
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.http.tiles.map_extents import bounds_in, crs_of_code, north_first
+from skugga.api.http.tiles.map_extents import bounds_in, crs_of_code, is_north_first
 from skugga.api.products import PRODUCTS, products_with
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.errors import InputError
@@ -135,7 +135,7 @@ def _add_bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS)
         west, south, east, north = bounds_in(level, crs)
     except InputError:
         return
-    edges = (south, west, north, east) if north_first(crs) else (west, south, east, north)
+    edges = (south, west, north, east) if is_north_first(crs) else (west, south, east, north)
     values = dict(zip(("minx", "miny", "maxx", "maxy"), (format_numbers((edge,)) for edge in edges), strict=True))
     add_element(element, "BoundingBox", CRS=code, **values)
 

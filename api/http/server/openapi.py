@@ -16,7 +16,7 @@ from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.matrices import matrix_set_of
 
-EXAMPLE_DECIMALS = 5
+EXAMPLE_DEGREE_DECIMALS = 5
 """Decimals of degrees in examples."""
 
 
@@ -84,8 +84,8 @@ def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
         return {"level": levels[0].name} if levels else {}
     level = levels_on_earth[0]
     assert level.bounds is not None
-    west, south, east, north = (round(edge_deg, EXAMPLE_DECIMALS) for edge_deg in level.bounds)
-    lon, lat = round((west + east) / 2, EXAMPLE_DECIMALS), round((south + north) / 2, EXAMPLE_DECIMALS)
+    west, south, east, north = (round(edge_deg, EXAMPLE_DEGREE_DECIMALS) for edge_deg in level.bounds)
+    lon, lat = round((west + east) / 2, EXAMPLE_DEGREE_DECIMALS), round((south + north) / 2, EXAMPLE_DEGREE_DECIMALS)
     zoom = level.zooms[DEFAULT_MATRIX_SET].first
     tile = matrix_set_of(DEFAULT_MATRIX_SET).tile(lon, lat, zoom)
     bbox = f"{west},{south},{east},{north}"

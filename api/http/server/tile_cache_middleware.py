@@ -40,7 +40,7 @@ class TileCacheMiddleware:
             await self.app(scope, receive, send)
         else:
             scope[CACHED_ROUTE_KEY] = CACHED_TILE_ROUTE
-            await tile.answer(Request(scope))(scope, receive, send)
+            await tile.response(Request(scope))(scope, receive, send)
 
     def _cached_tile(self, scope: Scope) -> EncodedTile | None:
         return self.service.tiles.cached_tile(scope, partial(tile_versions, self.service))

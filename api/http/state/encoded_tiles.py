@@ -21,7 +21,7 @@ TileVersions = tuple[str | None, ...]
 
 These are the versions of the level, the renderer, the plans and the level's archives."""
 
-OVERHEAD_BYTES = 1024
+ENTRY_OVERHEAD_BYTES = 1024
 """Estimated bytes of a cache entry without its body: headers, tags and the cache's own overhead."""
 
 
@@ -43,7 +43,7 @@ class EncodedTile:
     headers: dict[str, str]
     media_type: str
 
-    def answer(self, request: Request) -> Response:
+    def response(self, request: Request) -> Response:
         """Return the response to a request; 304 if the client's copy is current."""
         if has_current_copy(request, self.headers["ETag"]):
             not_modified_headers = {
@@ -72,7 +72,7 @@ class _AddressEntry:
     versions: TileVersions
 
 
-Address = tuple[str, bytes]
+RequestAddress = tuple[str, bytes]
 """Path and query string of a request."""
 
 
@@ -84,10 +84,10 @@ class EncodedTiles:
 
     def __init__(self, limit_bytes: int) -> None:
         self._by_tag: Cache[EncodedTile] = Cache(
-            "skugga.api.http.state.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
+            "skugga.api.http.state.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + ENTRY_OVERHEAD_BYTES
         )
         self._by_address: Cache[_AddressEntry] = Cache(
-            "skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES
+            "skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: ENTRY_OVERHEAD_BYTES
         )
         self.hits, self.misses = 0, 0
 
@@ -131,5 +131,5 @@ class EncodedTiles:
         return tile
 
 
-def _address(scope: Scope) -> Address:
+def _address(scope: Scope) -> RequestAddress:
     return scope["path"], scope["query_string"]

@@ -45,7 +45,7 @@ class ServiceMetrics:
             "skugga_pass_seconds", "Time of a pass of a drawn block or snapshot.", ("algorithm", "stage"),
             registry=self.registry, buckets=PASS_BUCKETS_S,
         )  # fmt: skip
-        self.clipped = Counter(
+        self.clipped_reaches = Counter(
             "skugga_reach_clipped",
             "Drawn blocks and snapshots for which the data ended before the casters.",
             registry=self.registry,
@@ -62,13 +62,13 @@ class ServiceMetrics:
             self._known_passes.add(pair)
             self.pass_seconds.labels(*pair).observe(ms / 1000.0)
         if picture.reach_clipped:
-            self.clipped.inc()
+            self.clipped_reaches.inc()
 
     def text(self) -> bytes:
         """Return all metrics in Prometheus' text format."""
         return generate_latest(self.registry)
 
-    def names(self) -> set[str]:
+    def series_names(self) -> set[str]:
         """Return the names of all time series as Prometheus queries use them, with endings such as ``_total``."""
         sample_names = {sample.name for family in self.registry.collect() for sample in family.samples}
         return sample_names | {name for family in self.registry.collect() for name in _names_of(family)}

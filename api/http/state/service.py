@@ -107,7 +107,7 @@ class Service:
         try:
             return await cancel_on_disconnect(request, self.pool.run(job, client))
         except (LevelError, SourceError):
-            if isinstance(job, DescriptorPlanJob) or self.levels.serves(job.level.path):
+            if isinstance(job, DescriptorPlanJob) or self.levels.is_served(job.level.path):
                 raise
             raise NotServedError("level", "level: this level is no longer served.") from None
 
@@ -132,10 +132,10 @@ async def service_dependency(request: Request) -> Service:
 ServiceDep = Annotated[Service, Depends(service_dependency)]
 
 
-async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
+async def cancel_on_disconnect(request: Request, coroutine: Coroutine[Any, Any, T]) -> T:
     """Await a coroutine and return its result. If the client disconnects, cancel it and raise ``ClientDisconnectedError``."""
-    task = asyncio.ensure_future(work)
-    disconnect = asyncio.ensure_future(_disconnected(request))
+    task = asyncio.ensure_future(coroutine)
+    disconnect = asyncio.ensure_future(_wait_for_disconnect(request))
     try:
         await asyncio.wait({task, disconnect}, return_when=asyncio.FIRST_COMPLETED)
         if not task.done():
@@ -146,6 +146,6 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -
         disconnect.cancel()
 
 
-async def _disconnected(request: Request) -> None:
+async def _wait_for_disconnect(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass

@@ -94,4 +94,4 @@ async def archive_tile(
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
         return Response(status_code=204, headers=cache_headers(entity_tag(archive_file.version, z, x, y), DEFAULT_SUN_MAX_AGE_S))
-    return archived_tile(body, archive_file, DEFAULT_SUN_MAX_AGE_S).answer(request)
+    return archived_tile(body, archive_file, DEFAULT_SUN_MAX_AGE_S).response(request)

@@ -88,7 +88,7 @@ async def tile_response(
                 max_age_s, request_parts = service.max_age_s(request, default_max_age_s), (name, zxy, product_request.query())
                 encoded_tile = archived_tile(body, archive, max_age_s, *request_parts, **time_headers(request))
                 service.tiles.put(request, encoded_tile, name, (level.version, *render_versions, archives.version))
-                return encoded_tile.answer(request)
+                return encoded_tile.response(request)
             is_empty = True
     if is_empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"x: {name} has no data in tile {zxy[1]}, {zxy[2]} at zoom {zxy[0]}.")
@@ -116,7 +116,7 @@ async def tile_response(
     if tile is not None:
         tile = replace(tile, headers=tile.headers | headers)
         service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))
-        return tile.answer(request)
+        return tile.response(request)
     (block_x, block_y), position = block_and_position(zxy[1] * scale, zxy[2] * scale, scale)
     job = BlockJob(
         level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format, tiles=scale,

@@ -29,7 +29,7 @@ MAX_TIME_CHARACTERS = 60
 """Maximum number of characters of a time or a duration."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
-Text = Annotated[str, Field(max_length=MAX_TIME_CHARACTERS)]
+TimeText = Annotated[str, Field(max_length=MAX_TIME_CHARACTERS)]
 
 
 _FROM_FIELD = Field(
@@ -37,15 +37,15 @@ _FROM_FIELD = Field(
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
     "animated objects move, and the sun is fixed. Default: the path's.",
 )  # fmt: skip
-_FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
-_FromModel: Any = create_model("_Named", __base__=Model, **_FROM)
+_FROM_FIELDS: dict[str, Any] = {"from": (TimeText | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
+_FromModel: Any = create_model("_Named", __base__=Model, **_FROM_FIELDS)
 
 
 class _AnimationFields(_FromModel):
-    to: Text | None = Field(
+    to: TimeText | None = Field(
         default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, of the same kind."
     )
-    step: Text | None = Field(
+    step: TimeText | None = Field(
         default=None, examples=["10m"],
         description="Time between frames: a number and s, m, h or d. Default for readings of the clock: 1 / `fps` seconds.",
     )  # fmt: skip
@@ -65,7 +65,7 @@ class _AnimationFields(_FromModel):
         default=False, strict=True, examples=[True], description="Compress `webp` without loss: about six times the size."
     )
     fps: float = Field(default=DEFAULT_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
-    time: Text | None = Field(default=None, description="Time of a fixed sun, ISO 8601 with an offset; default: the level's.")
+    time: TimeText | None = Field(default=None, description="Time of a fixed sun, ISO 8601 with an offset; default: the level's.")
     azimuth: float | None = Field(
         default=None, strict=True, examples=[235], description="With `altitude`: azimuth of a fixed sun, degrees from true north."
     )
@@ -76,11 +76,11 @@ class _AnimationFields(_FromModel):
     )
 
 
-_SETTINGS = settings_of(Shadows, "pictures")
+_SHADOW_SETTINGS = settings_of(Shadows, "pictures")
 
 _SHADOW_FIELDS: dict[str, Any] = {
     setting.name: (setting.type | None, Field(default=None, description=setting.description, examples=[setting.example]))
-    for setting in _SETTINGS
+    for setting in _SHADOW_SETTINGS
 }
 
 AnimationRequest: Any = create_model(
@@ -114,7 +114,7 @@ def animation_spec_of(body: Any, level: ServedLevel, settings: Settings) -> Anim
         sun=_fixed_sun(body, span),
         style=style_named(body.style),
         slope_exaggeration=body.slope_exaggeration,
-        overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SETTINGS}),
+        overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SHADOW_SETTINGS}),
     )
     return AnimationSpec(
         level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,

@@ -29,7 +29,7 @@ FILM_MEDIA_TYPES: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 RESULTS_RELATION = "http://www.opengis.net/def/rel/ogc/1.0/results"
 """Link relation from a job to its results (OGC API - Processes)."""
 
-_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+_BYTE_RANGE_PATTERN = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 
 
 class Link(BaseModel):
@@ -66,7 +66,7 @@ class AnimationState(BaseModel):
     links: list[Link]
 
 
-def state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
+def animation_state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
     """Return the state of an animation. ``address`` is the URL of the animation, for links."""
     done, frames = animation.frames_done, animation.spec.span.frames
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
@@ -128,7 +128,7 @@ def film_response(request: Request, animation: Animation, animations: Animations
     if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if_range = request.headers.get("if-range", headers["ETag"])
-    part = byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
+    part = parse_byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
     first, end = part or (0, nbytes)
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
     reader = animation.film.open_reader(first, end)
@@ -137,13 +137,13 @@ def film_response(request: Request, animation: Animation, animations: Animations
     )
 
 
-def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
+def parse_byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
     """Return the begin and the end of the bytes that a header ``Range`` asks for (RFC 9110, section 14).
 
     The end is the index after the last byte. ``nbytes`` is the size of the file. The result is ``None`` for an invalid text,
     several ranges, or a range outside the file. The service then sends the whole file, as the RFC allows.
     """
-    match = _RANGE.fullmatch(text.strip())
+    match = _BYTE_RANGE_PATTERN.fullmatch(text.strip())
     if match is None or not any(match.groups()):
         return None
     first, last = match.groups()

@@ -12,22 +12,28 @@ from skugga.api.http.parameters import allow_only_parameters
 from skugga.api.http.responses import base_url
 from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.http.views.animation_request import AnimationRequest, animation_spec_of, error_with_body_key
-from skugga.api.http.views.animation_states import FILM_MEDIA_TYPES, AnimationState, film_response, state_of, state_response
+from skugga.api.http.views.animation_states import (
+    FILM_MEDIA_TYPES,
+    AnimationState,
+    animation_state_of,
+    film_response,
+    state_response,
+)
 from skugga.api.workers.jobs import FilmCheckJob, FilmCheckResult
 from skugga.terrain.errors import InputError
 
 router = APIRouter(tags=["animations"])
 
-EXAMPLE: dict[str, Any] = {
+ANIMATION_EXAMPLE: dict[str, Any] = {
     "from": "2024-10-21T15:00:00-04:00", "to": "2024-10-21T17:00:00-04:00", "step": "1h", "size": [64, 48], "fps": 2,
 }  # fmt: skip
-EXAMPLE_ID = "6f1c2a7e0d9b4c53a8e1f0d2b3c4a596"
+ANIMATION_ID_EXAMPLE = "6f1c2a7e0d9b4c53a8e1f0d2b3c4a596"
 
 RESULT_ERROR_STATUSES = 404, 409, 422, 500, 503, 504, 507
 """Statuses of the result of an animation that failed or is not finished."""
 
 AnimationPath = Annotated[
-    str, Path(max_length=100, description="An animation by its `jobID`, which cannot be guessed.", examples=[EXAMPLE_ID])
+    str, Path(max_length=100, description="An animation by its `jobID`, which cannot be guessed.", examples=[ANIMATION_ID_EXAMPLE])
 ]
 
 STATE_DOCS: ResponseDocs = {200: {"description": "Its state.", "model": AnimationState}}
@@ -49,7 +55,9 @@ async def ask_for_animation(
     request: Request,
     service: ServiceDep,
     level: LevelPath,
-    animation_request: Annotated[AnimationRequest, Body(description="Its time span, view and settings.", examples=[EXAMPLE])],
+    animation_request: Annotated[
+        AnimationRequest, Body(description="Its time span, view and settings.", examples=[ANIMATION_EXAMPLE])
+    ],
 ) -> Response:
     """Create an animation of a level with a moving sun, a moving camera, or both.
 
@@ -126,4 +134,4 @@ async def dismiss_animation(request: Request, service: ServiceDep, animation: An
 
 def _state_response(request: Request, service: Service, animation: Animation, status: int = 200) -> Response:
     address = f"{base_url(request, service.settings.public_url)}/animations/{animation.id}"
-    return state_response(status, state_of(animation, service.animations, address), service.settings)
+    return state_response(status, animation_state_of(animation, service.animations, address), service.settings)

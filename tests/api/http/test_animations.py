@@ -21,7 +21,7 @@ from PIL import Image
 
 from skugga.api.cli import main as cli
 from skugga.api.http.server.app import create_app
-from skugga.api.http.views.animation_states import RESULTS_RELATION, byte_range
+from skugga.api.http.views.animation_states import RESULTS_RELATION, parse_byte_range
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
@@ -153,9 +153,9 @@ def test_result_supports_etags_and_byte_ranges(filming: Client):
 
 
 def test_byte_range_parses_single_ranges_only():
-    assert byte_range("bytes=0-0", 10) == (0, 1)
-    assert byte_range("bytes=-20", 10) == (0, 10), "more than there is: all"
-    assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
+    assert parse_byte_range("bytes=0-0", 10) == (0, 1)
+    assert parse_byte_range("bytes=-20", 10) == (0, 10), "more than there is: all"
+    assert parse_byte_range("", 10) is parse_byte_range("bytes=1-x", 10) is parse_byte_range("bytes=0-0", 0) is None
 
 
 def test_equal_requests_share_one_animation(gated_service):
