@@ -25,7 +25,7 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
-SUFFIXES = ".tif", ".tiff"
+GEOTIFF_SUFFIXES = ".tif", ".tiff"
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ def sun_and_grid_of_item(
 
 def output_paths(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     """Return the output path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
-    if output.suffix.lower() not in SUFFIXES:
-        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
+    if output.suffix.lower() not in GEOTIFF_SUFFIXES:
+        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(GEOTIFF_SUFFIXES)}")
     if not output.parent.is_dir():
         raise FileNotFoundError(2, "folder not found", str(output))
     return paths_by_time(output, suns)

@@ -153,7 +153,7 @@ class SkuggaAccessor:
         else:
             values = _compute_by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
-        return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
+        return answer.isel(grid.flip_slices).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
 class _StagedRaster:
@@ -204,12 +204,12 @@ def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray
 
     staged = _StagedRaster(grid)
     stored = dask.array.store(grid.heights.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
-    ready = delayed(staged.finish)(stored)
+    staged_raster = delayed(staged.finish)(stored)
 
-    def chunk(ready: _StagedRaster, block_info: Any = None) -> np.ndarray:
+    def chunk(staged_raster: _StagedRaster, block_info: Any = None) -> np.ndarray:
         (top, bottom), (left, right) = block_info[None]["array-location"]
-        return compute_array(ready.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
+        return compute_array(staged_raster.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
 
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
-        chunk, ready=ready, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
+        chunk, staged_raster=staged_raster, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
     )

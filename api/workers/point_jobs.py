@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from skugga.api.point.horizon_formats import directions_for, horizon_file
+from skugga.api.point.horizon_formats import azimuths_of_format, horizon_file
 from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import point_surroundings, report_with_remark, requested_clock, requested_day
 from skugga.api.point.sky_figures import sky_figures
@@ -25,7 +25,7 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
     surroundings = point_surroundings(scene, job.query)
     if job.product == "horizon":
         return PointAnswer(
-            horizon_file(job.format, horizon_profile(surroundings, directions_for(job.format)), surroundings.place).encode()
+            horizon_file(job.format, horizon_profile(surroundings, azimuths_of_format(job.format)), surroundings.place).encode()
         )
     day = requested_day(scene, job.query, surroundings.place.lon_deg)
     clock = requested_clock(scene, job.query, surroundings.place.lon_deg, day)

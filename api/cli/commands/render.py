@@ -53,7 +53,7 @@ _SlopeExaggerationOption = Annotated[
 
 
 @with_level_argument
-@with_product_options(_LAYERS, after="layer")
+@with_product_options(_LAYERS, after_parameter="layer")
 @with_shadow_options("render")
 def render(
     level: LevelSource,
