@@ -96,7 +96,7 @@ def block_job(scene: Scene, raster: Path, zoom: int, rows_south: int = 0, cols_e
     row, col = int(view.row0) // BLOCK_PX + rows_south, int(view.col0) // BLOCK_PX + cols_east
     request = ProductRequest(sun=SUN)
     return BlockJob(
-        level=level_key(raster), matrix_set=TILE_MATRIX_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request
+        level=level_key(raster), matrix_set=TILE_MATRIX_SET, zoom=zoom, block_x=col, block_y=row, tiles_per_side=4, request=request
     )
 
 

@@ -29,10 +29,10 @@ from skugga.api.workers.jobs import (
     BlockTiles,
     DescriptorJob,
     DescriptorPlanJob,
-    HeartbeatAnswer,
     HeartbeatRequest,
-    PlanAnswer,
+    HeartbeatResponse,
     PlanJob,
+    PlanResult,
     Snapshot,
     WorkerReady,
 )
@@ -62,7 +62,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         if isinstance(job, DescriptorJob | DescriptorPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
@@ -70,7 +70,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
         sun = job.request.applied_to(build_scene(load_level(job.level.path))).sun
         payload = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(payload))
+            pipe.send(PlanResult(payload))
             continue
         side = BLOCK_PX
         valid, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
@@ -80,7 +80,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
             build_scene(load_level(job.level.path)),
         )
         if isinstance(job, BlockJob):
-            tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
+            tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles_per_side)
             pipe.send(BlockTiles(tiles, 0.0, payload, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
         else:
             part = picture.part((slice(0, 8), slice(0, 8)))

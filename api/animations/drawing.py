@@ -27,7 +27,7 @@ def frame_job(spec: AnimationSpec, frame_number: int, previous_plan_state: FilmP
     frame, which this frame continues.
     """
     film = {name: getattr(spec, name) for name in FrameJob.model_fields if name in AnimationSpec.model_fields}
-    return FrameJob(**film, number=frame_number, previous_plan_state=previous_plan_state)
+    return FrameJob(**film, frame_number=frame_number, previous_plan_state=previous_plan_state)
 
 
 def frame_renderer(pool: Pool, current_level: Callable[[str], Awaitable[LevelKey]]) -> DrawFrames:

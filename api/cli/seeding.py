@@ -31,7 +31,7 @@ from skugga.api.seed.running import TaskCompletion
 from skugga.api.seed.seeding import SeedResult, draw_and_publish, requeue_lost_shards
 from skugga.api.seed.storage import ShardStore, open_store
 from skugga.api.seed.task_table import TaskTable
-from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES
 from skugga.selector.formatting import format_duration
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError
@@ -163,7 +163,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     measured_costs = table.measured_costs()
     rows: list[dict[str, Any]] = []
     for sun, zoom, reason, count, full_tasks, seconds in table.waiting_totals():
-        assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
+        assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_SIDE_TILES**2)
         full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
             "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1),

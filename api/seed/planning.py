@@ -28,7 +28,7 @@ from skugga.api.seed.ground_dependencies import GroundDependencies
 from skugga.api.seed.identity import cached_ground_chunks, digest_of_json, level_digest, plan_digest
 from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
 from skugga.api.seed.task_table import InputDigests, PlannedTask, TaskTable
-from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES
 from skugga.api.workers.block_views import block_of_grid
 from skugga.api.workers.jobs import LevelKey, ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan
@@ -278,8 +278,8 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
     top, bottom, left, right = tile_limits(matrix_set, zoom, bounds)
     blocks = [
         (x, y)
-        for y in range(top // BLOCK_TILES, bottom // BLOCK_TILES + 1)
-        for x in range(left // BLOCK_TILES, right // BLOCK_TILES + 1)
+        for y in range(top // BLOCK_SIDE_TILES, bottom // BLOCK_SIDE_TILES + 1)
+        for x in range(left // BLOCK_SIDE_TILES, right // BLOCK_SIDE_TILES + 1)
     ]
     if (left, right) != (0, side - 1):
         return blocks
@@ -290,10 +290,10 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     """Return the smallest tile id of a block. The ids of its tiles are consecutive."""
     first = first_tile_id(zoom)
-    if 2**zoom < BLOCK_TILES:
+    if 2**zoom < BLOCK_SIDE_TILES:
         return first
-    tile_offset = zxy_to_tileid(zoom, x * BLOCK_TILES, y * BLOCK_TILES) - first
-    return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
+    tile_offset = zxy_to_tileid(zoom, x * BLOCK_SIDE_TILES, y * BLOCK_SIDE_TILES) - first
+    return first + tile_offset // BLOCK_SIDE_TILES**2 * BLOCK_SIDE_TILES**2
 
 
 def _full_block_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:

@@ -18,7 +18,7 @@ from skugga.terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
 from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
 
-BLOCK_TILES = BLOCK_PX // TILE_PX
+BLOCK_SIDE_TILES = BLOCK_PX // TILE_PX
 
 TilePosition = tuple[int, int]
 """Row and column of a tile in its block, from the north-west, in units of the tile's own size."""
@@ -29,7 +29,10 @@ def block_and_position(x: int, y: int, tiles_per_side: int) -> tuple[TilePositio
 
     The position is that of the file with the tile, if each file covers ``tiles_per_side`` x ``tiles_per_side`` tiles.
     """
-    return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles_per_side, x % BLOCK_TILES // tiles_per_side)
+    return (x // BLOCK_SIDE_TILES, y // BLOCK_SIDE_TILES), (
+        y % BLOCK_SIDE_TILES // tiles_per_side,
+        x % BLOCK_SIDE_TILES // tiles_per_side,
+    )
 
 
 def tiles_of_picture(
@@ -71,8 +74,8 @@ def tiles_of_array(
 def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
     """Yield the position, the view, and the rows and columns of pixels of each file of ``tiles_per_side`` squared tiles."""
     side = tiles_per_side * TILE_PX
-    for row in range(BLOCK_TILES // tiles_per_side):
-        for col in range(BLOCK_TILES // tiles_per_side):
+    for row in range(BLOCK_SIDE_TILES // tiles_per_side):
+        for col in range(BLOCK_SIDE_TILES // tiles_per_side):
             window = slice(row * side, (row + 1) * side), slice(col * side, (col + 1) * side)
             yield (row, col), view.part(row * side, col * side, side, side), window
 

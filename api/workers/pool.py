@@ -74,7 +74,7 @@ class Pool:
         and cached pictures of other plan versions are no longer used.
     preparing : PreparationProgress or None
         Progress of the first process until it is ready, then of the background compilation; ``None`` without either.
-    preparing_since : float
+    preparing_since_s : float
         Start of the preparation, in seconds of ``time.monotonic``.
     background_compile, idle_work, idle_calibration, idle_probes
         The background compilation, the queue of idle work, and what calibrates and probes in idle time.
@@ -106,7 +106,7 @@ class Pool:
         )  # fmt: skip
         self.measurements: PlanMeasurements | None = None
         self.preparing: PreparationProgress | None = PreparationProgress("starting a render process")
-        self.preparing_since = time.monotonic()
+        self.preparing_since_s = time.monotonic()
         self.background_compile = BackgroundCompile(usable_cores(), self._note_preparation_progress)
         self.idle_work = IdleWork(self._is_busy, first_config(settings).gl_threads)
         self.idle_calibration = IdleCalibration(
@@ -143,12 +143,12 @@ class Pool:
         return self._closed or not any(task.done() for task in self.supervisor.tasks)
 
     @property
-    def queued(self) -> int:
+    def queued_count(self) -> int:
         """Number of jobs that wait for a process."""
         return len(self.jobs.queue)
 
     @property
-    def running(self) -> int:
+    def running_count(self) -> int:
         """Number of jobs that processes work on."""
         return len(self.jobs.queue.running)
 
@@ -236,7 +236,7 @@ class Pool:
 
     def _is_busy(self) -> bool:
         """Return whether jobs wait or run, a process starts, or loops are compiled: idle work must not run then."""
-        return bool(self.queued or self.running or self.supervisor.starting_count or self.background_compile.is_running)
+        return bool(self.queued_count or self.running_count or self.supervisor.starting_count or self.background_compile.is_running)
 
     def _can_expire(self) -> bool:
         """Return whether waiting jobs may expire: a process has started or failed, and none prepares (for example compiles) now."""
@@ -250,7 +250,7 @@ class Pool:
 
     def _note_preparation_progress(self, preparing: PreparationProgress | None) -> None:
         if self.preparing is None:
-            self.preparing_since = time.monotonic()
+            self.preparing_since_s = time.monotonic()
         self.preparing = preparing
 
     def _note_ready(self, worker: WorkerProcess, ready: WorkerReady) -> None:

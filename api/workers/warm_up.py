@@ -24,7 +24,7 @@ from skugga.terrain.gl.egl_devices import NO_OPENGL
 from skugga.terrain.level.level import Level, LoadedLevel
 from skugga.terrain.scene import Scene, build_scene
 
-WARM_UP_CELL_M, PLAIN_CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
+WARM_UP_CELL_M, PLAIN_SIDE_CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """Terrain of the test picture: a plain of 64 x 64 cells of 30 m. In its middle a wall, 300 m high, runs from north to south."""
 
 TEST_ZOOM = 12
@@ -35,7 +35,7 @@ The wall's shadow is 520 m long, since the sun stands 30 degrees high."""
 TEST_PICTURE_PX = 64
 """Side in pixels of the test picture around the wall's middle. It shows the whole plain."""
 
-TEST_DISTANCE_M = 240.0
+TEST_PIXEL_DISTANCE_M = 240.0
 """Distance of the two tested pixels from the wall. One lies inside the shadow, the other on the sunny side."""
 
 log = logging.getLogger("skugga.worker")
@@ -86,12 +86,12 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
 
     The sun is in the west, so the shadow lies east of the wall.
     """
-    heights = np.zeros((PLAIN_CELLS, PLAIN_CELLS), np.float32)
-    heights[:, PLAIN_CELLS // 2 - 1 : PLAIN_CELLS // 2 + 2] = WALL_HEIGHT_M
+    heights = np.zeros((PLAIN_SIDE_CELLS, PLAIN_SIDE_CELLS), np.float32)
+    heights[:, PLAIN_SIDE_CELLS // 2 - 1 : PLAIN_SIDE_CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
     with MemoryFile(ext=".tif") as memory:
         with memory.open(
-            driver="GTiff", width=PLAIN_CELLS, height=PLAIN_CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
+            driver="GTiff", width=PLAIN_SIDE_CELLS, height=PLAIN_SIDE_CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
@@ -100,7 +100,7 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
         view = _view_around(grid, center)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.close()
-    distance_px = TEST_DISTANCE_M / grid.step
+    distance_px = TEST_PIXEL_DISTANCE_M / grid.step
     row, col = center[0] - view.row0, center[1] - view.col0
     row, cols = int(row), (int(np.rint(col - distance_px)), int(np.rint(col + distance_px)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])

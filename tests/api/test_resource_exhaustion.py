@@ -116,7 +116,7 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))
             assert (await pool.run(block(0))).tiles
-        assert pool.ready_pids == pids and pool.counters.started == 1
+        assert pool.ready_pids == pids and pool.counters.processes_started == 1
 
     run_with_pool(scenario)
 
@@ -154,7 +154,7 @@ def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
             await wait_until(lambda: not compiling.is_running)
         compiling.start_if_needed(7)
         assert not compiling.is_running, "not at once"
-        monkeypatch.setattr(compiling, "_not_before_s", 0.0)
+        monkeypatch.setattr(compiling, "_retry_at_s", 0.0)
         compiling.start_if_needed(7)
         await wait_until(lambda: not compiling.is_running)
         assert compiled.is_set()

@@ -30,7 +30,7 @@ from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.matrices import matrix_set_of
 from skugga.api.request import PictureRequest
-from skugga.api.workers.jobs import DescriptorAnswer, DescriptorJob, DescriptorPlanJob, PlanAnswer, PlanJob, ZoomTiles
+from skugga.api.workers.jobs import DescriptorJob, DescriptorPlanJob, DescriptorResult, PlanJob, PlanResult, ZoomTiles
 from skugga.terrain.errors import InputError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.parts import SunSpec
@@ -85,7 +85,7 @@ async def plan(
         request=PictureRequest(sun=sun, overrides=plan_request.overrides),
     )
     answer = await service.run_job(request, job)
-    assert isinstance(answer, PlanAnswer)
+    assert isinstance(answer, PlanResult)
     return json_response(request, json.loads(answer.plan_json), **time_headers(request))
 
 
@@ -109,7 +109,7 @@ async def descriptor(
     served_level = await service.level(level)
     job = DescriptorJob(level=served_level.key, view=_view_or_tiles(served_level, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await service.run_job(request, job)
-    assert isinstance(answer, DescriptorAnswer)
+    assert isinstance(answer, DescriptorResult)
     return json_response(request, json.loads(answer.descriptor_json), **time_headers(request))
 
 
@@ -143,7 +143,7 @@ async def plan_of_descriptor(
         request=PictureRequest(overrides=plan_request.overrides),
     )
     answer = await service.run_job(request, job)
-    assert isinstance(answer, PlanAnswer)
+    assert isinstance(answer, PlanResult)
     return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 
 

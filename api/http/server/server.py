@@ -139,7 +139,7 @@ class Server(uvicorn.Server):
         pool = self._service.pool
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
-            len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
+            len(self.server_state.connections), len(self.server_state.tasks), pool.queued_count, pool.running_count,
             self._service.animations.active_count, sorted(pool.ready_pids),
         )  # fmt: skip
 

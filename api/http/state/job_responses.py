@@ -9,7 +9,7 @@ from fastapi import Request, Response
 from skugga.api.http.request_times import freshness_s, time_headers
 from skugga.api.http.responses import cache_headers, entity_tag, has_current_copy, render_headers
 from skugga.api.http.state.service import Service
-from skugga.api.workers.jobs import MapJob, PointAnswer, PointJob, Snapshot, SnapshotJob
+from skugga.api.workers.jobs import MapJob, PointJob, PointResult, Snapshot, SnapshotJob
 
 
 async def job_response(
@@ -54,5 +54,5 @@ async def job_response(
         headers = cache_headers(entity_tag(result.renderer, result.plan_version, *parts), seconds) | sun_time_headers
         headers |= render_headers(result, response_kind, is_cached, result.encode_ms)
     else:
-        assert isinstance(result, PointAnswer)
+        assert isinstance(result, PointResult)
     return Response(write_body(result.body), headers=headers, media_type=media_type)

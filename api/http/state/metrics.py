@@ -83,14 +83,14 @@ class _ServiceCollector(Collector):
     def collect(self) -> Iterable[Metric]:
         pool, counters, tiles = self._pool, self._pool.counters, self._tiles
         yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.is_ready))
-        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued)
-        yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running)
+        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued_count)
+        yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running_count)
         jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
         for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
-            jobs.add_metric([outcome], getattr(counters, outcome))
+            jobs.add_metric([outcome], getattr(counters, f"jobs_{outcome}"))
         yield jobs
         yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.ready_pids))
-        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.started)
+        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.processes_started)
         memory = GaugeMetricFamily("skugga_process_memory_bytes", "Resident memory.", labels=("process",))
         memory.add_metric(["service"], resident_bytes())
         for number, pid in enumerate(sorted(pool.ready_pids)):

@@ -119,7 +119,8 @@ async def tile_response(
         return tile.response(request)
     (block_x, block_y), position = block_and_position(zxy[1] * scale, zxy[2] * scale, scale)
     job = BlockJob(
-        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format, tiles=scale,
+        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format,
+        tiles_per_side=scale,
         request=product_request,
     )  # fmt: skip
     is_cached = service.pool.cached_picture(job) is not None

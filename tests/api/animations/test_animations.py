@@ -402,10 +402,10 @@ class FlakyPool:
         self.failures, self.jobs = failures, []
 
     async def run(self, job: FrameJob) -> FilmPicture:
-        self.jobs.append(job.number)
+        self.jobs.append(job.frame_number)
         if len(self.jobs) <= self.failures:
             raise WorkerStartError("a render process ended while it warmed up")
-        return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), FilmPlanState(None))
+        return FilmPicture(np.full((2, 3, 3), job.frame_number, np.uint8), FilmPlanState(None))
 
 
 @pytest.mark.parametrize(("failures", "drawn"), [(0, FRAMES), (MAX_FRAME_ATTEMPTS - 1, FRAMES), (MAX_FRAME_ATTEMPTS, 0)])

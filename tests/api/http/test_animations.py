@@ -218,9 +218,9 @@ def test_animation_without_polls_is_dismissed(gated_service):
     state = client.get(address).json()
     assert state["status"] == "dismissed" and "No client asked for its state" in state["message"]
     assert state["frames_done"] == 0
-    while client.service.pool.running:
+    while client.service.pool.running_count:
         client.get("/healthz")
-    assert client.service.pool.queued == 0, "no other frame of it is drawn"
+    assert client.service.pool.queued_count == 0, "no other frame of it is drawn"
 
 
 def test_results_expire_after_their_maximum_age(serve_with):
@@ -252,7 +252,7 @@ def test_tile_request_precedes_the_next_frame(gated_service):
     x, y = CORNER
     with ThreadPoolExecutor(1) as thread:
         tile = thread.submit(client.get, f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png")
-        while client.service.pool.queued < 1:
+        while client.service.pool.queued_count < 1:
             client.get("/healthz")
         service.open()
         service.job_started()

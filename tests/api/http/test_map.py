@@ -47,9 +47,9 @@ def test_map_of_a_tile_extent_equals_the_tile(client: Client, layer: str):
 def test_map_has_an_etag_before_it_is_drawn(client: Client):
     query = {"bbox": TILE_BBOX, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
     answer = client.get(f"{MAP}.png", params=query)
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     not_modified = client.get(f"{MAP}.png", params=query, headers={"If-None-Match": answer.headers["etag"]})
-    assert (not_modified.status_code, not_modified.content, client.service.pool.counters.answered) == (304, b"", before)
+    assert (not_modified.status_code, not_modified.content, client.service.pool.counters.jobs_answered) == (304, b"", before)
     tags = {
         client.get(f"{MAP}.png", params={**query, **changes}).headers["etag"]
         for changes in ({}, {"width": 65}, {"time": "2024-06-21T18:00:00Z"})

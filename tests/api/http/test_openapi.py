@@ -258,7 +258,7 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
         ]  # fmt: skip
         process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
         assert process.returncode == 0, process.stdout
-        assert client.service.pool.counters.failed == 0 and client.service.pool.counters.answered > 100
+        assert client.service.pool.counters.jobs_failed == 0 and client.service.pool.counters.jobs_answered > 100
 
 
 def test_unsupported_method_is_405_with_allow(client: Client):

@@ -40,7 +40,7 @@ SPAN = FilmSpan(10, 60.0)
 
 
 def frame(number: int = 0, before: FilmPlanState | None = None) -> FrameJob:
-    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plan_state=before)
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), frame_number=number, previous_plan_state=before)
 
 
 def pending(job: Any, arrived_s: float) -> PendingJob:
@@ -119,14 +119,14 @@ def test_pictures_overtake_frames_and_full_queue_takes_frames():
             await gate.job_started()
             tasks.create_task(run("frame", frame(0)))
             tasks.create_task(run("frame", frame(1)))
-            await wait_until(lambda: pool.queued == 2)
+            await wait_until(lambda: pool.queued_count == 2)
             tasks.create_task(run("tile", block(1)))
-            await wait_until(lambda: pool.queued == 3)
+            await wait_until(lambda: pool.queued_count == 3)
             with pytest.raises(RetryLaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
             gate.open(4)
         assert finished == ["running", "tile", "frame", "frame"]
-        assert pool.counters.refused == 1
+        assert pool.counters.jobs_refused == 1
 
     run_with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
@@ -138,7 +138,7 @@ def test_waiting_frames_do_not_time_out():
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame()))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # came later, and times out
         assert not waiting.done()
@@ -163,7 +163,7 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
         gate.open()
         second = await drawing
         assert isinstance(second, FilmPicture) and np.array_equal(second.color, np.full((4, 6, 3), 2))
-        assert pool.counters.retried == 1
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, gate.target)
 
@@ -172,7 +172,7 @@ def test_a_frame_that_crashes_two_processes_is_an_error():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(frame(3))
-        assert pool.counters.retried == 1
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
 
@@ -184,10 +184,10 @@ def test_a_cancelled_frame_is_dropped():
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame()))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         waiting.cancel()
-        await wait_until(lambda: pool.queued == 0)
-        assert pool.counters.abandoned == 1
+        await wait_until(lambda: pool.queued_count == 0)
+        assert pool.counters.jobs_abandoned == 1
         gate.open()
         await running
 
@@ -236,7 +236,7 @@ def test_single_frames_equal_those_of_the_film(
     before: FilmPlanState | None = None
     for number, expected in enumerate(expected_frames):
         monkeypatch.setattr(film_jobs, "view_plan_selector", lambda *_, number=number: plans(number))
-        job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plan_state=before)
+        job = FrameJob(level=level, span=request.span, view="eye", frame_number=number, previous_plan_state=before)
         picture = pickle.loads(pickle.dumps(film_jobs.draw_film_frame(pickle.loads(pickle.dumps(job)), scene, PlanMeasurements())))
         assert np.array_equal(picture.color, expected.color), number
         before = picture.next_plan_state

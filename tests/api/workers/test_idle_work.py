@@ -119,7 +119,7 @@ def test_a_process_started_later_uses_new_measurements():
         pool.measurements = PlanMeasurements(profile())
         for x in range(4):
             assert plan_version_of(await pool.run(block(x))) == pool.plan_version(LEVEL)
-        assert pool.counters.started > 2
+        assert pool.counters.processes_started > 2
 
     run_with_pool(scenario, fake_workers.planning, recycle_blocks=1)
 
