@@ -229,10 +229,10 @@ class _RunProgress:
         record: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
         if isinstance(outcome, TaskResult):
             record |= {
-                "seconds": round(outcome.seconds, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
+                "seconds": round(outcome.duration_s, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
                 "peak_bytes": outcome.peak_bytes, "worker": outcome.worker,
             }  # fmt: skip
-            text = f"{outcome.seconds:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
+            text = f"{outcome.duration_s:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
         else:
             record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
@@ -244,16 +244,17 @@ class _RunProgress:
         """Report the end of the run."""
         counts = table.counts()
         record = {
-            "drawn": seed_result.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seed_result.written],
+            "drawn": seed_result.drawn_count, "tasks": sum(counts.values()),
+            "written": [str(path) for path in seed_result.written_paths],
             "drawing_s": round(seed_result.drawing_s, 3), "publishing_s": round(seed_result.publishing_s, 3),
         }  # fmt: skip
         self._write_record(record)
         if self._is_quiet:
             typer.echo(json.dumps(record, indent=2))
             return
-        for path in seed_result.written:
+        for path in seed_result.written_paths:
             typer.echo(f"Wrote {path}.")
-        if not seed_result.written:
+        if not seed_result.written_paths:
             typer.echo(f"Nothing to do: all {record['tasks']} tasks are done, and the output is up to date.")
 
     def _write_record(self, record: dict[str, Any]) -> None:

@@ -116,11 +116,11 @@ def _stamp_of(source: str) -> str:
 def _digest_of_bytes(path: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as file:
-        for part in _file_parts(file):
+        for part in _file_blocks(file):
             digest.update(part)
     return digest.hexdigest()
 
 
-def _file_parts(file: Any) -> Iterable[bytes]:
+def _file_blocks(file: Any) -> Iterable[bytes]:
     while part := file.read(READ_BLOCK_BYTES):
         yield part

@@ -137,7 +137,7 @@ def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], 
     renderer = _renderer_of(table)
     scene = build_scene(loaded)
     try:
-        zooms, bounds = _zooms(scene, request.zooms)
+        zooms, bounds = _zooms_and_bounds(scene, request.zooms)
         version = level_version(loaded, stamps)
         request_digest = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
         suns = tuple(PictureRequest(sun=sun).query() for sun in request.suns)
@@ -250,7 +250,7 @@ def _renderer_of(table: TaskTable) -> str:
     return current
 
 
-def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
+def _zooms_and_bounds(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
     """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
     data_bounds = scene.bounds_lon_lat
     if data_bounds is None or scene.world.off_earth_reason is not None:

@@ -121,10 +121,10 @@ class JobQueue:
 
     def start_next(self, now_s: float) -> PendingJob | None:
         """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
-        heavy_count = sum(not self._is_short(pending_job) for pending_job in self.running)
-        may_be_heavy = heavy_count < max(self.process_count - 1, 1)
+        long_count = sum(not self._is_short(pending_job) for pending_job in self.running)
+        may_be_long = long_count < max(self.process_count - 1, 1)
         pending = self._choose_next(
-            [pending_job for pending_job in self.waiting.values() if may_be_heavy or self._is_short(pending_job)], now_s
+            [pending_job for pending_job in self.waiting.values() if may_be_long or self._is_short(pending_job)], now_s
         )
         if pending is None:
             return None
