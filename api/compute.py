@@ -13,8 +13,8 @@ import numpy as np
 from skugga.api.contour_lines import write_contours
 from skugga.api.device_calibration import calibration_for
 from skugga.api.products import PRODUCTS, product_named
-from skugga.api.products.product import Part, Product, ProductOptions
-from skugga.api.raster_file import RasterFile, RasterMetadata, cog
+from skugga.api.products.product import Product, ProductInput, ProductOptions
+from skugga.api.raster_file import RasterFile, RasterMetadata, open_cog
 from skugga.api.raster_view import RasterView
 from skugga.api.request import ProductRequest
 from skugga.selector.select import plan_of_view
@@ -105,11 +105,11 @@ def compute(
     """
     product = request.product_record
     check_view(product, view)
-    padded = _padded(view, product.reach_px)
+    padded = _padded(view, product.margin_px)
     if plan is not None:
         picture = draw_picture(scene, padded, product, plan, light, on_block)
-        part = Part(scene, padded, request.options, picture)
-        return ComputedProduct(_cropped(product.compute(part), product.reach_px), picture)
+        product_input = ProductInput(scene, padded, request.options, picture)
+        return ComputedProduct(_cropped(product.compute(product_input), product.margin_px), picture)
     assert isinstance(view, MapView)
     nodes = view.as_nodes()
     if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
@@ -165,7 +165,7 @@ def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
     """Return a product of a rendered frame. Raises ``InputError``."""
     product = product_named(name)
     picture = picture_of(frame, frozenset({"color", "opacity", "visibility", "reach", "frame"}))
-    return product.compute(Part(scene, frame.view, product.options(), picture))
+    return product.compute(ProductInput(scene, frame.view, product.options(), picture))
 
 
 def check_view(product: Product, view: MapView | PerspectiveView) -> None:
@@ -180,15 +180,15 @@ def _compute_block(
     scene: Scene, block: MapView, product: Product, options: Any, on_step: Callable[[], None] = lambda: None
 ) -> np.ndarray:
     """Compute a block of a product that needs no picture."""
-    part = Part(scene, _padded(block, product.reach_px), options, None, on_step)
-    return _cropped(product.compute(part), product.reach_px)
+    product_input = ProductInput(scene, _padded(block, product.margin_px), options, None, on_step)
+    return _cropped(product.compute(product_input), product.margin_px)
 
 
 def _picture_block(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
     """Compute a block of a product from a drawn picture. The picture does not record how far away casters were considered."""
-    padded = _padded(block, product.reach_px)
+    padded = _padded(block, product.margin_px)
     picture = draw(scene, padded, plan, product.needs - {"reach"})
-    return _cropped(product.compute(Part(scene, padded, options, picture)), product.reach_px)
+    return _cropped(product.compute(ProductInput(scene, padded, options, picture)), product.margin_px)
 
 
 @cached("scene", BLOCK_CACHE_BYTES)
@@ -329,7 +329,7 @@ def write_rasters(
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
-                cog(
+                open_cog(
                     path,
                     raster.crs,
                     raster.transform,

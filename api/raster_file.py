@@ -54,7 +54,7 @@ class RasterMetadata:
     ----------
     description
         Description of the raster, one sentence.
-    descriptions
+    band_descriptions
         Descriptions of the bands.
     unit
         Unit of all bands.
@@ -63,7 +63,7 @@ class RasterMetadata:
     """
 
     description: str
-    descriptions: tuple[str, ...]
+    band_descriptions: tuple[str, ...]
     unit: str = ""
     tags: dict[str, str] = field(default_factory=dict)
 
@@ -73,12 +73,14 @@ class RasterMetadata:
             TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.description,
             **{name.upper(): text for name, text in self.tags.items() if text},
         )  # fmt: skip
-        dataset.descriptions = self.descriptions
+        dataset.band_descriptions = self.band_descriptions
         dataset.units = [self.unit] * dataset.count
-        dataset.colorinterp = RGBA if dataset.count == len(RGBA) else [ColorInterp.gray] * dataset.count
+        dataset.colorinterp = (
+            RGBA_INTERPRETATION if dataset.count == len(RGBA_INTERPRETATION) else [ColorInterp.gray] * dataset.count
+        )
 
 
-RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+RGBA_INTERPRETATION = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 
 
 class RasterFile:
@@ -97,7 +99,7 @@ class RasterFile:
 
 
 @contextmanager
-def cog(
+def open_cog(
     path: Path,
     crs: CRS,
     transform: Affine,

@@ -21,7 +21,7 @@ import numpy as np
 from skugga.api.cli import main as cli
 from skugga.api.encoding import encode_picture
 from skugga.api.http.server.app import create_app
-from skugga.api.products.product import Part
+from skugga.api.products.product import ProductInput
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import tiles_of_picture
 from skugga.api.workers.jobs import (
@@ -84,7 +84,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
             pipe.send(BlockTiles(tiles, 0.0, payload, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
         else:
             part = picture.part((slice(0, 8), slice(0, 8)))
-            body = encode_picture(job.request.product_record.compute(Part(scene, scene.view(), None, part)), job.format)
+            body = encode_picture(job.request.product_record.compute(ProductInput(scene, scene.view(), None, part)), job.format)
             pipe.send(Snapshot(body, 0.0, payload, (), 0.0, 0.0, False, "told"))
 
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from skugga.api.cli.planning import PlannedView, plan_scene_view, with_shadow_settings, without_pins
 from skugga.api.cli.snapshot import scene_and_view
 from skugga.api.cli.tables import table_with_names
-from skugga.api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
+from skugga.api.report.plan_text import POLICY_PHRASES, format_expectation, format_sun, format_view_and_sun
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.pin import PIN_COMMENT, PINS, pin, pins
 from skugga.shadows.plan import Plan
@@ -69,7 +69,7 @@ def pin_all_views(planned_views: Sequence[PlannedView]) -> str:
         {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level(choice))}
         for choice in casting
     ]
-    policies = dict.fromkeys(POLICIES[choice.plan.policy] for choice in casting)
+    policies = dict.fromkeys(POLICY_PHRASES[choice.plan.policy] for choice in casting)
     comment_lines = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
     comment_lines += [
         (

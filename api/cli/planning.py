@@ -13,7 +13,7 @@ from typing import Any, cast, get_args
 from skugga.api.cli.snapshot import scene_and_view
 from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration_for
-from skugga.api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
+from skugga.api.report.plan_text import POLICY_PHRASES, format_choices, format_expectation, format_heading, format_view_and_sun
 from skugga.selector.choices import PolicyName
 from skugga.selector.pin import PIN_COMMENT, default_values, pin, pinned_keys, pins
 from skugga.selector.planner.planner import make_plan as choose_by_rules
@@ -150,7 +150,7 @@ def _pin_comment(planned_view: PlannedView) -> list[str]:
     """
     plan = planned_view.plan
     return [
-        f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",
+        f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICY_PHRASES[plan.policy]}.",
         f"{format_view_and_sun(planned_view.scene, plan)}.",
         *format_choices(plan),
         format_expectation(plan),

@@ -11,7 +11,7 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.times import paths_by_time
 from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
 from skugga.api.compute import ProgressCallback, write_rasters
-from skugga.api.products.visibility import VISIBILITY
+from skugga.api.products.visibility import NEEDS_VISIBILITY
 from skugga.api.raster_file import RasterCells
 from skugga.api.raster_view import Bounds, raster_view
 from skugga.api.request import ProductRequest
@@ -70,7 +70,7 @@ def write_product(
     contour_targets = [] if contours is None else [("--contours", contours[0])]
     like = output_grid.like if isinstance(output_grid.like, Path) else None
     check_output_files(level, [*(("--output", path) for path in paths), *contour_targets], like)
-    declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
+    declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == NEEDS_VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
     if not is_terrain_only(scene) and product.when != "days":
         declare_product(MAPS_OF_CASTERS)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, MapFormat, Part, Product
+from skugga.api.products.product import NEEDS_FRAME, MapFormat, Product, ProductInput
 from skugga.shadows.passes import PassLayer
 from skugga.terrain.errors import InputError, Problem
 
@@ -41,9 +41,9 @@ def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 def _pass_product(
     layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
 ) -> Product:
-    def compute(part: Part) -> np.ndarray:
+    def compute(product_input: ProductInput) -> np.ndarray:
         """Return the pass layer of the frame's first light. Raises ``InputError`` if the light has none."""
-        frame = part.frame
+        frame = product_input.frame
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
         if not by_light:
             raise InputError("layer", Problem(f"no light has a layer {layer} in this view"), "Use another view or layer")

@@ -60,7 +60,7 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
     view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
     product, plan = request.product_record, spec.plan_by_sun_and_zoom.get((task.sun, task.zoom))
     files: Mapping[TilePosition, bytes | None]
-    if plan is not None and not product.reach_px:
+    if plan is not None and not product.margin_px:
         picture = draw_picture(scene, view, product, plan)
         start = clock.perf_counter()
         files = tiles_of_picture(picture, request, scene, view, spec.format)

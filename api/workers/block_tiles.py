@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, encode
-from skugga.api.products.product import MapFormat, Part
+from skugga.api.products.product import MapFormat, ProductInput
 from skugga.api.request import ProductRequest
 from skugga.shadows.picture import Picture
 from skugga.terrain.cache import MIB, cached
@@ -56,7 +56,7 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque_mask.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
-        array = product.compute(Part(scene, view, request.options, picture))
+        array = product.compute(ProductInput(scene, view, request.options, picture))
     return encode(apply_color_scale(array, product, request.options, scene.world, format), product, format, view)
 
 

@@ -21,7 +21,7 @@ from skugga.api.compute import compute, draw_picture
 from skugga.api.device_calibration import calibration
 from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
-from skugga.api.products.visibility import VISIBILITY
+from skugga.api.products.visibility import NEEDS_VISIBILITY
 from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.block_tiles import TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import draw_film_frame, plan_first_frame
@@ -151,7 +151,7 @@ def loop_group_of(job: Job, scene: Scene) -> str:
             return POINTS
         case BlockJob() | MapJob() if job.request.product_record.when == "days":
             return SUN_HOURS
-        case BlockJob() if job.request.product_record.needs == VISIBILITY and is_terrain_only(scene):
+        case BlockJob() if job.request.product_record.needs == NEEDS_VISIBILITY and is_terrain_only(scene):
             return MASKS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
@@ -183,7 +183,7 @@ def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     product = job.request.product_record
-    if not product.needs or product.reach_px:
+    if not product.needs or product.margin_px:
         return _tiles_of_array(job, scene, state)
     version = state.measurements.version_of(job.level)
     key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request.picture, product.needs

@@ -41,7 +41,9 @@ TEST_PIXEL_DISTANCE_M = 240.0
 log = logging.getLogger("skugga.worker")
 
 
-def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
+def warm_up(
+    expect_renderer: str | None = None, needs_opengl: bool = False, report_problem: Callable[[str], None] = log.warning
+) -> str:
     """Draw a first picture, check that its shadow is in the right place, and return the renderer's name.
 
     Imports, compilation and the creation of the OpenGL context are then done before the first request.
@@ -52,7 +54,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
         Text that the renderer's name must contain; ``None`` accepts every renderer.
     needs_opengl
         Whether OpenGL is required. Otherwise a process without OpenGL computes the products that need none.
-    report
+    report_problem
         Called with the reason if OpenGL is missing and not required.
 
     Returns
@@ -72,7 +74,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
     except NoOpenGLError as error:
         if needs_opengl or expect_renderer is not None:
             raise
-        report(str(error))
+        report_problem(str(error))
     if expect_renderer is not None and expect_renderer not in renderer:
         raise GraphicsError(f"the OpenGL renderer is '{renderer}', but SKUGGA_EXPECT_RENDERER is '{expect_renderer}'")
     west, east = _visibility_beside_wall(algorithm)

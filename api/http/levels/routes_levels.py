@@ -19,7 +19,7 @@ from skugga.api.http.tiles.legends import legend_response
 from skugga.api.http.tiles.tilejson import tilejson_response
 from skugga.api.products.heights import nodata_height_m
 from skugga.api.products.product import MapFormat
-from skugga.api.products.sun_hours import NAME as SUN_HOURS
+from skugga.api.products.sun_hours import PRODUCT_NAME as SUN_HOURS
 from skugga.api.request import ProductRequest
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERROR_STATUSES))

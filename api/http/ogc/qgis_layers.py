@@ -12,7 +12,7 @@ from skugga.api.http.ogc.wmts_capabilities import TIME_DIMENSION
 from skugga.api.http.parameters import DEFAULT_STYLE
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.matrices import matrix_set_of
-from skugga.api.products.sun_hours import NAME as SUN_HOURS
+from skugga.api.products.sun_hours import PRODUCT_NAME as SUN_HOURS
 from skugga.terrain.geo.grid import crs_of_tiles
 
 QGIS_LAYERS = ("color", "shadow", SUN_HOURS)
