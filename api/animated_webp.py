@@ -118,11 +118,11 @@ def write_header(file: BinaryIO, size: tuple[int, int]) -> None:
     file.write(b"RIFF\0\0\0\0WEBP" + _chunk(b"VP8X", extended) + _chunk(b"ANIM", struct.pack("<IH", 0xFFFFFFFF, 0)))
 
 
-def append_frame(file: BinaryIO, frame: bytes) -> None:
+def append_frame(file: BinaryIO, frame_chunk: bytes) -> None:
     """Append the chunk of a frame. Raises ``OSError`` if the file would be longer than WebP allows."""
-    if file.tell() + len(frame) > MAX_RIFF_BYTES:
+    if file.tell() + len(frame_chunk) > MAX_RIFF_BYTES:
         raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, whose limit is 4 GB")
-    file.write(frame)
+    file.write(frame_chunk)
 
 
 def write_riff_length(file: BinaryIO) -> None:
@@ -133,8 +133,8 @@ def write_riff_length(file: BinaryIO) -> None:
     file.seek(end)
 
 
-def _chunk(name: bytes, content: bytes) -> bytes:
-    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+def _chunk(chunk_type: bytes, content: bytes) -> bytes:
+    return chunk_type + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
 
 
 def _uint24(value: int) -> bytes:

@@ -201,16 +201,16 @@ def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple
     return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
 
 
-def _padded(view: ViewT, pixels: int) -> ViewT:
-    """Return a view extended by ``pixels`` on each side."""
-    if not pixels:
+def _padded(view: ViewT, margin_px: int) -> ViewT:
+    """Return a view extended by ``margin_px`` pixels on each side."""
+    if not margin_px:
         return view
-    return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
+    return view.part(-margin_px, -margin_px, view.rows + 2 * margin_px, view.cols + 2 * margin_px)  # type: ignore[return-value]
 
 
-def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
-    """Return an array without its outermost ``pixels`` on each side."""
-    return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
+def _cropped(array: np.ndarray, margin_px: int) -> np.ndarray:
+    """Return an array without its outermost ``margin_px`` pixels on each side."""
+    return array[margin_px : array.shape[0] - margin_px, margin_px : array.shape[1] - margin_px]
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,13 +118,13 @@ def _level_map(scene: Scene) -> MapView:
     return view
 
 
-def map_block(scene: Scene, pixel_m: float, center: tuple[float, float] = (0.5, 0.5)) -> MapView:
+def map_block(scene: Scene, pixel_m: float, center_fractions: tuple[float, float] = (0.5, 0.5)) -> MapView:
     """Return a block of a level's map with pixels of ``pixel_m`` metres.
 
-    ``center`` is its centre, as fractions of the level's sides from the west and from the south.
+    ``center_fractions`` is its centre, as fractions of the level's sides from the west and from the south.
     """
     west, south, east, north = scene.default_bounds(scene.map_crs)
     level_map = _level_map(scene)
     half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, level_map) * (east - west) / level_map.cols
-    x, y = west + center[0] * (east - west), south + center[1] * (north - south)
+    x, y = west + center_fractions[0] * (east - west), south + center_fractions[1] * (north - south)
     return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

@@ -230,7 +230,7 @@ class Animations:
         animation.end(status, self._settings.animation_age_s, message, error)
         self._active.pop(animation.id, None)
         if animation.film is None:
-            self._forget_spec(animation)
+            self._drop_spec(animation)
         if animation.expiry_timer is not None:
             animation.expiry_timer.cancel()
         self._ended_cache.put(animation.id, value=animation)
@@ -239,9 +239,9 @@ class Animations:
 
     def _release(self, animation: Animation) -> None:
         animation.release()
-        self._forget_spec(animation)
+        self._drop_spec(animation)
 
-    def _forget_spec(self, animation: Animation) -> None:
+    def _drop_spec(self, animation: Animation) -> None:
         if self._by_spec.get(animation.spec) is animation:
             del self._by_spec[animation.spec]
 

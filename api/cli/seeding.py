@@ -236,9 +236,9 @@ class _RunProgress:
         else:
             record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
-        record |= {"done": completion.done, "total": completion.total}
+        record |= {"done": completion.done_count, "total": completion.total_count}
         self._write_record(record)
-        self._print_line(f"[{completion.done}/{completion.total}] {block_label}: {text}", completion)
+        self._print_line(f"[{completion.done_count}/{completion.total_count}] {block_label}: {text}", completion)
 
     def report_end(self, seed_result: SeedResult, table: TaskTable) -> None:
         """Report the end of the run."""
@@ -266,4 +266,4 @@ class _RunProgress:
     def _print_line(self, text: str, completion: TaskCompletion) -> None:
         if not self._is_quiet:
             self._lines.print_line(text)
-            self._lines.advance(completion.done, completion.total)
+            self._lines.advance(completion.done_count, completion.total_count)

@@ -99,12 +99,12 @@ SlopeExaggerationQuery = Annotated[
 ]  # fmt: skip
 
 
-def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
+def style_named(name: str | None, parameter_name: str = "style") -> StyleName | None:
     """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
     if name is None or name == DEFAULT_STYLE:
         return None
     if name not in STYLES:
-        raise InputError(parameter, name, ", ".join((DEFAULT_STYLE, *STYLES)))
+        raise InputError(parameter_name, name, ", ".join((DEFAULT_STYLE, *STYLES)))
     return cast(StyleName, name)
 
 

@@ -73,7 +73,7 @@ def validate_arguments(function: Callable[ParametersT, ResultT]) -> Callable[Par
     return wrapper
 
 
-def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
+def _raise_input_error(error: ValidationError, argument_values: dict[str, Any], name: str | None = None) -> NoReturn:
     """Raise an error of pydantic as an ``InputError`` of a parameter."""
     detail = error.errors()[0]
     cause = detail.get("ctx", {}).get("error")
@@ -81,7 +81,7 @@ def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str
         raise cause from None
     name = name or ".".join(str(part) for part in detail["loc"])
     allowed = "; ".join(dict.fromkeys(map(allowed_phrase, error.errors())))
-    raise InputError(name, values.get(name, detail["input"]), allowed) from None
+    raise InputError(name, argument_values.get(name, detail["input"]), allowed) from None
 
 
 def _check_shadows(signature: inspect.Signature, shadow_settings: dict[str, Any]) -> None:

@@ -209,12 +209,12 @@ class LevelRasters(LevelState):
     def _compute_raster(
         self,
         request: ProductRequest,
-        grid: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
+        grid_arguments: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
         shadows: dict[str, Any],
     ) -> np.ndarray:
-        """Compute a raster for a request. ``grid`` holds bounds, CRS, resolution, raster file and slices of cells."""
+        """Compute a raster for a request. ``grid_arguments`` holds bounds, CRS, resolution, raster file and slices of cells."""
         product = request.product_record
-        raster = self._raster(*grid, np.dtype(product.dtype).itemsize * product.bands)
+        raster = self._raster(*grid_arguments, np.dtype(product.dtype).itemsize * product.bands)
         self._issue_object_warnings()
         return raster_array(self._scene, raster, request, shadows)
 

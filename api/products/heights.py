@@ -16,12 +16,12 @@ def height_m(product_input: ProductInput) -> np.ndarray:
     return product_input.ground_height_m if product_input.picture is None else product_input.frame.height_m
 
 
-def nodata_height_m(lowest_m: float) -> float:
+def nodata_height_m(lowest_ground_m: float) -> float:
     """Return the height shown in pixels without data: the level's lowest ground, rounded down to whole metres.
 
     Data edges therefore show no tall cliff.
     """
-    return float(np.floor(lowest_m))
+    return float(np.floor(lowest_ground_m))
 
 
 def encode_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
@@ -34,8 +34,8 @@ def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> P
     def compute(product_input: ProductInput) -> np.ndarray:
         return encode_heights(height_m(product_input), nodata_height_m(product_input.scene.height_range_m[0]), encoding)
 
-    def empty(rows: int, cols: int, lowest_m: float) -> np.ndarray:
-        return encode_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
+    def empty(rows: int, cols: int, lowest_ground_m: float) -> np.ndarray:
+        return encode_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_ground_m), encoding)
 
     return Product(
         name=name, description=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,

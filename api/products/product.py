@@ -284,13 +284,13 @@ class Product:
                 raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
             raise InputError(name, first["input"], allowed_phrase(first)) from None
 
-    def empty_array(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
+    def empty_array(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
         """Return the array of a map without data."""
         if self.empty is not None:
-            return self.empty(rows, cols, lowest_m)
+            return self.empty(rows, cols, lowest_ground_m)
         shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
         return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
 
-    def empty_picture(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
+    def empty_picture(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
         """Return the picture of a map without data, which is transparent for a product with a colour scale."""
-        return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_m)
+        return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_ground_m)

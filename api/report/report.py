@@ -129,9 +129,9 @@ def _csp_hash(text: str) -> str:
     return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
 
 
-def _remark(remark: str) -> str:
+def _remark(remark_text: str) -> str:
     """Return a remark as a sentence; the list after the colon of a long remark is collapsed."""
-    sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
+    sentence = escape(f"{remark_text[:1].upper()}{remark_text[1:]}{'' if remark_text.endswith('.') else '.'}")
     head, colon, tail = sentence.partition(": ")
     return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > MAX_REMARK_CHARACTERS else sentence
 

@@ -119,18 +119,18 @@ class ArchiveSize:
     ----------
     file_bytes : int
         Bytes of the file.
-    tiles : int
+    tile_count : int
         Number of tile ids that the archive answers.
-    entries : int
+    entry_count : int
         Number of directory entries.
-    contents : int
+    content_count : int
         Number of tile contents that are stored; equal tiles may share one.
     """
 
     file_bytes: int
-    tiles: int
-    entries: int
-    contents: int
+    tile_count: int
+    entry_count: int
+    content_count: int
 
 
 @dataclass(frozen=True, eq=False)

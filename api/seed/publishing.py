@@ -77,8 +77,8 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
-            if error.number is not None:
-                table.retry([numbers[error.number]], SHARD_LOST_REASON)
+            if error.shard_number is not None:
+                table.retry([numbers[error.shard_number]], SHARD_LOST_REASON)
             raise
         table.put(**{f"written {output}": f"{state} {_output_stamp(output)}".encode()})
         written_outputs.append(output)

@@ -37,8 +37,8 @@ class TaskCompletion:
 
     task: Task
     outcome: TaskResult | TaskFailure
-    done: int
-    total: int
+    done_count: int
+    total_count: int
 
 
 def shard_name(key: str) -> str:

@@ -48,15 +48,15 @@ class BackgroundCompile:
         """Whether loops are being compiled."""
         return self._task is not None and not self._task.done()
 
-    def start_if_needed(self, missing_loops: int) -> None:
-        """Start the compilation of the missing loops, whose number is ``missing_loops``. Return at once.
+    def start_if_needed(self, missing_loop_count: int) -> None:
+        """Start the compilation of the missing loops, whose number is ``missing_loop_count``. Return at once.
 
         It does not start if no loops are missing, it runs or is done already, or it failed less than ``RETRY_DELAY_S`` ago.
         """
         if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._retry_at_s:
             return
-        if missing_loops:
-            self._on_progress(PreparationProgress("compiling loops for other products", 0, missing_loops))
+        if missing_loop_count:
+            self._on_progress(PreparationProgress("compiling loops for other products", 0, missing_loop_count))
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:

@@ -81,17 +81,17 @@ def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition
 
 
 @cached("process", 4 * MIB)
-def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_m: float = 0.0) -> bytes:
-    """Return the file of a tile without data. ``lowest_m`` is as in ``empty_file``."""
-    return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_m)
+def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_ground_m: float = 0.0) -> bytes:
+    """Return the file of a tile without data. ``lowest_ground_m`` is as in ``empty_file``."""
+    return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_ground_m)
 
 
 def empty_file(
-    request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_m: float, view: MapView | None = None
+    request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_ground_m: float, view: MapView | None = None
 ) -> bytes:
     """Return the encoded file of a map of ``shape`` (rows, cols) without data.
 
-    ``lowest_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
+    ``lowest_ground_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
     """
     make_empty = request.product_record.empty_array if format in ARRAY_FORMATS else request.product_record.empty_picture
-    return encode(make_empty(*shape, lowest_m), request.product_record, format, view)
+    return encode(make_empty(*shape, lowest_ground_m), request.product_record, format, view)

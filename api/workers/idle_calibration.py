@@ -57,16 +57,16 @@ class IdleCalibration:
         self,
         is_enabled: bool,
         idle_work: IdleWork,
-        device: Callable[[], DeviceProfile | None],
+        current_device: Callable[[], DeviceProfile | None],
         set_profile: Callable[[DeviceProfile], None],
-        measure: Callable[[], DeviceProfile] = measure_profile,
+        measure_device: Callable[[], DeviceProfile] = measure_profile,
     ) -> None:
-        self._is_enabled, self._idle_work, self._device, self._set_profile, self._measure = (
+        self._is_enabled, self._idle_work, self._current_device, self._set_profile, self._measure = (
             is_enabled,
             idle_work,
-            device,
+            current_device,
             set_profile,
-            measure,
+            measure_device,
         )
         self._renderer, self._version = "", ""
         self._is_expected, self._failed = is_enabled, False
@@ -93,7 +93,7 @@ class IdleCalibration:
     @property
     def _is_calibrated(self) -> bool:
         """Whether the plans' rates were measured, and not estimated."""
-        device = self._device()
+        device = self._current_device()
         return device is not None and not device.is_estimate
 
     def start_watching(self, renderer: str, version: str) -> None:
@@ -117,7 +117,7 @@ class IdleCalibration:
     @property
     def _consequence(self) -> str:
         """How algorithms are chosen without a calibration, in words."""
-        return "fixed rules choose the algorithms" if self._device() is None else "plans use estimated times"
+        return "fixed rules choose the algorithms" if self._current_device() is None else "plans use estimated times"
 
     def _request_calibration(self) -> None:
         if not self._is_enabled:
@@ -176,7 +176,7 @@ class IdleCalibration:
             return last_stamp
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
         is_worse = profile is not None and profile.is_estimate and self._is_calibrated
-        if profile is not None and not is_worse and profile_digest(profile) != profile_digest(self._device()):
+        if profile is not None and not is_worse and profile_digest(profile) != profile_digest(self._current_device()):
             self._set_profile(profile)
             kind = "estimate" if profile.is_estimate else "calibration"
             log.info("the %s %s was loaded, and plans use it from now on", kind, path)

@@ -70,15 +70,15 @@ class IdleProbes:
         self,
         is_enabled: bool,
         idle_work: IdleWork,
-        device: Callable[[], DeviceProfile | None],
+        current_device: Callable[[], DeviceProfile | None],
         probes_in_use: Callable[[], Mapping[str, str]],
         add_probes: Callable[[Mapping[str, str]], None],
         probe: Probe = probe_level,
     ) -> None:
-        self._is_enabled, self._idle_work, self._device, self._probes_in_use, self._add_probes = (
+        self._is_enabled, self._idle_work, self._current_device, self._probes_in_use, self._add_probes = (
             is_enabled,
             idle_work,
-            device,
+            current_device,
             probes_in_use,
             add_probes,
         )
@@ -119,7 +119,7 @@ class IdleProbes:
 
         Nothing is requested without a calibration, or if such a probe exists, is requested already or has failed.
         """
-        device, key = self._device(), (level.version, unprobed_class.sun)
+        device, key = self._current_device(), (level.version, unprobed_class.sun)
         if not self._is_enabled or self._folder is None or device is None or key in self._requested | self._failed:
             return
         if any(

@@ -218,11 +218,11 @@ class HeartbeatRequest:
 class HeartbeatResponse:
     """Answer to a ``HeartbeatRequest``.
 
-    ``missing_loops`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0 until the
-    process has counted them.
+    ``missing_loop_count`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0
+    until the process has counted them.
     """
 
-    missing_loops: int = 0
+    missing_loop_count: int = 0
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ class WorkerReady:
         OpenGL's version; empty without OpenGL.
     egl_device : str
         Name of its EGL device.
-    missing_loops : int
+    missing_loop_count : int
         As in ``HeartbeatResponse``.
     """
 
@@ -264,7 +264,7 @@ class WorkerReady:
     device: DeviceProfile | None = None
     version: str = ""
     egl_device: str = ""
-    missing_loops: int = 0
+    missing_loop_count: int = 0
 
 
 @dataclass(frozen=True, eq=False)

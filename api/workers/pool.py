@@ -85,9 +85,9 @@ class Pool:
     def __init__(
         self,
         settings: Settings,
-        target: WorkerTarget = worker_main,
+        worker_target: WorkerTarget = worker_main,
         preload_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
-        measure: Callable[[], DeviceProfile] = measure_profile,
+        measure_device: Callable[[], DeviceProfile] = measure_profile,
         probe: Probe = probe_level,
         spawned_worker: SpawnedWorker | None = None,
     ) -> None:
@@ -101,8 +101,8 @@ class Pool:
             self._note_result,
         )
         self.supervisor = WorkerSupervisor(
-            settings, self.jobs, target, preload_blocks, spawned_worker, lambda: self.measurements, self._note_ready,
-            self._note_preparation_progress, lambda missing_loops: self.background_compile.start_if_needed(missing_loops),
+            settings, self.jobs, worker_target, preload_blocks, spawned_worker, lambda: self.measurements, self._note_ready,
+            self._note_preparation_progress, lambda missing_loop_count: self.background_compile.start_if_needed(missing_loop_count),
         )  # fmt: skip
         self.measurements: PlanMeasurements | None = None
         self.preparing: PreparationProgress | None = PreparationProgress("starting a render process")
@@ -110,7 +110,7 @@ class Pool:
         self.background_compile = BackgroundCompile(usable_cores(), self._note_preparation_progress)
         self.idle_work = IdleWork(self._is_busy, first_config(settings).gl_threads)
         self.idle_calibration = IdleCalibration(
-            settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure
+            settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure_device
         )
         self.idle_probes = IdleProbes(
             settings.probe_when_idle, self.idle_work, self._device, self._known_probes, self._add_probes, probe
@@ -257,7 +257,7 @@ class Pool:
         """Start the background work that a ready process allows."""
         self.measurements = self.measurements or worker.measurements
         self.preparing = self.preparing if self.background_compile.is_running else None
-        self.background_compile.start_if_needed(ready.missing_loops)
+        self.background_compile.start_if_needed(ready.missing_loop_count)
         self.idle_calibration.start_watching(ready.renderer, ready.version)
         self.idle_probes.start_watching(ready.renderer, ready.version)
 

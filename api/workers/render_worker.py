@@ -300,7 +300,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
             if compiled:  # a first start; later starts count missing loops in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
-            pipe.send(WorkerReady(state.renderer, state.device, version, egl_device, state.missing_loops))
+            pipe.send(WorkerReady(state.renderer, state.device, version, egl_device, state.missing_loop_count))
             _process_jobs_of_pipe(pipe, state, [partial(count_missing_loops, state), import_pvlib])
     except SkuggaError as error:
         pipe.send(Failure.from_error(error, is_fatal=True))
@@ -309,11 +309,11 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def count_missing_loops(state: WorkerState) -> None:
-    """Set ``state.missing_loops`` to the number of loops without machine code in the cache on disk.
+    """Set ``state.missing_loop_count`` to the number of loops without machine code in the cache on disk.
 
     Importing the modules of all loops takes time.
     """
-    state.missing_loops = len(missing_tasks(PRODUCTS))
+    state.missing_loop_count = len(missing_tasks(PRODUCTS))
 
 
 def _process_jobs_of_pipe(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
@@ -328,9 +328,9 @@ def _process_jobs_of_pipe(pipe: Connection, state: WorkerState, idle_steps: Sequ
             steps.popleft()()
         job = pipe.recv()
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatResponse(state.missing_loops))
+            pipe.send(HeartbeatResponse(state.missing_loop_count))
             # Missing loops are being compiled in the background on all cores, so this time is not idle.
-            blocks = () if state.missing_loops else job.preload_blocks[:MAX_SCENES]
+            blocks = () if state.missing_loop_count else job.preload_blocks[:MAX_SCENES]
             steps.extend(partial(prepare_level, block, state) for block in blocks)
             continue
         if isinstance(job, PlanMeasurements):

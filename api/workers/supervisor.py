@@ -82,16 +82,16 @@ class WorkerSupervisor:
         self,
         settings: Settings,
         jobs: PendingJobs,
-        target: WorkerTarget,
+        worker_target: WorkerTarget,
         preload_blocks: Callable[[], tuple[BlockJob, ...]],
         spawned_worker: SpawnedWorker | None,
-        measurements: Callable[[], PlanMeasurements | None],
+        current_measurements: Callable[[], PlanMeasurements | None],
         on_ready: Callable[[WorkerProcess, WorkerReady], None],
         on_preparation_progress: Callable[[PreparationProgress], None],
         on_missing_loops: Callable[[int], None],
     ) -> None:
-        self._settings, self._jobs, self._measurements = settings, jobs, measurements
-        self._target, self._preload_blocks, self._spawned = target, preload_blocks, spawned_worker
+        self._settings, self._jobs, self._measurements = settings, jobs, current_measurements
+        self._target, self._preload_blocks, self._spawned = worker_target, preload_blocks, spawned_worker
         self._on_ready, self._on_preparation_progress = on_ready, on_preparation_progress
         self._on_missing_loops = on_missing_loops
         self._config = first_config(settings)
@@ -252,7 +252,7 @@ class WorkerSupervisor:
                     answer = await worker.send_and_receive(HeartbeatRequest(worker.preload_blocks), HEARTBEAT_TIMEOUT_S)
                     worker.preload_blocks = ()
                     if isinstance(answer, HeartbeatResponse):
-                        self._on_missing_loops(answer.missing_loops)
+                        self._on_missing_loops(answer.missing_loop_count)
                 except ExhaustedError:  # try again later
                     continue
                 except (RenderTimeoutError, WorkerCrashError):

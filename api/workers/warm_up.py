@@ -127,14 +127,14 @@ def _grid_and_wall_center(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, f
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
-def _view_around(grid: Grid, center: tuple[float, float]) -> MapView:
-    """Return a view of ``TEST_PICTURE_PX`` pixels a side around ``center`` (row, column) of a grid.
+def _view_around(grid: Grid, center_row_col: tuple[float, float]) -> MapView:
+    """Return a view of ``TEST_PICTURE_PX`` pixels a side around ``center_row_col`` (row, column) of a grid.
 
     The view is shifted so that it lies within one block, since blocks are drawn separately.
     """
     row, col = (
         float(np.clip(int(index) - TEST_PICTURE_PX // 2, first, first + BLOCK_PX - TEST_PICTURE_PX))
-        for index in center
+        for index in center_row_col
         for first in [index // BLOCK_PX * BLOCK_PX]
     )
     return MapView(grid, row, col, 1.0, 1.0, TEST_PICTURE_PX, TEST_PICTURE_PX)

@@ -111,7 +111,7 @@ class WorkerState:
         The measurements that plans use.
     max_picture_ms : float or None
         Maximum expected time of a picture in milliseconds.
-    missing_loops : int
+    missing_loop_count : int
         Number of loops (functions that numba compiles) without machine code in the cache on disk, as last counted.
     scenes, plans, blocks
         Caches of open levels, plans of tiles and drawn blocks.
@@ -120,7 +120,7 @@ class WorkerState:
     renderer: str
     measurements: PlanMeasurements = field(default_factory=PlanMeasurements)
     max_picture_ms: float | None = None
-    missing_loops: int = 0
+    missing_loop_count: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
     blocks: Cache[DrawnBlock] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCK_CACHE_BYTES))

@@ -123,7 +123,7 @@ def _fact_rows(level: ServedLevel) -> Iterator[tuple[str, str]]:
         west, south, east, north = level.bounds
         yield "Bounds", f"{west:.5f}, {south:.5f}, {east:.5f}, {north:.5f} (west, south, east, north; degrees)"
         yield "Own maps", escape(level.map_crs.name)
-    yield "Lowest ground", f"{level.lowest_m:.0f} m"
+    yield "Lowest ground", f"{level.lowest_ground_m:.0f} m"
     if level_file.sun is not None and level_file.sun != "none":
         sun = level_file.sun
         angles = f"azimuth {sun.azimuth:g}°, altitude {sun.altitude:g}°" if sun.time is None else sun.time.isoformat()
@@ -143,9 +143,9 @@ def _fact_rows(level: ServedLevel) -> Iterator[tuple[str, str]]:
         yield "Warning", escape(warning)
 
 
-def _layer_link(name: str, layer: str) -> str:
+def _layer_link(level_name: str, layer: str) -> str:
     suffix = "png" if "png" in PRODUCTS[layer].map_formats else "tif"
-    return f'<a href="{name}/map.{suffix}?layer={layer}">{layer}</a>'
+    return f'<a href="{level_name}/map.{suffix}?layer={layer}">{layer}</a>'
 
 
 async def level_page_response(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:

@@ -97,7 +97,7 @@ async def tilejson(
     extra_entries: dict[str, Any] = {} if product.encoding is None else {"encoding": product.encoding}
     skugga_entries: dict[str, Any] = {"layer": product.name, "tile_matrix_set": tms, "sun": sun_facts}
     if extra_entries:
-        skugga_entries["nodata_height"] = nodata_height_m(served_level.lowest_m)
+        skugga_entries["nodata_height"] = nodata_height_m(served_level.lowest_ground_m)
     if product.color_scale is not None:
         scale = await run_in_threadpool(product.color_scale, product_request.options, served_level.world)
         picture = f"{address}/legend.png?{query}"

@@ -92,15 +92,15 @@ def layer_name(level: ServedLevel, layer: str) -> str:
     return f"{level.name}:{layer}"
 
 
-def split_layer(key: str, name: str) -> tuple[str, str]:
+def split_layer(parameter: str, name: str) -> tuple[str, str]:
     """Split a layer name of WMS or WMTS into the level's name and the layer.
 
-    Raises ``NotServedError`` for an unknown layer. Its message names ``key``, the key of the request.
+    Raises ``NotServedError`` for an unknown layer. Its message names ``parameter``, the key of the request.
     """
     level, colon, layer = name.rpartition(":")
     if not colon or layer not in MAP_PRODUCTS:
-        message = f"{key}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
-        raise NotServedError(key, message)
+        message = f"{parameter}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
+        raise NotServedError(parameter, message)
     return level, layer
 
 

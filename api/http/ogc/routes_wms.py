@@ -144,17 +144,19 @@ async def _capabilities_response(request: Request, service: Service, level: str 
     return document_response(request, body, "text/xml")
 
 
-async def _requested_layer(service: Service, parameters: KeyValuePairs, key: str) -> tuple[ServedLevel, str]:
+async def _requested_layer(service: Service, parameters: KeyValuePairs, parameter: str) -> tuple[ServedLevel, str]:
     """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
-    name = parameters.require(key, "Give one layer, such as LEVEL:color")
+    name = parameters.require(parameter, "Give one layer, such as LEVEL:color")
     if "," in name:
-        raise NotServedError(key, f"{key}: several layers in one map. Use one layer: LayerLimit of the capabilities is 1.")
-    level_name, layer = split_layer(key, name)
+        raise NotServedError(
+            parameter, f"{parameter}: several layers in one map. Use one layer: LayerLimit of the capabilities is 1."
+        )
+    level_name, layer = split_layer(parameter, name)
     if layer not in WMS_LAYERS:
-        raise NotServedError(key, f"{key}: layer {layer} is not served by WMS. Use tiles or WMTS.")
+        raise NotServedError(parameter, f"{parameter}: layer {layer} is not served by WMS. Use tiles or WMTS.")
     level = await service.level(level_name)
     if level.world.off_earth_reason is not None:
-        raise UnsupportedError(key, name, f"{level.world.off_earth_reason}, so the level has no map on earth")
+        raise UnsupportedError(parameter, name, f"{level.world.off_earth_reason}, so the level has no map on earth")
     return level, layer
 
 

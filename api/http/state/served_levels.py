@@ -62,7 +62,7 @@ class ServedLevel:
         (width, height) in pixels by view; ``None`` for a view that cannot be rendered. ``map`` is always included.
     map_crs : CRS
         Default CRS of maps.
-    lowest_m : float
+    lowest_ground_m : float
         Lowest height of the ground in metres.
     style : str
         Name of the level's own style.
@@ -85,7 +85,7 @@ class ServedLevel:
     zooms: dict[str, ZoomRange]
     view_sizes: dict[str, tuple[int, int] | None]
     map_crs: CRS
-    lowest_m: float
+    lowest_ground_m: float
     style: str
     sun_is_default: bool = False
     warnings: tuple[str, ...] = ()

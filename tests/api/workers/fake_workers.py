@@ -177,7 +177,7 @@ def compiling(
     pipe.send(PreparationProgress("compiling loops for map tiles", 3, 9))
     if may_finish is not None:
         may_finish.acquire()
-    pipe.send(WorkerReady(RENDERER, missing_loops=missing))
+    pipe.send(WorkerReady(RENDERER, missing_loop_count=missing))
     while True:
         try:
             pipe.recv()
