@@ -30,7 +30,7 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
     """Return the stamp (times, size and inode) of each file; ``None`` for a file that does not exist."""
-    return tuple(_stamp(path) for path in files)
+    return tuple(_file_stamp(path) for path in files)
 
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
@@ -40,7 +40,7 @@ def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _stamp(path: Path) -> Stamp:
+def _file_stamp(path: Path) -> Stamp:
     try:
         status = path.stat()
     except OSError:

@@ -177,12 +177,12 @@ def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, progress: _
                 context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709_CODE
             frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
             frame.pts = number
-            _mux(container, stream.encode(frame), progress)
+            _mux_packets(container, stream.encode(frame), progress)
         assert stream is not None
-        _mux(container, stream.encode(None), progress)
+        _mux_packets(container, stream.encode(None), progress)
 
 
-def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
+def _mux_packets(container: Any, packets: list[Any], progress: _Progress) -> None:
     """Write the packets of an encoder; each holds one frame. x264 buffers some dozens of frames before its first packet."""
     for packet in packets:
         size = packet.size  # muxing empties the packet

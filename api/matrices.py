@@ -103,7 +103,7 @@ def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y
             raise NotServedError(name, f"{name}: tile {index} is outside the tile matrix. Allowed: 0 to {count - 1}.")
 
 
-def is_quadtree_level(matrix_set: TileMatrixSet, zoom: int) -> bool:
+def is_quadtree_zoom(matrix_set: TileMatrixSet, zoom: int) -> bool:
     """Return whether each tile of a zoom covers exactly four tiles of the next zoom."""
     if zoom >= matrix_set.maxzoom:
         return False

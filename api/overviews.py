@@ -39,7 +39,7 @@ TILES_PER_WINDOW = 8
 GDALADDO_REMEDY = "Use gdaladdo for such a raster"
 
 
-def reason_for_no_overviews(raster: Path) -> str | None:
+def reason_against_overviews(raster: Path) -> str | None:
     """Return why a raster needs no further overviews, as text; ``None`` if it needs some.
 
     Raises ``SourceError``.
@@ -101,7 +101,7 @@ def make_overviews(
             ) as first_overview:  # fmt: skip
                 for done, window in enumerate(parts, start=1):
                     _write_window(
-                        first_overview, _first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path
+                        first_overview, _read_first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path
                     )
                     if on_part is not None:
                         on_part(done, total)
@@ -188,7 +188,7 @@ def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
             yield Window(col, row, min(window_cols, cols - col), min(TILE_SIDE_CELLS, rows - row))
 
 
-def _first_overview(
+def _read_first_overview(
     dataset: rasterio.DatasetReader,
     window: Window,
     plausible_range: tuple[float, float],

@@ -195,7 +195,7 @@ def _view_like(scene: Scene, cells: RasterCells) -> RasterView:
     if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
         level_bounds = scene.default_bounds(cells.crs)
         raise InputError(
-            "like", cells.name, f"a raster that overlaps the level; {_extents(view.view.bounds, level_bounds, cells.crs)}"
+            "like", cells.name, f"a raster that overlaps the level; {_extents_text(view.view.bounds, level_bounds, cells.crs)}"
         )
     return view
 
@@ -213,10 +213,10 @@ def extent_warning(scene: Scene, raster: RasterView) -> str | None:
     cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
     if min(west - level_bounds[0], south - level_bounds[1], level_bounds[2] - east, level_bounds[3] - north) >= -cell:
         return None
-    return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, level_bounds, raster.crs)}"
+    return f"the raster extends beyond the level and is empty there; {_extents_text(raster.view.bounds, level_bounds, raster.crs)}"
 
 
-def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
+def _extents_text(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
     """Return the extents of a raster and of a level as text."""
     raster_text, level_text = (",".join(f"{value:.9g}" for value in bounds) for bounds in (raster_bounds, level_bounds))
     return f"the raster is {raster_text}, the level {level_text} (west,south,east,north in {crs.name})"

@@ -37,7 +37,7 @@ from pyproj import CRS
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, raster_paths
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
-from skugga.api.overviews import make_overviews, reason_for_no_overviews
+from skugga.api.overviews import make_overviews, reason_against_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
@@ -295,7 +295,7 @@ def main() -> None:
     for raster in make_rasters(args.folder, args.raster):
         print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.made_s:.0f} s", flush=True)
     vrt = raster_paths(args.folder)[-1]
-    if reason_for_no_overviews(vrt) is None:
+    if reason_against_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, written in {time.perf_counter() - start:.0f} s", flush=True)

@@ -66,7 +66,7 @@ def pin_all_views(planned_views: Sequence[PlannedView]) -> str:
             "--write", Problem("no view has a cast shadow, so no choice can be pinned"), "Choose a sun that casts shadows"
         )
     chosen = [
-        {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level(choice))}
+        {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level_spec(choice))}
         for choice in casting
     ]
     policies = dict.fromkeys(POLICY_PHRASES[choice.plan.policy] for choice in casting)
@@ -138,5 +138,5 @@ def _casts_shadows(plan: Plan) -> bool:
     return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 
-def _level(planned_view: PlannedView) -> Any:
+def _level_spec(planned_view: PlannedView) -> Any:
     return planned_view.scene.loaded.level

@@ -20,7 +20,7 @@ from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
-from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
 from skugga.selector.film import FilmFrame, FrameMoment, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
@@ -71,7 +71,7 @@ class FilmOptions:
     lossless: bool = False
 
     @property
-    def used_names(self) -> list[str]:
+    def used_option_names(self) -> list[str]:
         """Names of the options that were used."""
         values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
         return [*(name for name, value in values.items() if value is not None), *(["--lossless"] if self.lossless else [])]
@@ -149,7 +149,9 @@ def _check_costs(
         descriptor = describe(moment.scene(scene), moment.view, request.view_name)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
         subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
-        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_free_size=not isinstance(moment.view, MapView))
+        check_cost(
+            plan, subject, limit_or_service_limit_ms(max_ms), MAX_MS_OPTION, has_free_size=not isinstance(moment.view, MapView)
+        )
 
 
 class _FilmProgress:

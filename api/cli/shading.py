@@ -90,7 +90,7 @@ def write_product(
         scene.close()
 
 
-def sun_and_grid_of_item(
+def sun_and_grid_of_stac_item(
     stac: Path, suns: Sequence[SunSpec | None], like: Path | None, uses_item_grid: bool
 ) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
     """Return the sun of a STAC item, as a sequence of one, and the grid of the output (``None`` for the level's own).

@@ -73,7 +73,7 @@ def azimuths_of_format(name: str) -> np.ndarray | None:
     return None if count is None else np.arange(count) * (360.0 / count)
 
 
-def _heights(horizon: PointHorizon) -> np.ndarray:
+def _heights_above_horizontal(horizon: PointHorizon) -> np.ndarray:
     return np.maximum(horizon.elevation_deg, 0.0)
 
 
@@ -81,7 +81,7 @@ def _azimuths_from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]
     """Return azimuths and horizon angles in degrees, by ascending azimuth from -180 (north): -90 is east, 0 south, 90 west."""
     azimuth = (horizon.azimuth_deg + 360.0) % 360.0 - 180.0
     order = np.argsort(azimuth)
-    return azimuth[order], _heights(horizon)[order]
+    return azimuth[order], _heights_above_horizontal(horizon)[order]
 
 
 def _place_lines(place: PointPlace) -> list[str]:
@@ -114,15 +114,15 @@ def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
 
 
 def _pvgis_upload(horizon: PointHorizon, place: PointPlace) -> str:
-    return "".join(f"{height:.2f}\n" for height in _heights(horizon))
+    return "".join(f"{height:.2f}\n" for height in _heights_above_horizontal(horizon))
 
 
 def _forecast_solar(horizon: PointHorizon, place: PointPlace) -> str:
-    return ",".join(f"{height:.1f}" for height in _heights(horizon)) + "\n"
+    return ",".join(f"{height:.1f}" for height in _heights_above_horizontal(horizon)) + "\n"
 
 
 def _pvlib_csv(horizon: PointHorizon, place: PointPlace) -> str:
-    rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights(horizon), strict=True)]
+    rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights_above_horizontal(horizon), strict=True)]
     return "\n".join(["horizon_azimuth,horizon_elevation", *rows]) + "\n"
 
 

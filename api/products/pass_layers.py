@@ -23,7 +23,7 @@ def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
-def _stretch(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _stretch_to_gray(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return values as gray, uint8, scaled so that the largest value is bright."""
     return array * np.uint8(255 // max(int(array.max()), 1))
 
@@ -59,7 +59,7 @@ def _pass_product(
 
 PRODUCTS = (
     _pass_product("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
-    _pass_product("stencil", "the stencil buffer of shadow volumes", ("npy", "png"), _stretch),
+    _pass_product("stencil", "the stencil buffer of shadow volumes", ("npy", "png"), _stretch_to_gray),
     _pass_product(
         "silhouettes", "edges of casters seen from the light; for a hybrid, the pixels that its volumes decide", ("npy", "png")
     ),

@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from skugga.api.picture_cost import SLOW_PICTURE_MS, is_over_limit, remedy, time_limit_ms
+from skugga.api.picture_cost import SLOW_PICTURE_MS, cost_remedy, is_over_limit, time_limit_ms
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_wrong_share
 from skugga.selector.planner.planner import SETTING_NAMES
 from skugga.selector.predict import TARGET_MISSED
@@ -99,7 +99,7 @@ def format_expectation(plan: Plan) -> str:
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_wrong_share(plan.predicted.wrong_cast, plan.predicted.is_coverage)}."
     )
-    if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := remedy(plan)) is not None:
+    if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := cost_remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
     if is_over_limit(plan, limit_ms := time_limit_ms()):
         limit = f"A service gives up pictures after {format_duration(limit_ms)} (SKUGGA_RENDER_TIMEOUT_S): it refuses this one."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skugga.api.errors import BrokenShardError
-from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
 from skugga.api.seed.local_pool import Runner
 from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S
 from skugga.api.seed.planning import PlannedRun
@@ -103,7 +103,7 @@ def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> Non
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
             subject = f"a block of zoom {planned.zoom}"
-            check_cost(planned.parsed_plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_free_size=False)
+            check_cost(planned.parsed_plan, subject, limit_or_service_limit_ms(max_ms), MAX_MS_OPTION, has_free_size=False)
 
 
 def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:

@@ -171,7 +171,7 @@ class IdleCalibration:
 
         Return the new stamp; ``last_stamp`` if the file is unchanged or missing.
         """
-        stamp = await asyncio.to_thread(_stamp, path)
+        stamp = await asyncio.to_thread(_file_stamp, path)
         if stamp is None or stamp == last_stamp:
             return last_stamp
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
@@ -183,7 +183,7 @@ class IdleCalibration:
         return stamp
 
 
-def _stamp(path: Path) -> ProfileStamp | None:
+def _file_stamp(path: Path) -> ProfileStamp | None:
     try:
         status = path.stat()
     except OSError:

@@ -10,7 +10,7 @@ from skugga.api.matrices import (
     ZoomRange,
     check_tile,
     finest_detail_m,
-    is_quadtree_level,
+    is_quadtree_zoom,
     matrix_set_of,
     served_matrix_sets,
     shows_no_data,
@@ -100,9 +100,9 @@ def test_the_error_of_an_outside_tile_names_its_index():
 
 
 def test_quadtree_levels_are_recognized():
-    assert is_quadtree_level(MERCATOR, 10)
-    assert not is_quadtree_level(MERCATOR, MERCATOR.maxzoom)
-    assert not is_quadtree_level(registered.get("CanadianNAD83_LCC"), 5)
+    assert is_quadtree_zoom(MERCATOR, 10)
+    assert not is_quadtree_zoom(MERCATOR, MERCATOR.maxzoom)
+    assert not is_quadtree_zoom(registered.get("CanadianNAD83_LCC"), 5)
 
 
 def tiles_with_data(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:

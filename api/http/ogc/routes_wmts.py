@@ -126,13 +126,13 @@ async def wmts_by_keys(request: Request, service: ServiceDep) -> Response:
             case "getcapabilities":
                 return await _capabilities_response(request, service, None)
             case "gettile":
-                return await _tile_by_keys(request, service, parameters)
+                return await _tile_response(request, service, parameters)
         raise InputError("REQUEST", operation, "GetCapabilities, GetTile")
     except SkuggaError as error:
         return exception_response(request, error, WMTS_EXCEPTION_CODES, ows_exception)
 
 
-async def _tile_by_keys(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+async def _tile_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level_name, layer = split_layer("LAYER", parameters.require("LAYER", "Give a layer, such as LEVEL:color"))
     matrix_set = parameters.require("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
     tile_matrix_set = matrix_set_of(matrix_set)

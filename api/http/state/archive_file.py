@@ -190,9 +190,9 @@ class ArchiveFile:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _checked_root(self) -> _Directory:
-        root = self._directory(self.header["root_offset"], self.header["root_length"])
+        root = self._read_directory(self.header["root_offset"], self.header["root_length"])
         bytes_left = MAX_VALIDATED_LEAF_BYTES
-        for length, offset in _leaves(root):
+        for length, offset in _leaf_directories(root):
             bytes_left -= length
             if bytes_left < 0:
                 break
@@ -205,11 +205,11 @@ class ArchiveFile:
         if isinstance(directory, Missing):
             if offset + length > self.header["leaf_directory_length"]:
                 raise self._error("broken directories: a leaf reaches past the end of the leaf directories")
-            directory = self._directory(self.header["leaf_directory_offset"] + offset, length)
+            directory = self._read_directory(self.header["leaf_directory_offset"] + offset, length)
             _directory_cache.put(self, offset, value=directory)
         return directory
 
-    def _directory(self, offset: int, length: int) -> _Directory:
+    def _read_directory(self, offset: int, length: int) -> _Directory:
         numbers = _varints(self._decompress(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
@@ -271,7 +271,7 @@ def has_changed(archive: ArchiveFile | None, path: Path) -> bool:
     return archive is None or archive.stamp != stamp
 
 
-def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
+def _leaf_directories(directory: _Directory) -> Iterator[tuple[int, int]]:
     """Return pairs of length and offset, in bytes, of the leaf directories that a directory lists."""
     rows = np.flatnonzero(directory.run_lengths == 0)
     return zip(directory.lengths[rows].tolist(), directory.offsets[rows].tolist(), strict=True)

@@ -151,7 +151,7 @@ class ServedArchives:
     def _check_file(self, name: str) -> ArchiveFile:
         check = self._named_checks[name]
         try:
-            return self._reopened(check.value if check.error is None else None, check.value.path)
+            return self._reopen_if_changed(check.value if check.error is None else None, check.value.path)
         except ArchiveError as error:
             self._log_error(check.value.path, error)
             raise
@@ -161,12 +161,12 @@ class ServedArchives:
         before, files = check.value.files, {}
         for path in paths:
             try:
-                files[path] = self._reopened(before.get(path), path)
+                files[path] = self._reopen_if_changed(before.get(path), path)
             except ArchiveError as error:
                 self._log_error(path, error, " Its tiles are rendered.")
         return check.value if files == before else LevelArchives.of(files)
 
-    def _reopened(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
+    def _reopen_if_changed(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
         if archive is not None and not has_changed(archive, path):
             return archive
         opened = ArchiveFile(path)

@@ -23,7 +23,7 @@ from skugga.api.http.responses import (
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.matrices import check_tile, is_quadtree_level, matrix_set_of, shows_no_data, tile_view
+from skugga.api.matrices import check_tile, is_quadtree_zoom, matrix_set_of, shows_no_data, tile_view
 from skugga.api.products.product import MEDIA_TYPES, MapFormat
 from skugga.api.request import ProductRequest
 from skugga.api.workers.block_tiles import block_and_position, empty_file, empty_tile
@@ -67,7 +67,7 @@ async def tile_response(
     """
     level, matrix_set = await service.level(level_name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
-    if scale == 2 and not is_quadtree_level(matrix_set, zxy[0]):
+    if scale == 2 and not is_quadtree_zoom(matrix_set, zxy[0]):
         raise NotServedError("z", f"z: {tms} has no @2x tiles at zoom {zxy[0]}. Use tiles without @2x.")
     product = product_request.product_record
     check_format(product, format)

@@ -133,7 +133,7 @@ def film_response(request: Request, animation: Animation, animations: Animations
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
     reader = animation.film.open_reader(first, end)
     return StreamingResponse(
-        _chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA_TYPES[animation.spec.format]
+        _read_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA_TYPES[animation.spec.format]
     )
 
 
@@ -152,7 +152,7 @@ def parse_byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
     return (begin, end) if begin < end else None
 
 
-async def _chunks(reader: FilmReader) -> AsyncIterator[bytes]:
+async def _read_chunks(reader: FilmReader) -> AsyncIterator[bytes]:
     try:
         while chunk := await asyncio.to_thread(reader.read_chunk):
             yield chunk

@@ -49,12 +49,12 @@ def bar_chart(figures: list[RowFigures]) -> str:
     order = sorted(range(len(figures)), key=lambda k: (figures[k]["ms_median"], figures[k]["name"]))
     names_px = [len(f["name"]) * (BOLD_CHARACTER_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]
     axis = Axis(max([NAME_WIDTH_PX, *names_px]), _end_ms(figures))
-    colours = _colours(figures)
+    colours = _stage_colours(figures)
     bottom = BARS_TOP_PX + BAR_STEP_PX * len(figures)
     return tag(
         "svg",
-        *_grid(axis, bottom),
-        *(_bar(k, figures[k], BARS_TOP_PX + BAR_STEP_PX * place, axis, colours) for place, k in enumerate(order)),
+        *_grid_lines(axis, bottom),
+        *(_bar_elements(k, figures[k], BARS_TOP_PX + BAR_STEP_PX * place, axis, colours) for place, k in enumerate(order)),
         viewBox=f"0 0 {BARS_WIDTH_PX:g} {bottom + 6:g}",
         role="group",
         aria_label="Time of every row by its stages",
@@ -69,10 +69,14 @@ def exceeds_axis(figures: list[RowFigures]) -> bool:
 
 def bars_legend(figures: list[RowFigures]) -> str:
     """Return the legend: a list of stages and their colours."""
-    return tag("ul", *(tag("li", _swatch(colour), escape(name)) for name, colour in _colours(figures).items()), class_="legend")
+    return tag(
+        "ul",
+        *(tag("li", _colour_swatch(colour), escape(name)) for name, colour in _stage_colours(figures).items()),
+        class_="legend",
+    )
 
 
-def _swatch(colour: str) -> str:
+def _colour_swatch(colour: str) -> str:
     return tag("svg", tag("path", d="M2 2H14V14H2Z", fill=colour), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
@@ -83,7 +87,7 @@ def stages_of(figures: RowFigures) -> dict[str, float]:
     return stages | ({REST_STAGE: rest} if rest > MIN_REST_SHARE * figures["ms_median"] else {})
 
 
-def _colours(figures: list[RowFigures]) -> dict[str, str]:
+def _stage_colours(figures: list[RowFigures]) -> dict[str, str]:
     stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in stages if name != REST_STAGE])
     return colours | ({REST_STAGE: COLOURS["gray"]} if REST_STAGE in stages else {})
@@ -103,7 +107,7 @@ def _end_ms(figures: list[RowFigures]) -> float:
     return max(1e-3, times[-1] if times[-1] <= common or common == 0.0 else common)
 
 
-def _grid(axis: Axis, bottom: float) -> Iterator[str]:
+def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
     power = 10.0 ** floor(log10(axis.end_ms / 4.0))
     step = next(f * power for f in (1, 2, 5, 10) if f * power >= axis.end_ms / 8.0)
     for k in range(floor(axis.end_ms / step) + 1):
@@ -112,7 +116,7 @@ def _grid(axis: Axis, bottom: float) -> Iterator[str]:
         yield tag("text", escape(time_label(k * step)), x=x, y=BARS_TOP_PX - 11, text_anchor="middle")
 
 
-def _bar(row_index: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
+def _bar_elements(row_index: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
     stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT_PX - 3.0
     x, parts = axis.left_px, []
     for name, ms in stages.items():

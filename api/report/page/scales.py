@@ -46,7 +46,7 @@ class Scale:
         return ticks
 
 
-def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
+def log_scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
     """Return a logarithmic scale for some values.
 
     ``margin`` is a ratio that extends the scale at both ends. The scale has a position for zero if a value is zero. It spans at

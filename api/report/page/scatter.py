@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from skugga.api.report.page.marks import mark_of, mark_svg
 from skugga.api.report.page.markup import tag
-from skugga.api.report.page.scales import Scale, scale_of, time_label
+from skugga.api.report.page.scales import Scale, log_scale_of, time_label
 from skugga.api.report.summary import MAX_EXACT_NOISE_FLOORS, RowFigures, algorithm_family, casts_shadow, is_on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
@@ -64,8 +64,8 @@ def scatter_plot(comparison: Comparison) -> str:
 def _plot(comparison: Comparison) -> str:
     figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts_shadow(row.figures, comparison.light)}
     figures_by_row = figures_by_row or {k: row.figures for k, row in enumerate(comparison.rows)}
-    x = scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT_PX, SCATTER_WIDTH_PX - MARGIN_RIGHT_PX)
-    y = scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT_PX - MARGIN_BOTTOM_PX, MARGIN_TOP_PX)
+    x = log_scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT_PX, SCATTER_WIDTH_PX - MARGIN_RIGHT_PX)
+    y = log_scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT_PX - MARGIN_BOTTOM_PX, MARGIN_TOP_PX)
     points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in figures_by_row.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
     stairs = _staircase([point for point in points if is_on_front(point.figures, comparison.light)])
@@ -112,7 +112,7 @@ def scatter_file(comparison: Comparison, title: list[str], style: str) -> str:
 
 def scatter_legend(comparison: Comparison) -> str:
     """Return the legend: a list of marks and their algorithms."""
-    items = (tag("li", swatch(name), escape(name)) for name in _families(comparison))
+    items = (tag("li", mark_swatch(name), escape(name)) for name in _families(comparison))
     return tag("ul", *items, class_="legend")
 
 
@@ -122,7 +122,7 @@ def _families(comparison: Comparison) -> list[str]:
     return sorted(families - {NO_SHADOWS} or families, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
 
 
-def swatch(name: str) -> str:
+def mark_swatch(name: str) -> str:
     """Return the mark of an algorithm as a small SVG element."""
     return tag("svg", mark_svg(mark_of(name), 8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from skugga.api.report.page.bars import stages_of
 from skugga.api.report.page.markup import breakable_text, definition_list, tag
-from skugga.api.report.page.scatter import swatch
+from skugga.api.report.page.scatter import mark_swatch
 from skugga.api.report.summary import RowFigures, algorithm_family
 from skugga.selector.formatting import format_duration
 from skugga.selector.measure.compare import Comparison
@@ -160,7 +160,7 @@ def _heading(column: Column, is_sort_column: bool) -> str:
 
 def _table_row(row_index: int, figures: RowFigures, light: str) -> str:
     front, name = figures["pareto"], figures["name"]
-    title = tag("summary", swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
+    title = tag("summary", mark_swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
     cells = [
         tag(
             "td",

@@ -145,7 +145,7 @@ def test_file_watch_survives_a_lack_of_threads(
 ):
     """A calibration that is saved afterwards is loaded."""
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
-    stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
+    stamp, failures = idle_calibration._file_stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 
     def failing_stamp(path: Path) -> tuple[int, int, int] | None:
         if failures:
@@ -153,7 +153,7 @@ def test_file_watch_survives_a_lack_of_threads(
         return stamp(path)
 
     wait_until(lambda: state(client) == "running")
-    monkeypatch.setattr(idle_calibration, "_stamp", failing_stamp)
+    monkeypatch.setattr(idle_calibration, "_file_stamp", failing_stamp)
     wait_until(lambda: log_count(caplog, "is read again later") == 2)
     save_profile(fake_calibrations.profile())
     wait_until(lambda: state(client) == "calibrated")

@@ -33,7 +33,7 @@ from skugga.api.report.page.pictures import (
     palette_indexes,
     report_pictures,
 )
-from skugga.api.report.page.scales import scale_of
+from skugga.api.report.page.scales import log_scale_of
 from skugga.api.report.page.scatter import SCATTER_HEIGHT_PX, SCATTER_WIDTH_PX, scatter_plot
 from skugga.api.report.report import MAX_PAGE_BYTES, report_html, write_report, write_scatter
 from skugga.api.report.summary import algorithm_family, casts_shadow
@@ -330,7 +330,7 @@ def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
 @given(st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1e6)), min_size=1, max_size=8), st.booleans())
 def test_scales_keep_order_and_bounds(values: list[float], downwards: bool) -> None:
     start, end = (500.0, 0.0) if downwards else (0.0, 500.0)
-    scale = scale_of(values, start, end)
+    scale = log_scale_of(values, start, end)
     positions = [scale(value) for value in sorted(values)]
     assert all(0.0 < x < 500.0 for x in positions)
     assert positions == sorted(positions, reverse=downwards)
