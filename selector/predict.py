@@ -212,6 +212,8 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 wrong=max((light_options.wrong(which) for light_options, which in winning_options), default=0.0),
                 wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
                 is_coverage=any(light_options.options[which].errors.is_coverage for light_options, which in winning_options),
+                is_measured=policy in ("probe", "measure")
+                and all(which in light_options.observations for light_options, which in winning_options),
             ),
             "target": Target(
                 max_error=max_error,
@@ -261,10 +263,10 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
         likely = [number for number in other_numbers if light_options.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
         fastest_other = min(likely, key=lambda number: light_options.figures(number).ms, default=None)
         if fastest_other is None:
-            reason += f"no other choice is expected to stay within {_limit_text(max_error)}"
+            reason += f"no other algorithm is expected to stay within {_limit_text(max_error)}"
         elif (ms := light_options.figures(fastest_other).ms) >= figures.ms:
             reason += (
-                f"the fastest other choice within {_limit_text(max_error)} is "
+                f"the fastest other algorithm within {_limit_text(max_error)} is "
                 f"{light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
             )
         else:

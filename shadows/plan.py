@@ -47,7 +47,8 @@ class Predicted(_FrozenModel):
 
     The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
     the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two. In
-    dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there.
+    dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there. ``is_measured`` tells
+    that the choices were drawn on this view, and their errors and times measured.
     """
 
     ms: float
@@ -55,6 +56,7 @@ class Predicted(_FrozenModel):
     wrong_cast: float
     is_estimate: bool = False
     is_coverage: bool = False
+    is_measured: bool = False
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def format_expectation(plan: Plan) -> str:
     target = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
-    verb = {"measure": "Measured", "probe": "By the probe"}.get(plan.policy, "Expected")
+    verb = {"measure": "Measured", "probe": "By the probe"}[plan.policy] if plan.predicted.is_measured else "Expected"
     text = (
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_wrong_share(plan.predicted.wrong_cast, plan.predicted.is_coverage)}."

@@ -70,7 +70,7 @@ def calibration_levels(
     It holds the name, the content of a level file, the name of the view, its width and height in pixels, and the ``light``,
     ``kinds`` and ``calibration_extent`` of ``CalibrationView``. Files to which the levels refer are written to ``folder``.
     """
-    few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
+    few, several, many = _balls(folder, 1, 5), _balls(folder, 1, 40), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])
     spot: dict[str, Any] = {"kind": "spot", "position": [20, -30, 60], "target": [0, 0, 0], "cutoff": 40}
     yield "few_balls", _level(FLOOR_TERRAIN, near, meshes=[few]), "main", (640, 512), "sun", ("meshes",), "full"
@@ -99,6 +99,7 @@ def calibration_levels(
     yield "lattice_far", _level(FLOOR_TERRAIN, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
     yield "few_balls_map", _level(FLOOR_TERRAIN, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "full"
     yield "many_balls_map", _level(FLOOR_TERRAIN, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
+    yield "low_sun_map", _level(FLOOR_TERRAIN, near, meshes=[several], sun=(60, 9)), "map", (512, 512), "sun", ("meshes",), "some"
     for kind, lamp in (("spot", spot), ("omni", {"kind": "omni", "position": [8, -8, 30]})):
         level = _level(FLOOR_TERRAIN, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
         yield f"{kind}_balls", level, "main", (640, 512), "lamp", ("meshes",), "full"

@@ -160,7 +160,8 @@ def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
     chance = light_options.miss_chance(leader, max_error)
     limit = format_percent(max_error)
     if leader not in probe.drawn:
-        return f"{text}; no time was left to draw it: it stays within {limit} with a chance of {format_percent(1.0 - chance)}"
+        sure = "more than 99 %" if chance < 0.01 else format_percent(1.0 - chance)
+        return f"{text}; no time was left to draw it: it stays within {limit} with a chance of {sure}"
     if probe.confirmed:
         return f"{text}; {'it stays within' if chance <= 0.5 else 'it misses'} {limit}, and no other candidate promises more"
     return f"{text}; the time ended while other candidates still promised more"

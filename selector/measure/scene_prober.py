@@ -41,7 +41,8 @@ MAX_REPEATED_MS, MAX_WARM_REPEATED_MS = 3000.0, 150.0
 """Maximum milliseconds of a drawing that is repeated.
 
 The first drawing with an algorithm contains work that later ones share (geometry, compiled shaders), so it is repeated up to the
-larger limit. Later drawings are repeated up to the smaller one: 5 % of a probe's default time.
+larger limit, and whatever it took if it was expected to take less. Later drawings are repeated up to the smaller limit: 5 % of a
+probe's default time.
 """
 
 
@@ -120,7 +121,9 @@ class SceneProber:
         except UnsupportedError:
             return None
         ms = run.times[0]
-        for _ in range(1, draw_count(ms, is_warm(self._options, which, self._parts), self._warm_repeated_ms)):
+        drawn_before = is_warm(self._options, which, self._parts)
+        one_ms = ms if drawn_before else min(ms, self._options.options[which].ms)
+        for _ in range(1, draw_count(one_ms, drawn_before, self._warm_repeated_ms)):
             ms = min(ms, run_light(self._pictures.scene, self._pictures.blocks, plan, self._light).times[0])
         self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
@@ -232,7 +235,7 @@ def is_warm(options: LightOptions, which: int, drawn: Collection[int]) -> bool:
 def draw_count(ms: float, is_warm: bool, warm_repeated_ms: float = MAX_WARM_REPEATED_MS) -> int:
     """Return how often an option is drawn to measure its time.
 
-    ``ms`` is the time of its first drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene before.
+    ``ms`` is the expected time of one drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene before.
     ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
     """
     return DRAW_REPEATS if ms < (warm_repeated_ms if is_warm else MAX_REPEATED_MS) else 1

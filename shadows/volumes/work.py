@@ -72,7 +72,7 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked_share: floa
     rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     faces_drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = sides * task.facts.volume_layers if task.caster_facts("meshes") else 0.0
+    layers = sides * task.volume_layers
     counts = {"blocks": 1.0, "pixels": task.pixels}
     if marked_share is None:
         counts |= {
