@@ -25,11 +25,11 @@ LOSSLESS_EFFORT, LOSSLESS_METHOD = 50, 2
 """Effort of the lossless encoder. More effort takes longer and gains one per cent of size (docs/films.md)."""
 
 MAX_RIFF_BYTES = 2**32 - 10
-MAX_DURATION_S = 2**24 // 2000
+MAX_FRAME_DURATION_S = 2**24 // 2000
 """Longest duration of one stored frame, seconds: half of the 2^24 ms that the format allows."""
 
-_ANIMATION, _NO_BLENDING = 0x02, 0x02
-_UNCHANGED_SIDE_PX = 2
+_ANIMATION_FLAG, _NO_BLENDING_FLAG = 0x02, 0x02
+_UNCHANGED_RECTANGLE_SIDE_PX = 2
 """Sides of the rectangle, pixels, that is stored for an unchanged frame when the previous one has its longest duration."""
 
 
@@ -44,7 +44,7 @@ class FrameChange(NamedTuple):
         Colours of the rectangle, uint8 (rows, cols, 3).
     duration_ms
         Duration, milliseconds.
-    frames
+    frame_count
         Number of identical frames that this one replaces.
     """
 
@@ -52,19 +52,19 @@ class FrameChange(NamedTuple):
     col: int
     color: np.ndarray
     duration_ms: int
-    frames: int
+    frame_count: int
 
 
-def frame_changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[FrameChange]:
+def frame_changes(frames: Iterable[np.ndarray], fps: float) -> Iterator[FrameChange]:
     """Yield the changes of successive frames, uint8 (rows, cols, 3). Identical frames yield one."""
     previous: np.ndarray | None = None
     rectangle, first, number = (0, 0, np.zeros((0, 0, 3), np.uint8)), 0, 0
-    for number, color in enumerate(colors):
+    for number, color in enumerate(frames):
         if previous is None:
             rectangle = 0, 0, color
         else:
             is_changed = (color != previous).any(axis=-1)
-            if not is_changed.any() and number - first < MAX_DURATION_S * fps:
+            if not is_changed.any() and number - first < MAX_FRAME_DURATION_S * fps:
                 continue
             yield FrameChange(*rectangle, _frame_time_ms(number, fps) - _frame_time_ms(first, fps), number - first)
             rectangle, first = _changed_rectangle(color, is_changed), number
@@ -73,15 +73,15 @@ def frame_changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[FrameCha
         yield FrameChange(*rectangle, _frame_time_ms(number + 1, fps) - _frame_time_ms(first, fps), number + 1 - first)
 
 
-def _frame_time_ms(number: int, fps: float) -> int:
+def _frame_time_ms(frame_number: int, fps: float) -> int:
     """Return the time at which a frame begins, milliseconds."""
-    return round(1000.0 * number / fps)
+    return round(1000.0 * frame_number / fps)
 
 
 def _changed_rectangle(color: np.ndarray, is_changed: np.ndarray) -> tuple[int, int, np.ndarray]:
     rows, cols = np.flatnonzero(is_changed.any(axis=1)), np.flatnonzero(is_changed.any(axis=0))
     if not len(rows):
-        return 0, 0, color[:_UNCHANGED_SIDE_PX, :_UNCHANGED_SIDE_PX]
+        return 0, 0, color[:_UNCHANGED_RECTANGLE_SIDE_PX, :_UNCHANGED_RECTANGLE_SIDE_PX]
     row, col = int(rows[0]) // 2 * 2, int(cols[0]) // 2 * 2
     return row, col, color[row : int(rows[-1]) + 1, col : int(cols[-1]) + 1]
 
@@ -97,7 +97,7 @@ def encode_frame(change: FrameChange, lossless: bool) -> bytes:
     Image.fromarray(np.ascontiguousarray(change.color)).save(out, "WEBP", **options)
     rows, cols = change.color.shape[:2]
     header = b"".join(_uint24(value) for value in (change.col // 2, change.row // 2, cols - 1, rows - 1, change.duration_ms))
-    return _chunk(b"ANMF", header + bytes([_NO_BLENDING]) + b"".join(_color_chunks(out.getvalue())))
+    return _chunk(b"ANMF", header + bytes([_NO_BLENDING_FLAG]) + b"".join(_color_chunks(out.getvalue())))
 
 
 def _color_chunks(content: bytes) -> Iterator[bytes]:
@@ -112,20 +112,20 @@ def _color_chunks(content: bytes) -> Iterator[bytes]:
 
 
 def write_header(file: BinaryIO, size: tuple[int, int]) -> None:
-    """Write the header of an endlessly repeated animation of ``size`` (width, height). ``write_length`` completes it."""
+    """Write the header of an endlessly repeated animation of ``size`` (width, height). ``write_riff_length`` completes it."""
     width, height = size
-    extended = bytes([_ANIMATION, 0, 0, 0]) + _uint24(width - 1) + _uint24(height - 1)
+    extended = bytes([_ANIMATION_FLAG, 0, 0, 0]) + _uint24(width - 1) + _uint24(height - 1)
     file.write(b"RIFF\0\0\0\0WEBP" + _chunk(b"VP8X", extended) + _chunk(b"ANIM", struct.pack("<IH", 0xFFFFFFFF, 0)))
 
 
-def append_frame(file: BinaryIO, frame: bytes) -> None:
+def append_frame(file: BinaryIO, frame_chunk: bytes) -> None:
     """Append the chunk of a frame. Raises ``OSError`` if the file would be longer than WebP allows."""
-    if file.tell() + len(frame) > MAX_RIFF_BYTES:
+    if file.tell() + len(frame_chunk) > MAX_RIFF_BYTES:
         raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, whose limit is 4 GB")
-    file.write(frame)
+    file.write(frame_chunk)
 
 
-def write_length(file: BinaryIO) -> None:
+def write_riff_length(file: BinaryIO) -> None:
     """Write the file's length into the header, as the last step."""
     end = file.tell()
     file.seek(4)
@@ -133,8 +133,8 @@ def write_length(file: BinaryIO) -> None:
     file.seek(end)
 
 
-def _chunk(name: bytes, content: bytes) -> bytes:
-    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+def _chunk(chunk_type: bytes, content: bytes) -> bytes:
+    return chunk_type + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
 
 
 def _uint24(value: int) -> bytes:

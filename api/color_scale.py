@@ -46,7 +46,7 @@ class ColorScale:
         """Return numbers (rows, cols) as RGBA, uint8 (rows, cols, 4); NaN and infinity are transparent."""
         valid = np.isfinite(values)
         fraction = (np.where(valid, values, self.low) - self.low) / (self.high - self.low)
-        out = _table(self.colormap)[np.clip(np.rint(fraction * 255.0), 0, 255).astype(np.uint8)]
+        out = _colormap_table(self.colormap)[np.clip(np.rint(fraction * 255.0), 0, 255).astype(np.uint8)]
         out[~valid] = 0
         return out
 
@@ -80,7 +80,7 @@ class ColorScale:
 
 
 @cached("process", MIB)
-def _table(colormap: str) -> np.ndarray:
+def _colormap_table(colormap: str) -> np.ndarray:
     """Return the colours of a matplotlib colour map, uint8 (256, 4)."""
     from matplotlib import colormaps
 

@@ -13,8 +13,8 @@ import numpy as np
 from skugga.api.contour_lines import write_contours
 from skugga.api.device_calibration import calibration_for
 from skugga.api.products import PRODUCTS, product_named
-from skugga.api.products.product import Part, Product, ProductOptions
-from skugga.api.raster_file import RasterFile, RasterMetadata, cog
+from skugga.api.products.product import Product, ProductInput, ProductOptions
+from skugga.api.raster_file import RasterFile, RasterMetadata, open_cog
 from skugga.api.raster_view import RasterView
 from skugga.api.request import ProductRequest
 from skugga.selector.select import plan_of_view
@@ -36,7 +36,7 @@ ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
 BLOCK_CACHE_BYTES = 24 * MIB
 """Size of the cache of recently computed blocks, for products that need no picture."""
 
-OnBlock = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Callback of progress: the number of finished steps and the total."""
 
 
@@ -72,7 +72,7 @@ def compute(
     request: ProductRequest,
     plan: Plan | None,
     light: str | None = None,
-    on_block: OnBlock | None = None,
+    on_block: ProgressCallback | None = None,
 ) -> ComputedProduct:
     """Compute a product of a view.
 
@@ -105,11 +105,11 @@ def compute(
     """
     product = request.product_record
     check_view(product, view)
-    padded = _padded(view, product.reach_px)
+    padded = _padded(view, product.margin_px)
     if plan is not None:
         picture = draw_picture(scene, padded, product, plan, light, on_block)
-        part = Part(scene, padded, request.options, picture)
-        return ComputedProduct(_cropped(product.compute(part), product.reach_px), picture)
+        product_input = ProductInput(scene, padded, request.options, picture)
+        return ComputedProduct(_cropped(product.compute(product_input), product.margin_px), picture)
     assert isinstance(view, MapView)
     nodes = view.as_nodes()
     if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
@@ -130,18 +130,18 @@ def plan_for(
     name: str,
     product: Product,
     overrides: dict[str, Any],
-    limits_time: bool = False,
+    has_time_limit: bool = False,
 ) -> Plan | None:
     """Return the plan of a view for a product; ``None`` if the product needs no picture.
 
-    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``limits_time`` says whether the
+    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. ``has_time_limit`` says whether the
     caller compares the plan's expected time with a time limit. Raises ``InputError`` if the product is not defined for this kind of
     view.
     """
     check_view(product, view)
     if not product.needs_of(view):
         return None
-    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=limits_time)
+    device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=has_time_limit)
     return plan_of_view(scene, view, name, overrides, device=device)
 
 
@@ -151,7 +151,7 @@ def draw_picture(
     product: Product,
     plan: Plan,
     light: str | None = None,
-    on_block: OnBlock | None = None,
+    on_block: ProgressCallback | None = None,
 ) -> Picture:
     """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
     needed_parts = product.needs_of(view)
@@ -165,7 +165,7 @@ def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
     """Return a product of a rendered frame. Raises ``InputError``."""
     product = product_named(name)
     picture = picture_of(frame, frozenset({"color", "opacity", "visibility", "reach", "frame"}))
-    return product.compute(Part(scene, frame.view, product.options(), picture))
+    return product.compute(ProductInput(scene, frame.view, product.options(), picture))
 
 
 def check_view(product: Product, view: MapView | PerspectiveView) -> None:
@@ -180,15 +180,15 @@ def _compute_block(
     scene: Scene, block: MapView, product: Product, options: Any, on_step: Callable[[], None] = lambda: None
 ) -> np.ndarray:
     """Compute a block of a product that needs no picture."""
-    part = Part(scene, _padded(block, product.reach_px), options, None, on_step)
-    return _cropped(product.compute(part), product.reach_px)
+    product_input = ProductInput(scene, _padded(block, product.margin_px), options, None, on_step)
+    return _cropped(product.compute(product_input), product.margin_px)
 
 
 def _picture_block(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
     """Compute a block of a product from a drawn picture. The picture does not record how far away casters were considered."""
-    padded = _padded(block, product.reach_px)
+    padded = _padded(block, product.margin_px)
     picture = draw(scene, padded, plan, product.needs - {"reach"})
-    return _cropped(product.compute(Part(scene, padded, options, picture)), product.reach_px)
+    return _cropped(product.compute(ProductInput(scene, padded, options, picture)), product.margin_px)
 
 
 @cached("scene", BLOCK_CACHE_BYTES)
@@ -197,20 +197,20 @@ def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOp
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
-def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
     return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
 
 
-def _padded(view: ViewT, pixels: int) -> ViewT:
-    """Return a view extended by ``pixels`` on each side."""
-    if not pixels:
+def _padded(view: ViewT, margin_px: int) -> ViewT:
+    """Return a view extended by ``margin_px`` pixels on each side."""
+    if not margin_px:
         return view
-    return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
+    return view.part(-margin_px, -margin_px, view.rows + 2 * margin_px, view.cols + 2 * margin_px)  # type: ignore[return-value]
 
 
-def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
-    """Return an array without its outermost ``pixels`` on each side."""
-    return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
+def _cropped(array: np.ndarray, margin_px: int) -> np.ndarray:
+    """Return an array without its outermost ``margin_px`` pixels on each side."""
+    return array[margin_px : array.shape[0] - margin_px, margin_px : array.shape[1] - margin_px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,12 +265,12 @@ def plan_requests(
         if product.when == "sun" and scene.sun is None and request.sun is None:
             raise InputError.missing("time", "The level has no sun. Give a time, or an azimuth and an altitude")
     scenes = [request.applied_to(scene) for request in requests]
-    plans = _plans(scenes, view, product, overrides)
+    plans = _plans_of_scenes(scenes, view, product, overrides)
     return [PlannedRequest(*parts) for parts in zip(requests, scenes, plans, strict=True)]
 
 
 def raster_parts(
-    scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: OnBlock | None = None
+    scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: ProgressCallback | None = None
 ) -> Iterator[RasterPart]:
     """Yield the parts of a raster, for each of several planned requests for one product. Raises ``SkuggaError``.
 
@@ -278,11 +278,11 @@ def raster_parts(
     of the sun is thus done once for each block.
     """
     product, view = planned_requests[0].request.product_record, raster.view
-    blocks = _blocks(scene, view, product)
+    blocks = _blocks_of_view(scene, view, product)
     total = sum(product.step_count(planned_request.request.options) for planned_request in planned_requests) * len(blocks)
     done = 0
 
-    def step() -> None:
+    def report_step() -> None:
         nonlocal done
         done += 1
         if on_step is not None:
@@ -292,16 +292,16 @@ def raster_parts(
         window, block_window = overlap_windows(view, block, row, col)
         for number, planned_request in enumerate(planned_requests):
             if planned_request.plan is None:
-                array = _compute_block(planned_request.scene, block, product, planned_request.request.options, step)
+                array = _compute_block(planned_request.scene, block, product, planned_request.request.options, report_step)
             else:
                 array = _picture_block(planned_request.scene, block, product, planned_request.request.options, planned_request.plan)
             yield RasterPart(number, *raster.window_in_raster_order(window[0].start, window[1].start, array[block_window]))
             if product.when != "days":
-                step()
+                report_step()
         trim_bare_ground_cache(1)
 
 
-def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
+def _plans_of_scenes(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
     """Return one plan for each scene, made for the middle block; ``None`` if the product needs no picture."""
     if not product.needs:
         return [None] * len(scenes)
@@ -316,7 +316,7 @@ def write_rasters(
     requests: Sequence[ProductRequest],
     paths: Sequence[Path],
     overrides: dict[str, Any] | None = None,
-    on_step: OnBlock | None = None,
+    on_step: ProgressCallback | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
     """Write a raster file for each of several requests, and optionally contours of the first raster.
@@ -329,7 +329,7 @@ def write_rasters(
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
-                cog(
+                open_cog(
                     path,
                     raster.crs,
                     raster.transform,

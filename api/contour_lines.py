@@ -50,7 +50,7 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
         for row in range(0, max(dataset.height - 1, 1), WINDOW_CELLS - 1):
             for col in range(0, max(dataset.width - 1, 1), WINDOW_CELLS - 1):
                 window = Window(col, row, min(WINDOW_CELLS, dataset.width - col), min(WINDOW_CELLS, dataset.height - row))
-                for value, line in _lines(dataset.read(1, window=window), row, col, values):
+                for value, line in _contour_lines(dataset.read(1, window=window), row, col, values):
                     parts[value].append(line)
                     vertices += len(line)
                 if vertices > MAX_VERTICES:
@@ -83,7 +83,7 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
     return len(all_lines)
 
 
-def _lines(values: np.ndarray, row: int, col: int, levels: Sequence[float]) -> list[tuple[float, np.ndarray]]:
+def _contour_lines(values: np.ndarray, row: int, col: int, contour_values: Sequence[float]) -> list[tuple[float, np.ndarray]]:
     """Return the values and contour lines of a window of cells.
 
     Lines are float64 (n, 2): column and row in the raster. ``row`` and ``col`` are the window's first cell.
@@ -94,4 +94,4 @@ def _lines(values: np.ndarray, row: int, col: int, levels: Sequence[float]) -> l
         return []
     x, y = np.arange(values.shape[1], dtype=np.float64) + col, np.arange(values.shape[0], dtype=np.float64) + row
     generator = contour_generator(x, y, np.ma.masked_invalid(values.astype(np.float64)), line_type="Separate", corner_mask=True)
-    return [(level, line) for level in levels for line in generator.lines(level) if isinstance(line, np.ndarray)]
+    return [(level, line) for level in contour_values for line in generator.lines(level) if isinstance(line, np.ndarray)]

@@ -27,14 +27,14 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any], shows_times: bo
     if all(record is not None and not record.needs_opengl for record in records):
         return None
     max_ms = overrides.get("max_ms", shadows.max_ms)
-    return calibration(with_times=shows_times or max_ms is not None)
+    return calibration(runs_benchmark=shows_times or max_ms is not None)
 
 
-def calibration(with_times: bool = True) -> DeviceProfile | None:
+def calibration(runs_benchmark: bool = True) -> DeviceProfile | None:
     """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL.
 
-    A software rasteriser that is not calibrated is estimated (``skugga.selector.cost.device_estimate``), with ``with_times`` by a
-    benchmark. A graphics card needs a calibration.
+    A software rasteriser that is not calibrated is estimated (``skugga.selector.cost.device_estimate``), by a benchmark if
+    ``runs_benchmark`` is true. A graphics card needs a calibration.
     """
     from skugga.selector.cost.device_estimate import estimated_profile, is_current, is_software_rasteriser, typical_profile
     from skugga.terrain.gl import device as gl
@@ -43,7 +43,7 @@ def calibration(with_times: bool = True) -> DeviceProfile | None:
     profile = load_profile(renderer, version)
     if (profile is not None and is_current(profile)) or not is_software_rasteriser(renderer):
         return profile
-    return estimated_profile(renderer, version) if with_times else typical_profile(renderer, version)
+    return estimated_profile(renderer, version) if runs_benchmark else typical_profile(renderer, version)
 
 
 def format_calibration(profile: DeviceProfile, path: Path) -> str:

@@ -56,10 +56,13 @@ class WorkerStartError(BusyError):
 
 
 class BrokenShardError(RenderError):
-    """The bytes of a shard (the tiles of one seeding task) do not match its index. ``number`` counts the shards that are read."""
+    """The bytes of a shard (the tiles of one seeding task) do not match its index.
 
-    def __init__(self, message: str, number: int | None = None) -> None:
-        self.number = number
+    ``shard_number`` counts the shards that are read, from 0.
+    """
+
+    def __init__(self, message: str, shard_number: int | None = None) -> None:
+        self.shard_number = shard_number
         super().__init__(message)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.linked_files import is_remote, sidecar_files
 
-MAX_FILES = 20_000
+MAX_WATCHED_FILES = 20_000
 """Upper bound of the number of a mosaic's source files whose changes are detected."""
 
 Stamp = tuple[int, int, int, int] | None
@@ -22,13 +22,15 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
 
     They are the level file, the files that it names, the files to which those refer, and possible side-car files of all of them.
     """
-    files = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
+    files = dict.fromkeys(
+        [loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_WATCHED_FILES] if not is_remote(source))]
+    )
     return tuple(dict.fromkeys([*files, *(sidecar for path in files for sidecar in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
     """Return the stamp (times, size and inode) of each file; ``None`` for a file that does not exist."""
-    return tuple(_stamp(path) for path in files)
+    return tuple(_file_stamp(path) for path in files)
 
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
@@ -38,7 +40,7 @@ def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _stamp(path: Path) -> Stamp:
+def _file_stamp(path: Path) -> Stamp:
     try:
         status = path.stat()
     except OSError:

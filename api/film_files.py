@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skugga.api.animated_webp import append_frame, encode_frame, frame_changes, write_header, write_length
+from skugga.api.animated_webp import append_frame, encode_frame, frame_changes, write_header, write_riff_length
 from skugga.api.png import encode_png
 from skugga.terrain.atomic_files import atomic_folder, atomic_path
 from skugga.terrain.errors import InputError, Problem
@@ -24,26 +24,26 @@ SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
 FILM_FORMATS_TEXT = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
-MAX_WEBP_PX = 16383
+MAX_WEBP_SIDE_PX = 16383
 """Maximum side of a WebP picture in pixels."""
 
-MP4_QUALITY = "17"
+X264_CRF = "17"
 """Constant rate factor of x264, at which losses are hardly visible."""
 
-TICKS_PER_S = 90_000
+MP4_TICKS_PER_S = 90_000
 """Time base of MP4 frames, ticks per second."""
 
-_BT709 = 1
+_BT709_CODE = 1
 """BT.709's number in the tables of H.273: primaries, transfer and matrix."""
 
 OnFrame = Callable[[int, int], None]
 T = TypeVar("T")
 R = TypeVar("R")
 
-_NUMBER = re.compile(r"%(?:0([1-9]))?d")
+_FRAME_NUMBER_PATTERN = re.compile(r"%(?:0([1-9]))?d")
 
 
-def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
+def check_film_path(path: Path, frame_count: int, size: tuple[int, int]) -> None:
     """Check the output path of a film before any frame is drawn. ``size`` is (width, height) in pixels.
 
     Raises ``InputError`` for an unsuitable name or size, and for a missing encoder. Also raises it for a folder that contains
@@ -53,17 +53,17 @@ def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
     if suffix not in (*FILM_SUFFIXES, SEQUENCE_SUFFIX):
         raise InputError("output", str(path), FILM_FORMATS_TEXT)
     if (suffix == SEQUENCE_SUFFIX or is_sequence) and (
-        suffix != SEQUENCE_SUFFIX or len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1
+        suffix != SEQUENCE_SUFFIX or len(_FRAME_NUMBER_PATTERN.findall(path.name)) != 1 or path.name.count("%") != 1
     ):
-        raise InputError("output", str(path), f"a name with one number for {frames} frames, such as frames/%04d.png")
-    if suffix == ".webp" and max(size) > MAX_WEBP_PX:
-        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MAX_WEBP_PX} pixels a side in a .webp file")
+        raise InputError("output", str(path), f"a name with one number for {frame_count} frames, such as frames/%04d.png")
+    if suffix == ".webp" and max(size) > MAX_WEBP_SIDE_PX:
+        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MAX_WEBP_SIDE_PX} pixels a side in a .webp file")
     if suffix == ".mp4":
-        _av()
+        _import_av()
     folder = path.parent if suffix in FILM_SUFFIXES else path.parent.parent
     if not folder.is_dir():
         raise FileNotFoundError(2, "folder not found", str(path))
-    if is_sequence and (later_frames := _later_frames(path, frames)):
+    if is_sequence and (later_frames := _later_frames(path, frame_count)):
         raise InputError(
             "output",
             Problem(f"the folder of {path} has frames of a longer film: {later_frames[0]}"),
@@ -71,15 +71,15 @@ def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
         )
 
 
-def film_files(path: Path, frames: int) -> list[Path]:
+def film_files(path: Path, frame_count: int) -> list[Path]:
     """Return the files of a film: one, or one for each frame."""
     if path.suffix.lower() in FILM_SUFFIXES:
         return [path]
-    return [path.with_name(path.name % number) for number in range(1, frames + 1)]
+    return [path.with_name(path.name % number) for number in range(1, frame_count + 1)]
 
 
 def write_film(
-    path: Path, colors: Iterable[np.ndarray], frames: int, fps: float, lossless: bool = False, on_frame: OnFrame | None = None
+    path: Path, frames: Iterable[np.ndarray], frame_count: int, fps: float, lossless: bool = False, on_frame: OnFrame | None = None
 ) -> None:
     """Write a film, compressed on all cores.
 
@@ -90,9 +90,9 @@ def write_film(
     ----------
     path
         File to write, or a pattern for the frames' names (``film_files``).
-    colors
-        Frames, uint8 (rows, cols, 3), consumed one after the other.
     frames
+        Frames, uint8 (rows, cols, 3), consumed one after the other.
+    frame_count
         Number of frames.
     fps
         Frames per second.
@@ -104,21 +104,21 @@ def write_film(
     Raises
     ------
     OSError
-        The film cannot be written. The error has the path. Errors of ``colors`` pass through.
+        The film cannot be written. The error has the path. Errors of ``frames`` pass through.
     """
     progress = _Progress(on_frame)
     if path.suffix.lower() == SEQUENCE_SUFFIX:
         with atomic_folder(path.parent) as folder:
-            encoded = _map_in_order(encode_png, colors)
-            for file, content in zip(film_files(path, frames), encoded, strict=True):
+            encoded = _map_in_order(encode_png, frames)
+            for file, content in zip(film_files(path, frame_count), encoded, strict=True):
                 (folder / file.name).write_bytes(content)
                 progress.add(len(content))
         return
     with atomic_path(path) as part:
         if path.suffix.lower() == ".webp":
-            _write_webp(part, colors, fps, lossless, progress)
+            _write_webp(part, frames, fps, lossless, progress)
         else:
-            _write_mp4(part, colors, fps, progress)
+            _write_mp4(part, frames, fps, progress)
 
 
 class _Progress:
@@ -127,22 +127,22 @@ class _Progress:
     def __init__(self, on_frame: OnFrame | None) -> None:
         self._on_frame, self._frames, self._bytes = on_frame, 0, 0
 
-    def add(self, content: int, frames: int = 1) -> None:
-        """Add ``content`` bytes of some frames, and report the totals."""
-        self._frames, self._bytes = self._frames + frames, self._bytes + content
+    def add(self, nbytes: int, frame_count: int = 1) -> None:
+        """Add ``nbytes`` bytes of ``frame_count`` frames, and report the totals."""
+        self._frames, self._bytes = self._frames + frame_count, self._bytes + nbytes
         if self._on_frame is not None:
             self._on_frame(self._frames, self._bytes)
 
 
-def _map_in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yield the results of ``work`` for all items, in the items' order. About one item per core is in memory at a time."""
+def _map_in_order(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Yield the results of ``function`` for all items, in the items' order. About one item per core is in memory at a time."""
     from skugga.terrain.compiled import CORES
 
     with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
         pending: deque[Future[R]] = deque()
         try:
             for item in items:
-                pending.append(threads.submit(work, item))
+                pending.append(threads.submit(function, item))
                 del item
                 if len(pending) > CORES:
                     yield pending.popleft().result()
@@ -152,37 +152,37 @@ def _map_in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
             threads.shutdown(cancel_futures=True)
 
 
-def _write_webp(path: Path, colors: Iterable[np.ndarray], fps: float, lossless: bool, progress: _Progress) -> None:
+def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float, lossless: bool, progress: _Progress) -> None:
     with path.open("wb") as file:
-        for change, content in _map_in_order(lambda change: (change, encode_frame(change, lossless)), frame_changes(colors, fps)):
+        for change, content in _map_in_order(lambda change: (change, encode_frame(change, lossless)), frame_changes(frames, fps)):
             if file.tell() == 0:
                 write_header(file, change.color.shape[1::-1])
             append_frame(file, content)
-            progress.add(len(content), change.frames)
-        write_length(file)
+            progress.add(len(content), change.frame_count)
+        write_riff_length(file)
 
 
-def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, progress: _Progress) -> None:
-    av = _av()
+def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, progress: _Progress) -> None:
+    av = _import_av()
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = None
-        for number, color in enumerate(colors):
+        for number, color in enumerate(frames):
             color = np.pad(color, ((0, color.shape[0] % 2), (0, color.shape[1] % 2), (0, 0)), "edge")
             if stream is None:
                 stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
                 stream.height, stream.width = color.shape[:2]
                 stream.pix_fmt = "yuv420p"
-                stream.options = {"crf": MP4_QUALITY, "preset": "medium"}
+                stream.options = {"crf": X264_CRF, "preset": "medium"}
                 context = stream.codec_context
-                context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709
+                context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709_CODE
             frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
             frame.pts = number
-            _mux(container, stream.encode(frame), progress)
+            _mux_packets(container, stream.encode(frame), progress)
         assert stream is not None
-        _mux(container, stream.encode(None), progress)
+        _mux_packets(container, stream.encode(None), progress)
 
 
-def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
+def _mux_packets(container: Any, packets: list[Any], progress: _Progress) -> None:
     """Write the packets of an encoder; each holds one frame. x264 buffers some dozens of frames before its first packet."""
     for packet in packets:
         size = packet.size  # muxing empties the packet
@@ -190,15 +190,17 @@ def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
         progress.add(size)
 
 
-def _later_frames(path: Path, frames: int) -> list[Path]:
+def _later_frames(path: Path, frame_count: int) -> list[Path]:
     """Return the files in a film's folder that are numbered beyond the film's last frame."""
-    prefix, suffix = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
+    prefix, suffix = _FRAME_NUMBER_PATTERN.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
     pattern = re.compile(re.escape(prefix) + "([0-9]+)" + re.escape(suffix))
     matches = ((pattern.fullmatch(file.name), file) for file in path.parent.glob("*"))
-    return sorted(file for match, file in matches if match and int(match[1]) > frames and file.name == path.name % int(match[1]))
+    return sorted(
+        file for match, file in matches if match and int(match[1]) > frame_count and file.name == path.name % int(match[1])
+    )
 
 
-def _av() -> Any:
+def _import_av() -> Any:
     """Import and return PyAV. Raises ``InputError`` if it is not installed."""
     try:
         import av

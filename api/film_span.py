@@ -16,8 +16,8 @@ DEFAULT_FPS, MIN_FPS, MAX_FPS = 25.0, 0.1, 120.0
 
 MIN_STEP_S = 0.001
 
-_ALLOWED_ENDS = f"{ALLOWED_TIMES}; or a time on the level's clock, such as 0s or 10m, under a fixed sun"
-_STEP_TOLERANCE = 1e-6
+_ALLOWED_SPAN_ENDS = f"{ALLOWED_TIMES}; or a time on the level's clock, such as 0s or 10m, under a fixed sun"
+_SPAN_TOLERANCE_STEPS = 1e-6
 """Tolerance of the span's length, as a fraction of a step, since steps such as 1/30 s are rounded."""
 
 
@@ -27,7 +27,7 @@ def film_span(
     step: str | None,
     fps: float = DEFAULT_FPS,
     path: CameraPathSpec | None = None,
-    first_second: float | None = None,
+    first_clock_s: float | None = None,
     max_frames: int = MAX_FRAMES,
 ) -> FilmSpan:
     """Return the time span of a film.
@@ -45,7 +45,7 @@ def film_span(
         Frames per second.
     path
         Path of the camera.
-    first_second
+    first_clock_s
         Clock reading of the first frame, seconds, if the ends are dates.
     max_frames
         Upper bound of the number of frames.
@@ -59,10 +59,10 @@ def film_span(
         raise InputError("fps", fps, f"{MIN_FPS:g} to {MAX_FPS:g} frames a second")
     if path is not None and path.keys[0].moment is not None and start is None and end is None:
         start, end = path.keys[0].at, path.keys[-1].at
-    first = _parse_end("from", "0s" if start is None and path is not None else start)
+    first = _parse_span_end("from", "0s" if start is None and path is not None else start)
     path_duration_s = None if path is None else path.keys[-1].elapsed_s
     if end is not None:
-        last = _parse_end("to", end)
+        last = _parse_span_end("to", end)
     elif path_duration_s is not None:
         last = first + timedelta(seconds=path_duration_s)
     else:
@@ -78,19 +78,19 @@ def film_span(
     if step is None and isinstance(first, datetime):
         raise InputError.missing("step", "Give the time between two frames, such as 10m, together with from and to")
     step_s = 1.0 / fps if step is None else _parse_step_s(step)
-    frames = floor(length_s / step_s + _STEP_TOLERANCE) + 1
+    frames = floor(length_s / step_s + _SPAN_TOLERANCE_STEPS) + 1
     if frames > max_frames:
         raise InputError.over_limit(
             "step", f"{frames} frames, one every {step_s:g} s", f"{max_frames} frames", "Use a longer step or a shorter span"
         )
     if isinstance(first, datetime):
-        return FilmSpan(frames, step_s, first, first_second)
-    if first_second is not None and start is not None:
+        return FilmSpan(frames, step_s, first, first_clock_s)
+    if first_clock_s is not None and start is not None:
         raise InputError.conflict("seconds", "from")
-    return FilmSpan(frames, step_s, None, first_second if start is None else first.total_seconds())
+    return FilmSpan(frames, step_s, None, first_clock_s if start is None else first.total_seconds())
 
 
-def _parse_end(name: str, text: str | None) -> datetime | timedelta:
+def _parse_span_end(name: str, text: str | None) -> datetime | timedelta:
     """Return a time with an offset, or a clock reading. Raises ``InputError``."""
     if text is None:
         raise InputError.missing(name, "Give from and to together, or a camera path")
@@ -101,9 +101,9 @@ def _parse_end(name: str, text: str | None) -> datetime | timedelta:
     try:
         moment = parse_time(text.strip())
     except ValueError:
-        raise InputError(name, text, _ALLOWED_ENDS) from None
+        raise InputError(name, text, _ALLOWED_SPAN_ENDS) from None
     if moment.tzinfo is None:
-        raise InputError(name, text, _ALLOWED_ENDS)
+        raise InputError(name, text, _ALLOWED_SPAN_ENDS)
     return moment
 
 

@@ -55,21 +55,21 @@ def _predicted_plans(scene: Scene, names: Iterable[str], device: DeviceProfile |
     return plans
 
 
-def _ball_lamps(scene: Scene) -> list[str]:
+def _sphere_lamps(scene: Scene) -> list[str]:
     return [name for name, lamp in scene.lamps.items() if lamp.radius_m > 0.0]
 
 
 def _deserves_remark(scene: Scene, name: str, plan: Plan, slow_ms: float) -> bool:
-    from skugga.api.picture_cost import soft_lamps
+    from skugga.api.picture_cost import sphere_lamps
 
     if plan.predicted is None:
         return False
-    return plan.predicted.ms > slow_ms or bool(soft_lamps(plan)) or (name == "map" and bool(_ball_lamps(scene)))
+    return plan.predicted.ms > slow_ms or bool(sphere_lamps(plan)) or (name == "map" and bool(_sphere_lamps(scene)))
 
 
 def _cost_remark(scene: Scene, name: str, plan: Plan) -> str:
     """Return a remark on the expected time of a view, for a plan that has one."""
-    from skugga.api.picture_cost import is_over_limit, remedy, time_limit_ms
+    from skugga.api.picture_cost import cost_remedy, is_over_limit, time_limit_ms
     from skugga.selector.formatting import format_duration
 
     assert plan.predicted is not None
@@ -79,9 +79,9 @@ def _cost_remark(scene: Scene, name: str, plan: Plan) -> str:
     if is_over_limit(plan, time_limit_ms()):
         parts.append(f"a service refuses it, for it gives up pictures after {format_duration(time_limit_ms())}")
     filters = [
-        getattr(settings, "filter", None) for lamp in _ball_lamps(scene) for settings in plan.settings.get(lamp, {}).values()
+        getattr(settings, "filter", None) for lamp in _sphere_lamps(scene) for settings in plan.settings.get(lamp, {}).values()
     ]
-    if (cheaper := remedy(plan)) is not None:
+    if (cheaper := cost_remedy(plan)) is not None:
         parts.append(cheaper)
     elif scene.loaded.level.shadows.filter == "auto" and filters and None not in filters:
         parts.append("penumbrae of lamps are narrower than a pixel here, so that 1 sample point of a lamp suffices")

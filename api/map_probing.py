@@ -20,9 +20,9 @@ from skugga.terrain.scene import Scene
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-MAX_OVERSAMPLING_OCTAVES, MIN_LEVEL_PX = 3, 128
+MAX_OVERSAMPLING_OCTAVES, MIN_LEVEL_SIDE_PX = 3, 128
 """Range of probed pixel sizes. The smallest is a cell's side divided by 2 ** ``MAX_OVERSAMPLING_OCTAVES``. At the largest, the
-level's longer side has ``MIN_LEVEL_PX`` pixels."""
+level's longer side has ``MIN_LEVEL_SIDE_PX`` pixels."""
 
 
 PROBE_CENTERS = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
@@ -40,20 +40,20 @@ def probed_scales(scene: Scene) -> range:
         round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - MAX_OVERSAMPLING_OCTAVES,
     )
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
-    return range(finest, max(round(log2(longest_m / MIN_LEVEL_PX)), finest) + 1)
+    return range(finest, max(round(log2(longest_m / MIN_LEVEL_SIDE_PX)), finest) + 1)
 
 
-def with_class_sun(scene: Scene, sun: int) -> Scene:
+def with_class_sun(scene: Scene, sun_class: int) -> Scene:
     """Return a scene with a sun that represents a class of suns of similar altitude (``skugga.selector.map_probes.MapClass``).
 
-    ``sun`` is the number of the class. The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's
-    middle altitude and the same azimuth.
+    ``sun_class`` is the number of the class. The scene's own sun is kept if it belongs to the class. Otherwise the sun has the
+    class's middle altitude and the same azimuth.
     """
     scene_sun = scene.sun
-    if scene_sun is not None and (own_class := map_class(1.0, scene_sun.altitude_deg)) is not None and own_class.sun == sun:
+    if scene_sun is not None and (own_class := map_class(1.0, scene_sun.altitude_deg)) is not None and own_class.sun == sun_class:
         return scene
     azimuth_deg = 180.0 if scene_sun is None else scene_sun.azimuth_deg
-    return scene.with_sun(SunSpec(azimuth=azimuth_deg, altitude=MapClass(0, sun).sun_altitude_deg))
+    return scene.with_sun(SunSpec(azimuth=azimuth_deg, altitude=MapClass(0, sun_class).sun_altitude_deg))
 
 
 def probe_blocks(
@@ -118,13 +118,13 @@ def _level_map(scene: Scene) -> MapView:
     return view
 
 
-def map_block(scene: Scene, pixel_m: float, center: tuple[float, float] = (0.5, 0.5)) -> MapView:
+def map_block(scene: Scene, pixel_m: float, center_fractions: tuple[float, float] = (0.5, 0.5)) -> MapView:
     """Return a block of a level's map with pixels of ``pixel_m`` metres.
 
-    ``center`` is its centre, as fractions of the level's sides from the west and from the south.
+    ``center_fractions`` is its centre, as fractions of the level's sides from the west and from the south.
     """
     west, south, east, north = scene.default_bounds(scene.map_crs)
     level_map = _level_map(scene)
     half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, level_map) * (east - west) / level_map.cols
-    x, y = west + center[0] * (east - west), south + center[1] * (north - south)
+    x, y = west + center_fractions[0] * (east - west), south + center_fractions[1] * (north - south)
     return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

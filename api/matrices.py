@@ -68,7 +68,7 @@ def matrix_set_of(name: str) -> TileMatrixSet:
     return served[name]
 
 
-def detail_m(scene: Scene) -> float:
+def finest_detail_m(scene: Scene) -> float:
     """Return the finest detail of a level, metres: the side of a raster cell, or ``CASTER_DETAIL_M`` with trees or meshes."""
     cell_m, level = scene.elevation.cell_size_m(scene.world.metres_per_unit), scene.loaded.level
     return min(cell_m, CASTER_DETAIL_M) if level.forest or level.meshes else cell_m
@@ -78,8 +78,8 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
     """Return the zooms at which a level is served; ``None`` if it lies outside the tile matrix set's area.
 
     At the first zoom the level's longest side is closest to ``FIRST_ZOOM_TILES`` tiles, so that one or two tiles show it. The last
-    zoom is ``MAX_OVERZOOM`` beyond the zoom whose pixels are closest to ``cell_m`` (``detail_m``). Pixels are measured on the
-    ground at the level's anchor, its point of reference.
+    zoom is ``MAX_OVERZOOM`` beyond the zoom whose pixels are closest to ``cell_m`` (``finest_detail_m``). Pixels are measured on
+    the ground at the level's anchor, its point of reference.
     """
     if not _intersects_area(matrix_set, bounds_lon_lat):
         return None
@@ -103,7 +103,7 @@ def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y
             raise NotServedError(name, f"{name}: tile {index} is outside the tile matrix. Allowed: 0 to {count - 1}.")
 
 
-def is_quadtree_level(matrix_set: TileMatrixSet, zoom: int) -> bool:
+def is_quadtree_zoom(matrix_set: TileMatrixSet, zoom: int) -> bool:
     """Return whether each tile of a zoom covers exactly four tiles of the next zoom."""
     if zoom >= matrix_set.maxzoom:
         return False
@@ -132,12 +132,12 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
     grid = tile_grid(matrix_set, zoom)
     left, top, side = grid.x0 - grid.step / 2, grid.y0 + grid.step / 2, grid.step * TILE_PX
 
-    def within(tiles: float, ends: tuple[int, int]) -> int:
-        return int(np.clip(np.floor(tiles), *ends))
+    def clamped_index(tile_index: float, ends: tuple[int, int]) -> int:
+        return int(np.clip(np.floor(tile_index), *ends))
 
     return (
-        within((top - north) / side, rows), within((top - south) / side, rows),
-        within((west - left) / side, cols), within((east - left) / side, cols),
+        clamped_index((top - north) / side, rows), clamped_index((top - south) / side, rows),
+        clamped_index((west - left) / side, cols), clamped_index((east - left) / side, cols),
     )  # fmt: skip
 
 

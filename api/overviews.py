@@ -30,7 +30,7 @@ from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.parts import Positive, Units
 from skugga.terrain.level.rasters import open_raster
 
-TILE_CELLS = 512
+TILE_SIDE_CELLS = 512
 """Side of a tile of the file, cells."""
 
 TILES_PER_WINDOW = 8
@@ -39,12 +39,12 @@ TILES_PER_WINDOW = 8
 GDALADDO_REMEDY = "Use gdaladdo for such a raster"
 
 
-def reason_for_no_overviews(raster: Path) -> str | None:
+def reason_against_overviews(raster: Path) -> str | None:
     """Return why a raster needs no further overviews, as text; ``None`` if it needs some.
 
     Raises ``SourceError``.
     """
-    with _open(raster) as dataset:
+    with _open_raster(raster) as dataset:
         rows, cols, factors = dataset.height, dataset.width, dataset.overviews(1)
         if lacks_overviews(rows, cols, factors):
             return None
@@ -86,8 +86,8 @@ def make_overviews(
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
         stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews have none
-        dataset = stack.enter_context(_open(raster))
-        _check(raster, target, dataset, nodata)
+        dataset = stack.enter_context(_open_raster(raster))
+        _check_supported(raster, target, dataset, nodata)
         dtype, limits = np.dtype(dataset.dtypes[0]), _plausible_range(dataset, units, positive)
         overview_nodata = _nodata_value(dtype, limits, dataset.nodata if nodata is None else nodata)
         rows, cols = (-(-size // 2) for size in dataset.shape)
@@ -96,41 +96,43 @@ def make_overviews(
         with atomic_path(target) as partial_path:
             with rasterio.open(
                 partial_path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=overview_nodata,
-                tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="deflate", zlevel=1, num_threads="ALL_CPUS",
-                predictor=3 if dtype.kind == "f" else 2, bigtiff="if_safer", sparse_ok=True,
+                tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS, compress="deflate", zlevel=1,
+                num_threads="ALL_CPUS", predictor=3 if dtype.kind == "f" else 2, bigtiff="if_safer", sparse_ok=True,
             ) as first_overview:  # fmt: skip
                 for done, window in enumerate(parts, start=1):
-                    _write(first_overview, _first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path)
+                    _write_window(
+                        first_overview, _read_first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path
+                    )
                     if on_part is not None:
                         on_part(done, total)
                 factors = [2**n for n in range(1, overview_lod(*dataset.shape))]
                 if factors:
-                    _build_coarser(first_overview, factors, partial_path)
+                    _build_coarser_overviews(first_overview, factors, partial_path)
             check_raster(partial_path)
     if on_part is not None:
         on_part(total, total)
-    with _open(raster) as dataset:
+    with _open_raster(raster) as dataset:
         if lacks_overviews(dataset.height, dataset.width, dataset.overviews(1)):
             target.unlink()
             raise SourceError(str(raster), f"GDAL looks for no external overviews of a {dataset.driver} file", GDALADDO_REMEDY)
     return target
 
 
-def _write(half_raster: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
+def _write_window(half_raster: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
     try:
         half_raster.write(values, 1, window=window)
     except RasterioError as error:
         raise write_error(path, "the overviews", error) from error
 
 
-def _build_coarser(half_raster: DatasetWriter, factors: list[int], path: Path) -> None:
+def _build_coarser_overviews(half_raster: DatasetWriter, factors: list[int], path: Path) -> None:
     try:
         half_raster.build_overviews(factors, Resampling.average)
     except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
         raise write_error(path, "the overviews", error) from error
 
 
-def _open(raster: Path) -> rasterio.DatasetReader:
+def _open_raster(raster: Path) -> rasterio.DatasetReader:
     try:
         with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
@@ -138,7 +140,7 @@ def _open(raster: Path) -> rasterio.DatasetReader:
         raise SourceError(str(raster), "cannot be opened", "Use a raster that GDAL reads") from None
 
 
-def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: float | None) -> None:
+def _check_supported(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: float | None) -> None:
     """Raise ``SourceError`` for rasters that cannot have external overviews, and ``InputError`` for an impossible ``nodata``."""
     flags = dataset.mask_flag_enums[0] if dataset.count else []
     reasons = {
@@ -168,26 +170,30 @@ def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, posit
     return low, high
 
 
-def _nodata_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
+def _nodata_value(dtype: np.dtype, plausible_range: tuple[float, float], nodata: float | None) -> float | None:
     """Return the overviews' nodata value, which no valid height has; ``None`` if all values of the type are plausible heights."""
     if nodata is not None:
         return nodata
     if dtype.kind == "f":
         return float("nan")
     bounds = np.iinfo(dtype).min, np.iinfo(dtype).max
-    return next((float(value) for value in bounds if not limits[0] <= value <= limits[1]), None)
+    return next((float(value) for value in bounds if not plausible_range[0] <= value <= plausible_range[1]), None)
 
 
 def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
     """Yield windows of whole tiles that cover a raster."""
-    window_cols = TILE_CELLS * TILES_PER_WINDOW
-    for row in range(0, rows, TILE_CELLS):
+    window_cols = TILE_SIDE_CELLS * TILES_PER_WINDOW
+    for row in range(0, rows, TILE_SIDE_CELLS):
         for col in range(0, cols, window_cols):
-            yield Window(col, row, min(window_cols, cols - col), min(TILE_CELLS, rows - row))
+            yield Window(col, row, min(window_cols, cols - col), min(TILE_SIDE_CELLS, rows - row))
 
 
-def _first_overview(
-    dataset: rasterio.DatasetReader, window: Window, limits: tuple[float, float], nodata: float | None, empty: float | None
+def _read_first_overview(
+    dataset: rasterio.DatasetReader,
+    window: Window,
+    plausible_range: tuple[float, float],
+    nodata: float | None,
+    empty_value: float | None,
 ) -> np.ndarray:
     """Return a window of the first overview, computed from twice as many rows and columns of the raster."""
     row, col = 2 * window.row_off, 2 * window.col_off
@@ -198,7 +204,9 @@ def _first_overview(
         raise SourceError(dataset.name, "a part cannot be read", "Use an undamaged file") from None
     nodata_values = [value for value in (dataset.nodata, nodata) if value is not None and not np.isnan(value)]
     first, second = (nodata_values * 2)[:2] if nodata_values else (np.nan, np.nan)
-    means = _means(values, limits[0], limits[1], first, second, np.nan if empty is None else float(empty))
+    means = _means(
+        values, plausible_range[0], plausible_range[1], first, second, np.nan if empty_value is None else float(empty_value)
+    )
     return (np.rint(means) if values.dtype.kind in "iu" else means).astype(values.dtype)
 
 

@@ -25,12 +25,12 @@ def time_limit_ms() -> float:
     return 1000.0 * load_settings().render_timeout_s
 
 
-def limit_or_default_ms(max_ms: float | None) -> float:
+def limit_or_service_limit_ms(max_ms: float | None) -> float:
     """Return the limit of a command's pictures: ``max_ms`` of its user, or that of a service, milliseconds."""
     return time_limit_ms() if max_ms is None else max_ms
 
 
-def soft_lamps(plan: Plan) -> dict[str, int]:
+def sphere_lamps(plan: Plan) -> dict[str, int]:
     """Return the lamps that a plan renders as spheres: name, and number of sample points on the sphere."""
     return {
         light: max(getattr(settings, "light_points", 1) for settings in kinds.values())
@@ -39,9 +39,9 @@ def soft_lamps(plan: Plan) -> dict[str, int]:
     }
 
 
-def remedy(plan: Plan) -> str | None:
+def cost_remedy(plan: Plan) -> str | None:
     """Return a text on level keys that make a plan cheaper; ``None`` if no such key is known."""
-    lamps = soft_lamps(plan)
+    lamps = sphere_lamps(plan)
     if not lamps:
         return None
     keys = format_list([f"lights.{name}.radius: 0" for name in lamps])
@@ -55,18 +55,20 @@ def is_over_limit(plan: Plan, limit_ms: float) -> bool:
     return plan.predicted.ms > limit_ms * (ESTIMATE_MARGIN if plan.predicted.is_estimate else 1.0)
 
 
-def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str, has_size: bool = True) -> None:
+def check_cost(plan: Plan, subject: str, limit_ms: float | None, limit_name: str, has_free_size: bool = True) -> None:
     """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
 
     On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
-    ``subject``, and the setting of the limit ``bound``. ``has_size`` tells whether the caller can choose the picture's size: blocks
-    of tiles and maps have a fixed one.
+    ``subject``, and the setting of the limit ``limit_name``. ``has_free_size`` says whether the caller can choose the picture's
+    size. Blocks of tiles and maps have a fixed size.
     """
     if limit_ms is None or plan.predicted is None or not is_over_limit(plan, limit_ms):
         return
     reason = f"{subject} by {plan.algorithms_text} is expected to take {plan.predicted.ms / 1000.0:.0f} s"
-    cheaper = remedy(plan)
-    advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_size else ''}"
-    if bound == MAX_MS_OPTION:
-        advice += f", or allow more time with {bound}"
-    raise TooCostlyError.over_limit("size" if has_size else bound, reason, f"{limit_ms / 1000.0:g} s ({bound})", advice)
+    cheaper = cost_remedy(plan)
+    advice = cheaper or f"Use a faster algorithm{' or a smaller picture' if has_free_size else ''}"
+    if limit_name == MAX_MS_OPTION:
+        advice += f", or allow more time with {limit_name}"
+    raise TooCostlyError.over_limit(
+        "size" if has_free_size else limit_name, reason, f"{limit_ms / 1000.0:g} s ({limit_name})", advice
+    )

@@ -19,7 +19,7 @@ except ImportError:
 else:
     _compress = partial(isal_zlib.compress, level=2)
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 """Colour type by the number of channels: gray, gray with alpha, RGB, RGBA."""
@@ -40,9 +40,9 @@ def encode_png(array: np.ndarray) -> bytes:
     np.subtract(values[1:], values[:-1], out=filtered[1:, 1:])
     header = struct.pack(">IIBBBBB", cols, rows, bits, COLOR_TYPES[channels], 0, 0, 0)
     return b"".join(
-        (SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", _compress(filtered.data)), *_chunk(b"IEND", b""))
+        (PNG_SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", _compress(filtered.data)), *_chunk(b"IEND", b""))
     )  # fmt: skip
 
 
-def _chunk(kind: bytes, data: bytes) -> tuple[bytes, ...]:
-    return struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+def _chunk(chunk_type: bytes, data: bytes) -> tuple[bytes, ...]:
+    return struct.pack(">I", len(data)), chunk_type, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type)))

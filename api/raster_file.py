@@ -20,7 +20,7 @@ from rasterio.windows import Window
 
 from skugga.terrain.atomic_files import atomic_path, write_error
 
-TILE_CELLS = 512
+TILE_SIDE_CELLS = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class RasterMetadata:
     ----------
     description
         Description of the raster, one sentence.
-    descriptions
+    band_descriptions
         Descriptions of the bands.
     unit
         Unit of all bands.
@@ -63,7 +63,7 @@ class RasterMetadata:
     """
 
     description: str
-    descriptions: tuple[str, ...]
+    band_descriptions: tuple[str, ...]
     unit: str = ""
     tags: dict[str, str] = field(default_factory=dict)
 
@@ -73,12 +73,14 @@ class RasterMetadata:
             TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.description,
             **{name.upper(): text for name, text in self.tags.items() if text},
         )  # fmt: skip
-        dataset.descriptions = self.descriptions
+        dataset.band_descriptions = self.band_descriptions
         dataset.units = [self.unit] * dataset.count
-        dataset.colorinterp = RGBA if dataset.count == len(RGBA) else [ColorInterp.gray] * dataset.count
+        dataset.colorinterp = (
+            RGBA_INTERPRETATION if dataset.count == len(RGBA_INTERPRETATION) else [ColorInterp.gray] * dataset.count
+        )
 
 
-RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+RGBA_INTERPRETATION = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 
 
 class RasterFile:
@@ -97,7 +99,7 @@ class RasterFile:
 
 
 @contextmanager
-def cog(
+def open_cog(
     path: Path,
     crs: CRS,
     transform: Affine,
@@ -119,7 +121,7 @@ def cog(
         raw.parent.mkdir()
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
-            nodata=nodata, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="lzw", bigtiff="if_safer",
+            nodata=nodata, tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS, compress="lzw", bigtiff="if_safer",
             sparse_ok=True,
         ) as dataset:  # fmt: skip
             if metadata is not None:
@@ -127,7 +129,7 @@ def cog(
             yield RasterFile(dataset)
         try:
             copy(
-                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE_CELLS, BIGTIFF="IF_SAFER",
+                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE_SIDE_CELLS, BIGTIFF="IF_SAFER",
                 OVERVIEW_RESAMPLING="AVERAGE" if is_smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
         except Exception as error:  # GDAL's own errors, for which rasterio has no public base class

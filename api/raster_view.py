@@ -36,20 +36,20 @@ class CellOrder:
 
     Attributes
     ----------
-    transposed
+    is_transposed
         Whether the raster's rows are the view's columns.
-    rows_reversed, cols_reversed
+    are_rows_reversed, are_cols_reversed
         Whether the raster's first row, or column, is the view's last one.
     """
 
-    transposed: bool = False
-    rows_reversed: bool = False
-    cols_reversed: bool = False
+    is_transposed: bool = False
+    are_rows_reversed: bool = False
+    are_cols_reversed: bool = False
 
     def in_raster_order(self, array: np.ndarray) -> np.ndarray:
         """Reorder cells (rows, cols, ...) of the view into the raster's order of rows and columns."""
-        cells = array.swapaxes(0, 1) if self.transposed else array
-        return cells[:: -1 if self.rows_reversed else 1, :: -1 if self.cols_reversed else 1]
+        cells = array.swapaxes(0, 1) if self.is_transposed else array
+        return cells[:: -1 if self.are_rows_reversed else 1, :: -1 if self.are_cols_reversed else 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class RasterView:
     def shape(self) -> tuple[int, int]:
         """The raster's rows and columns."""
         shape = self.view.rows, self.view.cols
-        return shape[::-1] if self.order.transposed else shape
+        return shape[::-1] if self.order.is_transposed else shape
 
     def window_in_raster_order(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
         """Return the first row and column of a window in the raster, and the window's cells in the raster's order.
@@ -83,11 +83,11 @@ class RasterView:
         ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
         """
         cells = self.order.in_raster_order(array)
-        first_row, first_col = (col, row) if self.order.transposed else (row, col)
+        first_row, first_col = (col, row) if self.order.is_transposed else (row, col)
         rows, cols = self.shape
-        if self.order.rows_reversed:
+        if self.order.are_rows_reversed:
             first_row = rows - first_row - cells.shape[0]
-        if self.order.cols_reversed:
+        if self.order.are_cols_reversed:
             first_col = cols - first_col - cells.shape[1]
         return first_row, first_col, cells
 
@@ -100,11 +100,11 @@ class RasterView:
     def raster_part(self, top: int, left: int, rows: int, cols: int) -> RasterView:
         """Return a part of the raster, given its first row and column in the raster, and its size."""
         all_rows, all_cols = self.shape
-        if self.order.rows_reversed:
+        if self.order.are_rows_reversed:
             top = all_rows - top - rows
-        if self.order.cols_reversed:
+        if self.order.are_cols_reversed:
             left = all_cols - left - cols
-        return self.part(left, top, cols, rows) if self.order.transposed else self.part(top, left, rows, cols)
+        return self.part(left, top, cols, rows) if self.order.is_transposed else self.part(top, left, rows, cols)
 
 
 def raster_view(
@@ -195,7 +195,7 @@ def _view_like(scene: Scene, cells: RasterCells) -> RasterView:
     if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
         level_bounds = scene.default_bounds(cells.crs)
         raise InputError(
-            "like", cells.name, f"a raster that overlaps the level; {_extents(view.view.bounds, level_bounds, cells.crs)}"
+            "like", cells.name, f"a raster that overlaps the level; {_extents_text(view.view.bounds, level_bounds, cells.crs)}"
         )
     return view
 
@@ -213,10 +213,10 @@ def extent_warning(scene: Scene, raster: RasterView) -> str | None:
     cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
     if min(west - level_bounds[0], south - level_bounds[1], level_bounds[2] - east, level_bounds[3] - north) >= -cell:
         return None
-    return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, level_bounds, raster.crs)}"
+    return f"the raster extends beyond the level and is empty there; {_extents_text(raster.view.bounds, level_bounds, raster.crs)}"
 
 
-def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
+def _extents_text(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
     """Return the extents of a raster and of a level as text."""
     raster_text, level_text = (",".join(f"{value:.9g}" for value in bounds) for bounds in (raster_bounds, level_bounds))
     return f"the raster is {raster_text}, the level {level_text} (west,south,east,north in {crs.name})"

@@ -39,15 +39,15 @@ class RequestedSettings(_RequestModel):
     @field_validator("asked")
     @classmethod
     def _check_settings(cls, settings: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
-        override_settings(Shadows(), _parsed(settings))
+        override_settings(Shadows(), _parsed_settings(settings))
         return settings
 
     def for_selector(self) -> dict[str, Any]:
         """Return the settings in the form that the policies of ``skugga.selector.select`` take."""
-        return _parsed(self.asked)
+        return _parsed_settings(self.asked)
 
 
-def _parsed(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+def _parsed_settings(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in settings}
 
 

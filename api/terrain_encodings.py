@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-MAX_CODE = 2**24 - 1
+MAX_24_BIT_CODE = 2**24 - 1
 """Largest code of three bytes."""
 
 
@@ -28,6 +28,6 @@ def encode_terrarium(height_m: np.ndarray) -> np.ndarray:
     return _encode_three_bytes((height_m.astype(np.float64) + 32768.0) * 256.0)
 
 
-def _encode_three_bytes(steps: np.ndarray) -> np.ndarray:
-    codes = np.clip(np.rint(steps), 0, MAX_CODE).astype(np.uint32)
-    return np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+def _encode_three_bytes(codes: np.ndarray) -> np.ndarray:
+    rounded_codes = np.clip(np.rint(codes), 0, MAX_24_BIT_CODE).astype(np.uint32)
+    return np.stack([rounded_codes >> 16, rounded_codes >> 8 & 255, rounded_codes & 255], axis=-1).astype(np.uint8)

@@ -37,7 +37,7 @@ from pyproj import CRS
 from benchmarks.big_rasters import EPSG, MIDDLE_XY_M, make_rasters, mountain_xy, raster_paths
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
-from skugga.api.overviews import make_overviews, reason_for_no_overviews
+from skugga.api.overviews import make_overviews, reason_against_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
@@ -98,7 +98,7 @@ def block_job(scene: Scene, raster: Path, zoom: int, rows_south: int = 0, cols_e
     row, col = int(view.row0) // BLOCK_PX + rows_south, int(view.col0) // BLOCK_PX + cols_east
     request = ProductRequest(sun=SUN)
     return BlockJob(
-        level=level_key(raster), matrix_set=TILE_MATRIX_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request
+        level=level_key(raster), matrix_set=TILE_MATRIX_SET, zoom=zoom, block_x=col, block_y=row, tiles_per_side=4, request=request
     )
 
 
@@ -304,7 +304,7 @@ def main() -> None:
     for raster in make_rasters(args.folder, args.raster):
         print(f"{raster.path.name}: {raster.path.stat().st_size / 2**20:.0f} MiB, written in {raster.write_s:.0f} s", flush=True)
     vrt = raster_paths(args.folder)[-1]
-    if reason_for_no_overviews(vrt) is None:
+    if reason_against_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, written in {time.perf_counter() - start:.0f} s", flush=True)

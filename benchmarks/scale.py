@@ -107,8 +107,8 @@ class NoOpRunner:
     def __init__(self) -> None:
         self._submitted: deque[Task] = deque()
 
-    def free_lanes(self) -> Sequence[int]:
-        """Implement ``Runner.free_lanes``."""
+    def free_worker_queues(self) -> Sequence[int]:
+        """Implement ``Runner.free_worker_queues``."""
         return [0] * (2000 - len(self._submitted))
 
     def submit(self, task: Task, lane: int) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-MAX_SUBJECT = 72
+MAX_SUBJECT_CHARACTERS = 72
 """Maximum characters of a commit's subject: as many as ``git log --oneline`` shows in a terminal of 80 columns."""
 
 FIELD_TERMS = {
@@ -37,7 +37,7 @@ FIELD_TERMS = {
 }
 """Names that only this project used (regular expressions), and the usual terms in graphics and GIS."""
 
-_FORBIDDEN = {re.compile(pattern): term for pattern, term in FIELD_TERMS.items()}
+_FORBIDDEN_PATTERNS = {re.compile(pattern): term for pattern, term in FIELD_TERMS.items()}
 
 
 def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
@@ -45,7 +45,7 @@ def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
     with tokenize.open(path) as file:
         for token in tokenize.generate_tokens(file.readline):
             if token.type == tokenize.NAME:
-                term = next((term for pattern, term in _FORBIDDEN.items() if pattern.fullmatch(token.string)), None)
+                term = next((term for pattern, term in _FORBIDDEN_PATTERNS.items() if pattern.fullmatch(token.string)), None)
                 if term is not None:
                     yield token.start[0], token.string, term
 
@@ -53,8 +53,8 @@ def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
 def subject_problem(message: str) -> str | None:
     """Return the problem of a commit message's subject, in words; ``None`` without one."""
     subject, _, rest = message.partition("\n")
-    if len(subject) > MAX_SUBJECT:
-        return f"{len(subject)} characters, more than the limit of {MAX_SUBJECT}: {subject}"
+    if len(subject) > MAX_SUBJECT_CHARACTERS:
+        return f"{len(subject)} characters, more than the limit of {MAX_SUBJECT_CHARACTERS}: {subject}"
     if rest.strip() and not rest.startswith("\n"):
         return f"no empty line after it: {subject}"
     return None

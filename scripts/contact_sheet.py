@@ -24,7 +24,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 SHEET_PATH = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
-ASPECT = 5 / 4
+CELL_ASPECT = 5 / 4
 """Width over height of a picture's cell on the sheet: that of 1280 x 1024."""
 
 GAP_PX, LABEL_PX, TEXT_PX = 12, 28, 16
@@ -40,20 +40,20 @@ class LabelledPicture:
     label: str
 
 
-def labelled_pictures(levels: Sequence[Path], width: int) -> Iterator[LabelledPicture]:
+def labelled_pictures(levels: Sequence[Path], width_px: int) -> Iterator[LabelledPicture]:
     """Yield a labelled picture of every view of some levels. Levels with the most views come first."""
     loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
     for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
             label = f"{scene.loaded.name}: {name}"
             print(label, file=sys.stderr)
-            yield LabelledPicture(render_view(scene, name, width), label)
+            yield LabelledPicture(render_view(scene, name, width_px), label)
 
 
-def render_view(scene: Scene, name: str, width: int) -> Image.Image:
-    """Return a view of a scene at its own aspect ratio, at most ``width`` pixels wide and ``width / ASPECT`` high."""
+def render_view(scene: Scene, name: str, width_px: int) -> Image.Image:
+    """Return a view of a scene at its own aspect ratio, at most ``width_px`` pixels wide and ``width_px / CELL_ASPECT`` high."""
     native_view = scene.view(name)
-    scale = min(width / native_view.cols, width / ASPECT / native_view.rows)
+    scale = min(width_px / native_view.cols, width_px / CELL_ASPECT / native_view.rows)
     size = max(round(native_view.cols * scale), 1), max(round(native_view.rows * scale), 1)
     view = scene.view(name, size=size)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level, {}))
@@ -61,16 +61,16 @@ def render_view(scene: Scene, name: str, width: int) -> Image.Image:
     return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAGE_COLOR, 255)), picture).convert("RGB")
 
 
-def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> Image.Image:
-    """Return a sheet of pictures, ``columns`` in a row. Each is ``width`` pixels wide, with its label below."""
-    height = round(width / ASPECT)
-    step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
-    rows = -(-len(entries) // columns)
+def make_sheet(pictures: Sequence[LabelledPicture], columns: int, width_px: int) -> Image.Image:
+    """Return a sheet of pictures, ``columns`` in a row. Each is ``width_px`` pixels wide, with its label below."""
+    height = round(width_px / CELL_ASPECT)
+    step_x, step_y = width_px + GAP_PX, height + LABEL_PX + GAP_PX
+    rows = -(-len(pictures) // columns)
     page = Image.new("RGB", (columns * step_x + GAP_PX, rows * step_y + GAP_PX), PAGE_COLOR)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
-    for number, entry in enumerate(entries):
+    for number, entry in enumerate(pictures):
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
-        page.paste(ImageOps.pad(entry.picture, (width, height), color=PAGE_COLOR), (x, y))
+        page.paste(ImageOps.pad(entry.picture, (width_px, height), color=PAGE_COLOR), (x, y))
         draw.text((x, y + height + LABEL_PX // 2), entry.label, TEXT_COLOR, font, anchor="lm")
     return page
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
 
-TIME = "2024-10-21T16:30:00+00:00"
+LOW_SUN_TIME = "2024-10-21T16:30:00+00:00"
 """A time for rasters near Greenwich, with the sun low in the west."""
 
 
@@ -90,19 +90,19 @@ def _draw_blocks(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[
             run_job(block.model_copy(update={"format": suffix, "request": request}), state)
 
 
-def _run_command(*words: object) -> None:
+def _run_command(*arguments: object) -> None:
     from skugga.api.cli.main import main
 
-    sys.argv = ["skugga", *map(str, words)]
+    sys.argv = ["skugga", *map(str, arguments)]
     try:
         main()
     except SystemExit as end:
-        assert not end.code, words
+        assert not end.code, arguments
 
 
 def _sun_options(raster: Path) -> list[object]:
     """Return a command's options for the sun. A flat world needs angles instead of a time."""
-    return ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
+    return ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", LOW_SUN_TIME]
 
 
 def compute_maps(rasters: Sequence[Path], folder: Path) -> None:
@@ -194,7 +194,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
 
     recorded_loops: list[tuple[str, Any]] = []
 
-    def note(loop: Any, args: tuple[Any, ...]) -> None:
+    def record_loop(loop: Any, args: tuple[Any, ...]) -> None:
         function = loop.py_func
         if "<" in function.__qualname__:  # a closure, which no module can look up
             return
@@ -202,7 +202,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
         assert tuple(map(decode_type, encoded)) == args, (function, args)
         recorded_loops.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
-    recorders.append(note)
+    recorders.append(record_loop)
     compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
         PRODUCERS[product](write_rasters(Path(folder)), Path(folder))

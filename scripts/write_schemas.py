@@ -10,8 +10,8 @@ from pydantic import BaseModel
 from skugga.shadows.plan import Plan
 from skugga.terrain.facts.descriptor import Descriptor
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-MODELS: dict[str, type[BaseModel]] = {"plan.schema.json": Plan, "descriptor.schema.json": Descriptor}
+DOCS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
+MODEL_BY_SCHEMA_FILE: dict[str, type[BaseModel]] = {"plan.schema.json": Plan, "descriptor.schema.json": Descriptor}
 
 
 def schema_text(model: type[BaseModel]) -> str:
@@ -21,5 +21,5 @@ def schema_text(model: type[BaseModel]) -> str:
 
 
 if __name__ == "__main__":
-    for name, model in MODELS.items():
-        (DOCS / name).write_text(schema_text(model), encoding="utf-8")
+    for name, model in MODEL_BY_SCHEMA_FILE.items():
+        (DOCS_FOLDER / name).write_text(schema_text(model), encoding="utf-8")

@@ -21,7 +21,7 @@ import numpy as np
 from skugga.api.cli import main as cli
 from skugga.api.encoding import encode_picture
 from skugga.api.http.server.app import create_app
-from skugga.api.products.product import Part
+from skugga.api.products.product import ProductInput
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import tiles_of_picture
 from skugga.api.workers.jobs import (
@@ -29,10 +29,10 @@ from skugga.api.workers.jobs import (
     BlockTiles,
     DescriptorJob,
     DescriptorPlanJob,
-    HeartbeatAnswer,
     HeartbeatRequest,
-    PlanAnswer,
+    HeartbeatResponse,
     PlanJob,
+    PlanResult,
     Snapshot,
     WorkerReady,
 )
@@ -62,7 +62,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         if isinstance(job, DescriptorJob | DescriptorPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
@@ -70,7 +70,7 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
         sun = job.request.applied_to(build_scene(load_level(job.level.path))).sun
         payload = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(payload))
+            pipe.send(PlanResult(payload))
             continue
         side = BLOCK_PX
         valid, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
@@ -80,11 +80,11 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
             build_scene(load_level(job.level.path)),
         )
         if isinstance(job, BlockJob):
-            tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
+            tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles_per_side)
             pipe.send(BlockTiles(tiles, 0.0, payload, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
         else:
             part = picture.part((slice(0, 8), slice(0, 8)))
-            body = encode_picture(job.request.product_record.compute(Part(scene, scene.view(), None, part)), job.format)
+            body = encode_picture(job.request.product_record.compute(ProductInput(scene, scene.view(), None, part)), job.format)
             pipe.send(Snapshot(body, 0.0, payload, (), 0.0, 0.0, False, "told"))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.api.compute import OnBlock, raster_array, write_rasters
+from skugga.api.compute import ProgressCallback, raster_array, write_rasters
 from skugga.api.products.sun_hours import SunHoursOptions
 from skugga.api.raster_view import RasterView
 from skugga.api.request import ProductRequest
@@ -29,7 +29,7 @@ def write_shade(
     product: str,
     suns: Sequence[SunSpec | None],
     paths: Sequence[Path],
-    on_step: OnBlock | None = None,
+    on_step: ProgressCallback | None = None,
 ) -> None:
     """Write a product under several suns, one file each."""
     write_rasters(scene, raster, [ProductRequest(product=product, sun=sun) for sun in suns], paths, {}, on_step)

@@ -31,25 +31,25 @@ import numpy as np
 from pydantic import Field
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.products.product import Part, Product, ProductOptions
+from skugga.api.products.product import Product, ProductInput, ProductOptions
 
 
 class SteepnessOptions(ProductOptions):
     gain: float = Field(default=1.0, ge=0.1, le=10.0, description="Factor of the steepness.", examples=[2])
 
 
-def _compute(part: Part) -> np.ndarray:
+def _compute(product_input: ProductInput) -> np.ndarray:
     """Rise per unit of the map, by central differences: a pixel more is needed on each side."""
-    height_m, step = part.ground_height_m.astype(float), part.map_view.grid.step
+    height_m, step = product_input.ground_height_m.astype(float), product_input.map_view.grid.step
     out = np.full(height_m.shape, np.nan, np.float32)
     across, down = height_m[1:-1, 2:] - height_m[1:-1, :-2], height_m[2:, 1:-1] - height_m[:-2, 1:-1]
-    out[1:-1, 1:-1] = part.options.gain * np.hypot(across, down) / (2.0 * step)
+    out[1:-1, 1:-1] = product_input.options.gain * np.hypot(across, down) / (2.0 * step)
     return out
 
 
 PRODUCT = Product(
     name="steepness", description="made-up steepness of the ground", formats=("png", "tif", "npy"), compute=_compute,
-    view_kinds=("map",), when="none", reach_px=1, options=SteepnessOptions, unit="1",
+    view_kinds=("map",), when="none", margin_px=1, options=SteepnessOptions, unit="1",
     color_scale=lambda options, world: ColorScale("Steepness", "viridis", 0.0, 2.0, ((0.0, "0"), (1.0, "1"), (2.0, "2"))),
 )
 '''

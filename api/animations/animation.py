@@ -1,4 +1,4 @@
-"""The record of one animation: its order, its progress and its result."""
+"""The record of one animation: its specification, its progress and its result."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Literal, get_args
 
+from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.film_file import FilmFile
-from skugga.api.animations.film_order import FilmOrder
 from skugga.terrain.errors import SkuggaError
 
 AnimationStatus = Literal["accepted", "running", "successful", "failed", "dismissed"]
@@ -17,7 +17,7 @@ AnimationStatus = Literal["accepted", "running", "successful", "failed", "dismis
 STATUSES: tuple[AnimationStatus, ...] = get_args(AnimationStatus)
 
 
-def now() -> datetime:
+def utc_now() -> datetime:
     """Return the current time in UTC, to the second."""
     return datetime.now(UTC).replace(microsecond=0)
 
@@ -30,9 +30,9 @@ class Animation:
     ----------
     id
         The unguessable identifier.
-    order
+    spec
         The film to draw: level, view, times, file format and frames per second.
-    frame_s
+    expected_frame_s
         Expected seconds for each frame.
     created, started, updated, finished
         Times in UTC.
@@ -50,16 +50,16 @@ class Animation:
         The film of a successful animation.
     running_since_s
         The time of the event loop, in seconds, at which drawing began.
-    task
+    drawing_task
         The task that draws it.
-    timer
+    expiry_timer
         The timer that deletes an ended animation, or dismisses an animation that no client asks about.
     """
 
     id: str
-    order: FilmOrder
-    frame_s: float
-    created: datetime = field(default_factory=now)
+    spec: AnimationSpec
+    expected_frame_s: float
+    created: datetime = field(default_factory=utc_now)
     status: AnimationStatus = "accepted"
     started: datetime | None = None
     updated: datetime | None = None
@@ -70,8 +70,8 @@ class Animation:
     error: SkuggaError | None = None
     film: FilmFile | None = None
     running_since_s: float | None = None
-    task: asyncio.Task[None] | None = None
-    timer: asyncio.TimerHandle | None = None
+    drawing_task: asyncio.Task[None] | None = None
+    expiry_timer: asyncio.TimerHandle | None = None
 
     @property
     def film_bytes(self) -> int:
@@ -79,27 +79,29 @@ class Animation:
         return 0 if self.film is None else self.film.nbytes
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether the animation has succeeded, failed or been dismissed."""
         return self.status not in ("accepted", "running")
 
-    def begin(self, loop_s: float) -> None:
-        """Record that drawing begins. ``loop_s`` is the time of the event loop in seconds."""
-        self.status, self.started, self.running_since_s = "running", now(), loop_s
+    def begin(self, now_s: float) -> None:
+        """Record that drawing begins. ``now_s`` is the time of the event loop in seconds."""
+        self.status, self.started, self.running_since_s = "running", utc_now(), now_s
 
     def advance(self, frames_done: int) -> None:
         """Record the number of drawn frames."""
-        self.frames_done, self.updated = frames_done, now()
+        self.frames_done, self.updated = frames_done, utc_now()
 
-    def end(self, status: AnimationStatus, age_s: float, message: str | None = None, error: SkuggaError | None = None) -> None:
-        """Record the animation's end with a final status. The animation expires after ``age_s`` seconds."""
-        self.status, self.message, self.error, self.finished = status, message, error, now()
-        self.updated, self.expires = self.finished, self.finished + timedelta(seconds=age_s)
+    def end(
+        self, status: AnimationStatus, retention_s: float, message: str | None = None, error: SkuggaError | None = None
+    ) -> None:
+        """Record the animation's end with a final status. The animation expires after ``retention_s`` seconds."""
+        self.status, self.message, self.error, self.finished = status, message, error, utc_now()
+        self.updated, self.expires = self.finished, self.finished + timedelta(seconds=retention_s)
 
     def release(self) -> None:
         """Release the film, and cancel the timer."""
-        if self.timer is not None:
-            self.timer.cancel()
+        if self.expiry_timer is not None:
+            self.expiry_timer.cancel()
         if self.film is not None:
             self.film.close()
             self.film = None

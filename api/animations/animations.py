@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from skugga.api.animations.animation import STATUSES, Animation, AnimationStatus
+from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.film_file import FilmFile
-from skugga.api.animations.film_order import FilmOrder
-from skugga.api.animations.frame_handover import FrameHandover
+from skugga.api.animations.thread_frame_iterator import ThreadFrameIterator
 from skugga.api.errors import NotServedError, RetryLaterError, StorageError
 from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
@@ -23,23 +23,23 @@ from skugga.api.workers.admission import retry_after_s
 from skugga.terrain.cache import Cache, Missing
 from skugga.terrain.errors import BusyError, InputError, RenderError, SkuggaError
 
-ID_BYTES = 16
+ANIMATION_ID_BYTES = 16
 """Bytes of an animation's random id. 2**128 values cannot be guessed."""
 
-STATE_BYTES = 4096
+ANIMATION_OVERHEAD_BYTES = 4096
 """Estimated bytes of an animation without its film."""
 
-Draw = Callable[[FilmOrder], AsyncGenerator[np.ndarray, None]]
+DrawFrames = Callable[[AnimationSpec], AsyncGenerator[np.ndarray, None]]
 """Type of a function that draws the frames of a film, uint8 (rows, cols, 3), in the event loop."""
 
-Encode = Callable[[Path, Iterable[np.ndarray], FilmOrder], None]
+EncodeFilm = Callable[[Path, Iterable[np.ndarray], AnimationSpec], None]
 """Type of a function that writes frames into a file, in a thread. Raises ``OSError``."""
 
 log = logging.getLogger("skugga")
 
 
 class Animations:
-    """Queue of a service's animations, which ``draw`` draws and ``encode`` writes to files.
+    """Queue of a service's animations, which ``draw_frames`` draws and ``encode_film`` writes to files.
 
     Use it from one event loop. The settings bound it:
 
@@ -49,20 +49,20 @@ class Animations:
     * The cache has up to ``animations_kept`` entries and ``animation_bytes`` bytes. It evicts the least recently used entry.
     """
 
-    def __init__(self, settings: Settings, draw: Draw, encode: Encode) -> None:
+    def __init__(self, settings: Settings, draw_frames: DrawFrames, encode_film: EncodeFilm) -> None:
         self._settings = settings
-        self._draw, self._encode = draw, encode
+        self._draw_frames, self._encode_film = draw_frames, encode_film
         self._active: dict[str, Animation] = {}
         self._ended_cache: Cache[Animation] = Cache(
-            "skugga.api.animations.kept", "process", settings.animation_bytes, lambda animation: animation.film_bytes + STATE_BYTES,
-            self._release, settings.animations_kept,
+            "skugga.api.animations.kept", "process", settings.animation_bytes,
+            lambda animation: animation.film_bytes + ANIMATION_OVERHEAD_BYTES, self._release, settings.animations_kept,
         )  # fmt: skip
-        self._by_order: dict[FilmOrder, Animation] = {}
+        self._by_spec: dict[AnimationSpec, Animation] = {}
         self._slots = asyncio.Semaphore(settings.animations_at_a_time)
         self._threads = ThreadPoolExecutor(settings.animations_at_a_time, "skugga-film")
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
-        self.ended: dict[AnimationStatus, int] = dict.fromkeys(STATUSES[2:], 0)
+        self.ended_counts: dict[AnimationStatus, int] = dict.fromkeys(STATUSES[2:], 0)
 
     @property
     def counts(self) -> dict[AnimationStatus, int]:
@@ -80,9 +80,9 @@ class Animations:
         """Bytes of the cached films."""
         return sum(animation.film_bytes for animation in self._ended_cache.values)
 
-    def find(self, order: FilmOrder) -> Animation | None:
-        """Return the animation of an order, if it is queued, drawn or cached. This renews its timer as ``get`` does."""
-        animation = self._by_order.get(order)
+    def find(self, spec: AnimationSpec) -> Animation | None:
+        """Return the animation of a specification if it is queued, drawn or cached, and renew its timer as ``get`` does."""
+        animation = self._by_spec.get(spec)
         return None if animation is None else self.get(animation.id)
 
     def check_queue(self) -> None:
@@ -95,29 +95,29 @@ class Animations:
             message = f"The service is busy: {len(self._active)} animations are being drawn or waiting."
             raise RetryLaterError(message, retry_after_s(left_s))
 
-    def request(self, order: FilmOrder, frame_s: float) -> Animation:
-        """Return the animation of an order: the existing one, or a new one in the queue.
+    def request(self, spec: AnimationSpec, expected_frame_s: float) -> Animation:
+        """Return the animation of a specification: the existing one, or a new one in the queue.
 
-        ``frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_queue``.
+        ``expected_frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_queue``.
         """
-        if (animation := self.find(order)) is not None:
+        if (animation := self.find(spec)) is not None:
             return animation
         self.check_queue()
-        animation = Animation(secrets.token_hex(ID_BYTES), order, frame_s)
-        self._active[animation.id] = self._by_order[order] = animation
+        animation = Animation(secrets.token_hex(ANIMATION_ID_BYTES), spec, expected_frame_s)
+        self._active[animation.id] = self._by_spec[spec] = animation
         self._restart_abandon_timer(animation)
-        animation.task = asyncio.create_task(self._run(animation))
-        self._tasks.add(animation.task)
-        animation.task.add_done_callback(self._tasks.discard)
+        animation.drawing_task = asyncio.create_task(self._run(animation))
+        self._tasks.add(animation.drawing_task)
+        animation.drawing_task.add_done_callback(self._tasks.discard)
         return animation
 
-    def get(self, name: str) -> Animation:
+    def get(self, animation_id: str) -> Animation:
         """Return the animation with an id, and renew the timer that would dismiss it. Raises ``NotServedError``."""
-        animation = self._active.get(name)
+        animation = self._active.get(animation_id)
         if animation is not None:
             self._restart_abandon_timer(animation)
             return animation
-        ended_animation = self._ended_cache.get(name)
+        ended_animation = self._ended_cache.get(animation_id)
         if isinstance(ended_animation, Missing):
             message = "animation: this animation does not exist, or has expired. Request it again."
             raise NotServedError("animation", message)
@@ -127,15 +127,15 @@ class Animations:
         """Stop drawing an animation, or delete its film. A failed or dismissed animation stays as it is."""
         if animation.status in ("failed", "dismissed"):
             return
-        if animation.task is not None:
-            animation.task.cancel()
+        if animation.drawing_task is not None:
+            animation.drawing_task.cancel()
         self._ended_cache.drop(animation.id)
         animation.release()
         self._end(animation, "dismissed", message)
 
     def seconds_left(self, animation: Animation) -> float:
         """Return the expected seconds until an animation is finished, including animations that precede it in the queue."""
-        if animation.ended:
+        if animation.has_ended:
             return 0.0
         queued_s = []
         for queued in self._active.values():
@@ -156,18 +156,18 @@ class Animations:
         self._threads.shutdown(wait=True)
 
     def _drawing_seconds_left(self, animation: Animation) -> float:
-        frames_done, order, frame_s = animation.frames_done, animation.order, animation.frame_s
+        frames_done, spec, expected_frame_s = animation.frames_done, animation.spec, animation.expected_frame_s
         if frames_done and animation.running_since_s is not None:
-            frame_s = (asyncio.get_running_loop().time() - animation.running_since_s) / frames_done
-        return (order.span.frames - frames_done) * frame_s
+            expected_frame_s = (asyncio.get_running_loop().time() - animation.running_since_s) / frames_done
+        return (spec.span.frames - frames_done) * expected_frame_s
 
     def _restart_abandon_timer(self, animation: Animation) -> None:
         """Start the timer that dismisses an animation unless a client asks about it."""
-        if animation.timer is not None:
-            animation.timer.cancel()
+        if animation.expiry_timer is not None:
+            animation.expiry_timer.cancel()
         silence_s = self._settings.animation_abandoned_s
         message = f"No client requested its state for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
-        animation.timer = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
+        animation.expiry_timer = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
 
     async def _run(self, animation: Animation) -> None:
         """Draw an animation when a slot is free, and record its film or its error. Dismissal cancels this task."""
@@ -189,10 +189,10 @@ class Animations:
 
         When this returns or raises, drawing has stopped and the encoding thread has released the file.
         """
-        loop, order = asyncio.get_running_loop(), animation.order
-        frames = FrameHandover(self._draw(order), loop, animation.advance)
+        loop, spec = asyncio.get_running_loop(), animation.spec
+        frames = ThreadFrameIterator(self._draw_frames(spec), loop, animation.advance)
         try:
-            writing = run_in_pool(self._threads, self._write_film, frames, order)
+            writing = run_in_pool(self._threads, self._write_film, frames, spec)
             try:
                 return await asyncio.shield(writing)
             except BaseException:
@@ -204,11 +204,11 @@ class Animations:
         finally:
             await frames.stop()
 
-    def _write_film(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
+    def _write_film(self, frames: Iterable[np.ndarray], spec: AnimationSpec) -> FilmFile:
         """Write the frames to an unlinked file, and return the film. The system deletes the file even if this process crashes."""
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
-            path = Path(folder) / f"film.{order.format}"
-            self._encode(path, frames, order)
+            path = Path(folder) / f"film.{spec.format}"
+            self._encode_film(path, frames, spec)
             film = FilmFile(path)
         if film.nbytes <= self._settings.animation_bytes:
             return film
@@ -218,32 +218,32 @@ class Animations:
         raise InputError.over_limit("size", f"the film has {film.nbytes} bytes", limit, remedy)
 
     def _fail(self, animation: Animation, error: SkuggaError) -> None:
-        log.warning("animation %s of level %s failed: %s", animation.id, animation.order.level.path.stem, error)
+        log.warning("animation %s of level %s failed: %s", animation.id, animation.spec.level.path.stem, error)
         self._end(animation, "failed", error=error)
 
     def _end(
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Record the end of an animation and cache it. If it has no film, the next request for the same order draws it anew."""
-        if not animation.ended:
-            self.ended[status] += 1
+        """Record the end of an animation and cache it. If it has no film, the next request for it draws it anew."""
+        if not animation.has_ended:
+            self.ended_counts[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)
         self._active.pop(animation.id, None)
         if animation.film is None:
-            self._forget_order(animation)
-        if animation.timer is not None:
-            animation.timer.cancel()
+            self._drop_spec(animation)
+        if animation.expiry_timer is not None:
+            animation.expiry_timer.cancel()
         self._ended_cache.put(animation.id, value=animation)
         later = asyncio.get_running_loop().call_later
-        animation.timer = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
+        animation.expiry_timer = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
 
     def _release(self, animation: Animation) -> None:
         animation.release()
-        self._forget_order(animation)
+        self._drop_spec(animation)
 
-    def _forget_order(self, animation: Animation) -> None:
-        if self._by_order.get(animation.order) is animation:
-            del self._by_order[animation.order]
+    def _drop_spec(self, animation: Animation) -> None:
+        if self._by_spec.get(animation.spec) is animation:
+            del self._by_spec[animation.spec]
 
 
 def _film_error(animation: Animation, error: Exception) -> SkuggaError:

@@ -11,8 +11,8 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from skugga.api.cli.all_views import plan_cells, plan_facts
-from skugga.api.cli.tables import named_table
+from skugga.api.cli.all_views import plan_facts, plan_table_cells
+from skugga.api.cli.tables import table_with_names
 from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import file_stamps, level_version, watched_files
@@ -73,12 +73,12 @@ def _save_probes(version: str, probes: MapProbes) -> str:
 
 def table_of_scales(plans: list[tuple[int, Plan]]) -> Table:
     """Return the plans as a table, finest pixels first: choice, expected time and error, and whether it meets the target."""
-    table = named_table("pixels", "choice", box=box.SIMPLE_HEAD)
+    table = table_with_names("pixels", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
     table.add_column("target")
     for scale, plan in plans:
-        table.add_row(f"{2.0**scale:g} m", *plan_cells(plan))
+        table.add_row(f"{2.0**scale:g} m", *plan_table_cells(plan))
     return table
 
 

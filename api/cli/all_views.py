@@ -14,8 +14,8 @@ from rich.table import Table
 
 from skugga.api.cli.planning import PlannedView, plan_scene_view, with_shadow_settings, without_pins
 from skugga.api.cli.snapshot import scene_and_view
-from skugga.api.cli.tables import named_table
-from skugga.api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
+from skugga.api.cli.tables import table_with_names
+from skugga.api.report.plan_text import POLICY_PHRASES, format_expectation, format_sun, format_view_and_sun
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.pin import PIN_COMMENT, PINS, pin, pins
 from skugga.shadows.plan import Plan
@@ -54,27 +54,27 @@ def plan_all_views(
     return [plan_scene_view(level.path, scene, scene.view(name), name, policy, overrides, budget) for name in names]
 
 
-def pin_all(choices: Sequence[PlannedView]) -> str:
+def pin_all_views(planned_views: Sequence[PlannedView]) -> str:
     """Write the choice of each view into the level file, and return a message that says what was written and where.
 
     Raises ``LevelError`` if the file cannot be written, ``InputError`` if no view has a shadow caster.
     """
-    casting = [choice for choice in choices if _casts(choice.plan)]
-    path = choices[0].path
+    casting = [choice for choice in planned_views if _casts_shadows(choice.plan)]
+    path = planned_views[0].path
     if not casting:
         raise InputError(
             "--write", Problem("no view has a cast shadow, so no choice can be pinned"), "Choose a sun that casts shadows"
         )
     chosen = [
-        {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level(choice))}
+        {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level_spec(choice))}
         for choice in casting
     ]
-    policies = dict.fromkeys(POLICIES[choice.plan.policy] for choice in casting)
+    policies = dict.fromkeys(POLICY_PHRASES[choice.plan.policy] for choice in casting)
     comment_lines = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
     comment_lines += [
         (
             f"{format_view_and_sun(planned_view.scene, planned_view.plan)}: "
-            f"{choice_label(planned_view.plan)}. {format_expectation(planned_view.plan)}"
+            f"{algorithms_label(planned_view.plan)}. {format_expectation(planned_view.plan)}"
         )
         for planned_view in casting
     ]
@@ -83,19 +83,19 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
     return f"Pinned into {path}: {pinned_views}."
 
 
-def choices_table(choices: Sequence[PlannedView]) -> Table:
+def choices_table(planned_views: Sequence[PlannedView]) -> Table:
     """Return the choices as a table: view, sun, choice, expected time and error, and whether it meets the target."""
-    table = named_table("view", "sun", "choice", box=box.SIMPLE_HEAD)
+    table = table_with_names("view", "sun", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
     table.add_column("target")
-    for choice in choices:
+    for choice in planned_views:
         sun = format_sun(choice.scene.sun).removeprefix("the sun ")
-        table.add_row(choice.plan.view, sun, *plan_cells(choice.plan))
+        table.add_row(choice.plan.view, sun, *plan_table_cells(choice.plan))
     return table
 
 
-def json_rows(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
+def json_rows(planned_views: Sequence[PlannedView]) -> list[dict[str, Any]]:
     """Return the choices as values for JSON: one object for each view, with its whole plan."""
     return [
         {
@@ -103,7 +103,7 @@ def json_rows(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
             "sun": None if (sun := choice.scene.sun) is None else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg},
             **plan_facts(choice.plan),
         }
-        for choice in choices
+        for choice in planned_views
     ]
 
 
@@ -111,7 +111,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     """Return the cells of a plan's table row as values for JSON, with the whole plan."""
     predicted = plan.predicted
     return {
-        "choice": choice_label(plan),
+        "choice": algorithms_label(plan),
         "ms": None if predicted is None else predicted.ms,
         "error": None if predicted is None else predicted.wrong_cast,
         "met": plan.target.met,
@@ -119,25 +119,25 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     }
 
 
-def plan_cells(plan: Plan) -> tuple[str, str, str, str]:
+def plan_table_cells(plan: Plan) -> tuple[str, str, str, str]:
     """Return the four cells of a plan's table row: choice, expected time, expected error, and whether it meets the target."""
     predicted = plan.predicted
     time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
-    met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(plan) else ""
-    return choice_label(plan), time, error, met
+    met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts_shadows(plan) else ""
+    return algorithms_label(plan), time, error, met
 
 
-def choice_label(plan: Plan) -> str:
+def algorithms_label(plan: Plan) -> str:
     """Return the algorithms of a plan and its requested map sizes, such as ``shadow_map 2048``."""
-    if not _casts(plan):
+    if not _casts_shadows(plan):
         return NO_SHADOWS
     map_sizes = [step.settings.as_overrides.get("map_size") for step in plan.steps if step.settings is not None]
     return " ".join([plan.algorithms_text, *(str(size) for size in dict.fromkeys(map_sizes) if size is not None)])
 
 
-def _casts(plan: Plan) -> bool:
+def _casts_shadows(plan: Plan) -> bool:
     return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 
-def _level(choice: PlannedView) -> Any:
-    return choice.scene.loaded.level
+def _level_spec(planned_view: PlannedView) -> Any:
+    return planned_view.scene.loaded.level

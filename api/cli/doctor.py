@@ -10,7 +10,7 @@ from importlib.resources import files
 
 from skugga.terrain.errors import NoOpenGLError, SkuggaError
 
-PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
+CHECKED_PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
 
 
 @dataclass(frozen=True)
@@ -36,24 +36,24 @@ def run_checks() -> list[Finding]:
     """Return the findings of all checks; never raises."""
     return [
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
-        *map(_package, PACKAGES),
-        _opengl(),
-        *_egl_devices(),
-        _calibration(),
+        *map(_check_package, CHECKED_PACKAGES),
+        _check_opengl(),
+        *_check_egl_devices(),
+        _check_calibration(),
         _render_test_map(),
-        _compiled_loops(),
-        _viewer(),
+        _check_compiled_loops(),
+        _check_viewer(),
     ]
 
 
-def _package(name: str) -> Finding:
+def _check_package(name: str) -> Finding:
     try:
         return Finding(name, True, version(name))
     except PackageNotFoundError:
         return Finding(name, False, f"not installed: pip install {name}")
 
 
-def _opengl() -> Finding:
+def _check_opengl() -> Finding:
     from skugga.terrain.gl.device import device
 
     try:
@@ -65,7 +65,7 @@ def _opengl() -> Finding:
     return Finding("OpenGL", True, f"{gl.renderer}, {gl.version}, textures up to {gl.max_size}")
 
 
-def _egl_devices() -> list[Finding]:
+def _check_egl_devices() -> list[Finding]:
     """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
     from skugga.terrain.gl.device import device
     from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probe_device
@@ -93,7 +93,7 @@ def _egl_devices() -> list[Finding]:
     return findings
 
 
-def _calibration() -> Finding:
+def _check_calibration() -> Finding:
     """Check the calibration, which predictions use. A missing one is no fault, because algorithms are chosen without it, too."""
     from skugga.selector.cost.device_profile import load_profile, missing_profile_reason
     from skugga.terrain.gl.device import device
@@ -130,7 +130,7 @@ def _render_test_map() -> Finding:
     return Finding("a shadowed map", 0.05 < share < 0.6, f"{100 * share:.0f} % in shadow")
 
 
-def _compiled_loops() -> Finding:
+def _check_compiled_loops() -> Finding:
     """Check the on-disk cache of compiled loops. Call it after ``_render_test_map``, which compiles some."""
     from skugga.terrain.compiling.loop_cache import loop_store
 
@@ -138,6 +138,6 @@ def _compiled_loops() -> Finding:
     return Finding("compiled loops", store.problem is None, store.problem or f"stored in {store.folder}")
 
 
-def _viewer() -> Finding:
+def _check_viewer() -> Finding:
     built = files("skugga.api").joinpath("static", "index.html").is_file()
     return Finding("viewer", built, "built" if built else "not built: make viewer (tiles are served without it)")

@@ -20,7 +20,7 @@ from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
-from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
 from skugga.selector.film import FilmFrame, FrameMoment, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
@@ -71,7 +71,7 @@ class FilmOptions:
     lossless: bool = False
 
     @property
-    def used_names(self) -> list[str]:
+    def used_option_names(self) -> list[str]:
         """Names of the options that were used."""
         values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
         return [*(name for name, value in values.items() if value is not None), *(["--lossless"] if self.lossless else [])]
@@ -149,15 +149,17 @@ def _check_costs(
         descriptor = describe(moment.scene(scene), moment.view, request.view_name)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
         subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
-        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=not isinstance(moment.view, MapView))
+        check_cost(
+            plan, subject, limit_or_service_limit_ms(max_ms), MAX_MS_OPTION, has_free_size=not isinstance(moment.view, MapView)
+        )
 
 
 class _FilmProgress:
     """Report the progress of a film, and collect statistics of its frames."""
 
-    def __init__(self, lines: ProgressLines, total: int) -> None:
-        self._lines, self._total, self._begin = lines, total, clock.perf_counter()
-        self._drawn = 0
+    def __init__(self, lines: ProgressLines, frame_count: int) -> None:
+        self._lines, self._frame_count, self._begin = lines, frame_count, clock.perf_counter()
+        self._drawn_count = 0
         self._last_estimate: tuple[float, float] | None = None
         self.statistics: dict[str, list[dict[str, Any]]] = {"frames": [], "switches": []}
 
@@ -170,23 +172,24 @@ class _FilmProgress:
                 self._lines.print_line(printable(f"{moment.label}: {switch.after} instead of {switch.before}: {switch.reason}"))
             if not self._lines.is_terminal:
                 typer.echo(
-                    f"[{moment.number + 1}/{self._total}] {moment.label}: {frame.plan.algorithms_text}, {drawn_s:.2f} s", err=True
+                    f"[{moment.number + 1}/{self._frame_count}] {moment.label}: {frame.plan.algorithms_text}, {drawn_s:.2f} s",
+                    err=True,
                 )
             self._record_statistics(frame, drawn_s)
-            self._drawn += 1
+            self._drawn_count += 1
             yield frame.color
-            self._lines.advance(moment.number + 1, self._total)
+            self._lines.advance(moment.number + 1, self._frame_count)
             begin = clock.perf_counter()
 
-    def report_estimate(self, frames_written: int, size: int) -> None:
+    def report_estimate(self, frames_written: int, file_bytes: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
         The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
         """
-        if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._total or size == 0:
+        if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._frame_count or file_bytes == 0:
             return
-        frame_s = (clock.perf_counter() - self._begin) / self._drawn
-        expected = size * self._total / frames_written, frame_s * self._total
+        frame_s = (clock.perf_counter() - self._begin) / self._drawn_count
+        expected = file_bytes * self._frame_count / frames_written, frame_s * self._frame_count
         change = max(
             (
                 max(current / previous, previous / current)
@@ -196,8 +199,8 @@ class _FilmProgress:
         )
         if change > NEW_ESTIMATE_RATIO:
             self._last_estimate = expected
-            remaining = _format_seconds(frame_s * (self._total - self._drawn))
-            self._lines.print_line(f"{self._total} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
+            remaining = _format_seconds(frame_s * (self._frame_count - self._drawn_count))
+            self._lines.print_line(f"{self._frame_count} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
 
     def _record_statistics(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment
@@ -215,12 +218,12 @@ class _FilmProgress:
             self.statistics["switches"].append(record)
 
 
-def _format_bytes(count: float) -> str:
+def _format_bytes(byte_count: float) -> str:
     """Return a number of bytes as text with two significant digits."""
     for unit, bytes_of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= bytes_of:
-            return f"{float(f'{count / bytes_of:.2g}'):g} {unit}"
-    return f"{count:.0f} bytes"
+        if byte_count >= bytes_of:
+            return f"{float(f'{byte_count / bytes_of:.2g}'):g} {unit}"
+    return f"{byte_count:.0f} bytes"
 
 
 def _format_seconds(seconds: float) -> str:

@@ -18,7 +18,7 @@ from skugga.terrain.level.rasters import is_level_raster
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.viewpoint import find_viewpoint
 
-FIRST_VIEW = "view"
+FIRST_VIEW_NAME = "view"
 """Name of the suggested perspective view."""
 
 
@@ -39,7 +39,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     check_output_files(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
-        print_warnings(scene, with_objects=False)
+        print_warnings(scene, includes_objects=False)
         view = find_viewpoint(scene.world, scene.elevation, scene.sun)
         write_atomically(path, level_text(scene, source, view, path.resolve().parent))
     finally:
@@ -62,7 +62,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
         eye, target = (", ".join(f"{value:.10g}" for value in place) for place in (view.eye, view.target))
         views += [
             f"  # Positions: {positions}, metres above the ground.",
-            f"  {FIRST_VIEW}: {{kind: perspective, eye: [{eye}], target: [{target}], fov: {view.fov:g}}}",
+            f"  {FIRST_VIEW_NAME}: {{kind: perspective, eye: [{eye}], target: [{target}], fov: {view.fov:g}}}",
         ]
     forest = [f"  - source: {_quoted_path(folder, source.canopy)}"] if source.canopy else None
     meshes = [f"  - source: {_quoted_path(folder, source.buildings)}"] if source.buildings else None
@@ -117,9 +117,9 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     )
 
 
-def _key_lines(name: str, lines: list[str] | None, example: list[str]) -> list[str]:
+def _key_lines(name: str, lines: list[str] | None, example_lines: list[str]) -> list[str]:
     """Return the lines of one key of the level file; without ``lines``, return a commented example of the key."""
-    return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example)]
+    return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example_lines)]
 
 
 def _quoted_path(folder: Path, file: Path) -> str:

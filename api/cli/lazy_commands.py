@@ -58,21 +58,21 @@ COMMANDS: dict[str, tuple[str, str]] = {
 class LazyCommand(TyperCommand):
     """A command with a name and a help text. It imports its function when its options are needed first."""
 
-    def __init__(self, name: str, function: str, summary: str) -> None:
+    def __init__(self, name: str, function_path: str, summary: str) -> None:
         super().__init__(name, help=summary, rich_markup_mode=None)
-        self._function = function
+        self._function_path = function_path
 
     @cached_property
-    def loaded(self) -> Any:
+    def loaded_command(self) -> Any:
         """The imported command with its options."""
-        module, _, function = self._function.partition(":")
+        module, _, function = self._function_path.partition(":")
         single_command_app = typer.Typer(add_completion=False, rich_markup_mode=None)
         single_command_app.command(self.name)(getattr(import_module(f"skugga.api.cli.commands.{module}"), function))
         return typer.main.get_command(single_command_app)
 
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Parse arguments into a context whose command is the imported one. That command then runs, prints help and completes."""
-        return self.loaded.make_context(*args, **options)
+        return self.loaded_command.make_context(*args, **options)
 
 
 class CommandGroup(TyperGroup):

@@ -17,13 +17,13 @@ from skugga.terrain.errors import InputError, Problem
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
 
-_LEVEL = Annotated[
+_LEVEL_ARGUMENT = Annotated[
     str,
     typer.Argument(
         metavar="LEVEL", help="Name of a bundled level, a level file, or a raster of heights.", autocompletion=complete_level
     ),
 ]
-_LEVELS = Annotated[
+_LEVELS_ARGUMENT = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[LEVEL]...",
@@ -50,10 +50,10 @@ PositiveOption = Annotated[
     ),
 ]
 
-NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
+LEVEL_NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
 """Level names on the command line: no character that is special in a URL."""
 
-_OPTIONS: dict[str, Any] = {
+_RASTER_OPTIONS: dict[str, Any] = {
     "canopy": Annotated[
         Path | None, typer.Option(metavar="FILE", help="Trees on a raster: a raster of canopy heights, or points.")
     ],
@@ -73,14 +73,18 @@ def with_level_argument(function: Callable[..., None]) -> Callable[..., None]:
     # The annotation of the first parameter is replaced, so its type need not be imported.
     signature = inspect.signature(function, eval_str=True, locals={"LevelSource": Any})
     first, *other_parameters = signature.parameters.values()
-    level_parameter = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
+    level_parameter = (
+        first.replace(annotation=_LEVEL_ARGUMENT)
+        if first.name == "level"
+        else first.replace(annotation=_LEVELS_ARGUMENT, default=None)
+    )
     options = [
         inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
-        for name, annotation in _OPTIONS.items()
+        for name, annotation in _RASTER_OPTIONS.items()
     ]
 
     def command(**arguments: Any) -> None:
-        raster_options = {name: arguments.pop(name) for name in _OPTIONS}
+        raster_options = {name: arguments.pop(name) for name in _RASTER_OPTIONS}
         level_arguments = arguments.pop(first.name)
         sources = (
             _level_source(level_arguments, raster_options)
@@ -108,7 +112,7 @@ def _named_level_source(text: str, raster_options: dict[str, Any]) -> LevelSourc
     name, equals, file = text.partition("=")
     if not equals or Path(text).exists():
         return _level_source(text, raster_options)
-    if not re.fullmatch(NAME_PATTERN, name):
+    if not re.fullmatch(LEVEL_NAME_PATTERN, name):
         raise InputError(
             "LEVEL", text, "NAME=FILE with a NAME of letters, digits, '.', '_' and '-' that begins with a letter or a digit"
         )

@@ -68,7 +68,7 @@ def main() -> None:
         if debug:
             raise
         status = _print_error(
-            str(error), exit_status(error), one_per_line=isinstance(error, InputError) and bool(error.further_errors)
+            str(error), exit_status(error), has_several_errors=isinstance(error, InputError) and bool(error.further_errors)
         )
     except OSError as error:
         if debug:
@@ -98,13 +98,13 @@ def _compile_products(products: Sequence[str]) -> None:
 def _signals_as_exceptions() -> Iterator[None]:
     """Turn signals that end the process into an exception, so that cleanup removes partial files."""
 
-    def end(number: int, _: object) -> None:
-        signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the cleanup
-        sys.exit(128 + number)
+    def raise_exit(signal_number: int, _: object) -> None:
+        signal.signal(signal_number, signal.SIG_IGN)  # a second signal must not interrupt the cleanup
+        sys.exit(128 + signal_number)
 
     numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
     for number in numbers:
-        signal.signal(number, end)
+        signal.signal(number, raise_exit)
     try:
         yield
     finally:
@@ -112,8 +112,8 @@ def _signals_as_exceptions() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _print_error(message: str, status: int, one_per_line: bool = False) -> int:
-    """Print an error as one line, or as one line for each of ``one_per_line`` errors; return the exit status."""
-    for line in message.split("\n") if one_per_line else [message]:
+def _print_error(message: str, status: int, has_several_errors: bool = False) -> int:
+    """Print an error as one line, or as one line per error if ``has_several_errors`` is true; return the exit status."""
+    for line in message.split("\n") if has_several_errors else [message]:
         typer.echo(printable(f"skugga: {' '.join(with_option_names(line).split())}"), err=True)
     return status

@@ -14,9 +14,12 @@ from skugga.terrain.level.level import Shadows, parse_algorithm
 from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 
-def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator for a command that takes ``**declared_options``: it adds shadow settings as options after ``after``."""
-    return with_shadow_settings(command, _option, after)
+def with_shadow_options(command: FrontEnd, after_parameter: str = "crs") -> Callable[[FunctionT], FunctionT]:
+    """Return a decorator that replaces ``**declared_options`` of a command by shadow settings as options.
+
+    They come after the parameter named ``after_parameter``.
+    """
+    return with_shadow_settings(command, _shadow_option, after_parameter)
 
 
 def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[str, Any]:
@@ -33,7 +36,7 @@ def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[st
     return overrides
 
 
-def _option(setting: Setting) -> Any:
+def _shadow_option(setting: Setting) -> Any:
     help_text = setting.description.replace("`", "")
     if setting.allowed:
         help_text = f"{help_text.removesuffix('.')} ({setting.allowed})."

@@ -13,7 +13,7 @@ from typing import Any, cast, get_args
 from skugga.api.cli.snapshot import scene_and_view
 from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration_for
-from skugga.api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
+from skugga.api.report.plan_text import POLICY_PHRASES, format_choices, format_expectation, format_heading, format_view_and_sun
 from skugga.selector.choices import PolicyName
 from skugga.selector.pin import PIN_COMMENT, default_values, pin, pinned_keys, pins
 from skugga.selector.planner.planner import make_plan as choose_by_rules
@@ -80,45 +80,45 @@ def plan_level_view(
 
 
 def plan_scene_view(
-    path: Path,
+    level_path: Path,
     scene: Scene,
-    view_value: MapView | PerspectiveView,
-    view: str,
+    view: MapView | PerspectiveView,
+    view_name: str,
     policy: str,
     overrides: dict[str, Any],
     budget: str | None = None,
 ) -> PlannedView:
-    """Plan a view of a scene whose level file is ``path``. Raises ``SkuggaError``."""
+    """Plan a view of a scene whose level file is ``level_path``. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     if budget is not None and policy != "probe":
         raise InputError.conflict("--budget", f"--policy {policy}", "Use --policy probe, whose time it limits")
     budget_s = None if budget is None else read_duration("--budget", budget).total_seconds()
     device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=True) if policy != "rules" else None
-    plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
-    return PlannedView(path, scene, view_value, plan)
+    plan = plan_of_view(scene, view, view_name, overrides, cast(PolicyName, policy), device, budget_s)
+    return PlannedView(level_path, scene, view, plan)
 
 
-def pin_plan(choice: PlannedView) -> str:
+def pin_plan(planned_view: PlannedView) -> str:
     """Write the choice for a view into the level file, and return a message that says what was written and where.
 
     Raises ``LevelError`` if the file cannot be written, ``UnsupportedError`` if another view of the level does not support the
     choice, ``InputError`` if the view has no shadow caster.
     """
-    scene, plan = choice.scene, choice.plan
+    scene, plan = planned_view.scene, planned_view.plan
     level = scene.loaded.level
-    new_pins = pins(plan, describe(scene, choice.view, plan.view), level)
+    new_pins = pins(plan, describe(scene, planned_view.view, plan.view), level)
     pinned_scene = with_shadow_settings(scene, new_pins)
     for name in level.views:
         _check_supported(pinned_scene, name, plan)
-    pin(choice.path, new_pins, _pin_comment(choice))
+    pin(planned_view.path, new_pins, _pin_comment(planned_view))
     settings = "".join(f", {key} {value}" for key, value in new_pins.items() if key != "algorithm")
-    return f"Pinned into {choice.path}: algorithm {plan.algorithms_text}{settings}."
+    return f"Pinned into {planned_view.path}: algorithm {plan.algorithms_text}{settings}."
 
 
-def write_descriptor(choice: PlannedView, path: Path) -> None:
+def write_descriptor(planned_view: PlannedView, path: Path) -> None:
     """Write the descriptor of a view, which is the input of the choice, as JSON."""
-    descriptor = describe(choice.scene, choice.view, choice.plan.view)
+    descriptor = describe(planned_view.scene, planned_view.view, planned_view.plan.view)
     write_atomically(path, descriptor.model_dump_json(indent=2) + "\n")
 
 
@@ -143,15 +143,15 @@ def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
         raise UnsupportedError("--write", plan.algorithms_text, reason) from None
 
 
-def _pin_comment(choice: PlannedView) -> list[str]:
+def _pin_comment(planned_view: PlannedView) -> list[str]:
     """Return the comment lines that stand above a pinned choice in the level file.
 
     The first line begins with ``PIN_COMMENT``, by which a later run finds the pinned settings.
     """
-    plan = choice.plan
+    plan = planned_view.plan
     return [
-        f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",
-        f"{format_view_and_sun(choice.scene, plan)}.",
+        f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICY_PHRASES[plan.policy]}.",
+        f"{format_view_and_sun(planned_view.scene, plan)}.",
         *format_choices(plan),
         format_expectation(plan),
     ]

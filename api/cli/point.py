@@ -18,11 +18,11 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
-from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
+from skugga.api.point.horizon_formats import HORIZON_FORMATS, azimuths_of_format, horizon_file
 from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import point_report, point_surroundings, requested_clock, requested_day
 from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrival_times
-from skugga.api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
+from skugga.api.point.values import PointQuery, PointReport, PointRow, ReportedCaster, TrackPoint
 from skugga.shadows.point.horizon import Surroundings, horizon_profile
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.compiling.ahead_of_time import POINTS
@@ -37,7 +37,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
 
-_LIT, _DARK, _NIGHT = "lit", "in shadow", "night"
+_LIT_TEXT, _DARK_TEXT, _NIGHT_TEXT = "lit", "in shadow", "night"
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
     check_output_files(level, [("--output", options.output), ("--picture", options.picture)])
-    query, crs = _point_query(options, *_read_pair(options.at or "")), _read_crs(options.crs)
+    query, crs = _point_query(options, *_read_coordinate_pair(options.at or "")), _read_crs(options.crs)
     declare_product(POINTS)
     loaded = load_level(level)
     scene = build_scene(loaded).with_sun(options.sun)
@@ -132,12 +132,12 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         typer.echo(report.model_dump_json(indent=2))
     else:
         has_chosen_sun = options.sun is not None or (options.date is None and loaded.level.sun is not None)
-        _print_report(report, with_now=has_chosen_sun)
+        _print_report(report, has_requested_time=has_chosen_sun)
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
     """Print the sun at the points of a file. Raises the errors of ``report_point``."""
-    _report_many(level, read_points(file, options.height), options)
+    _report_track_points(level, read_points(file, options.height), options)
 
 
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
@@ -148,10 +148,10 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
     points = read_track(file, every_m, options.height)
     if start is not None:
         points = with_arrival_times(points, read_time("--start", start), speed_kmh)
-    _report_many(level, points, options)
+    _report_track_points(level, points, options)
 
 
-def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
+def _report_track_points(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
     if not points:
         raise InputError("--points", Problem("the file has no points"), "Give at least one point")
     declare_product(POINTS)
@@ -159,7 +159,7 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
     print_warnings(scene)
     try:
         has_times = points[0].time is not None
-        rows = sun_at_points(scene, points, _point_query(options, 0.0, 0.0), hours=not has_times)
+        rows = sun_at_points(scene, points, _point_query(options, 0.0, 0.0), includes_hours=not has_times)
     finally:
         scene.close()
     if options.as_json:
@@ -179,7 +179,7 @@ def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:
         raise InputError(f"--{detail['loc'][0]}", detail.get("input"), allowed_phrase(detail)) from None
 
 
-def _read_pair(text: str) -> tuple[float, float]:
+def _read_coordinate_pair(text: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -197,7 +197,7 @@ def _read_crs(text: str | None) -> CRS | None:
 
 
 def _horizon_text(surroundings: Surroundings, format: str) -> str:
-    return horizon_file(format, horizon_profile(surroundings, directions_for(format)), surroundings.place)
+    return horizon_file(format, horizon_profile(surroundings, azimuths_of_format(format)), surroundings.place)
 
 
 def _sky_picture_file(surroundings: Surroundings, query: PointQuery, file: Path) -> bytes:
@@ -209,8 +209,8 @@ def _sky_picture_file(surroundings: Surroundings, query: PointQuery, file: Path)
     return sky_picture(surroundings, horizon_profile(surroundings), day, clock, format, title)
 
 
-def _print_report(report: PointReport, with_now: bool) -> None:
-    """Print the report as tables; ``with_now`` includes the sun at the chosen time."""
+def _print_report(report: PointReport, has_requested_time: bool) -> None:
+    """Print the report as tables, with the sun at the requested time if ``has_requested_time`` is true."""
     from rich.table import Table
 
     console = wide_console()
@@ -218,7 +218,7 @@ def _print_report(report: PointReport, with_now: bool) -> None:
     height_text = f", {report.height_m:g} m above it" if report.height_m else ""
     assert report.elevation_m is not None  # a point outside the data raises an error before
     console.print(f"{report.level}: {position_text}ground {report.elevation_m:.1f} m{height_text}")
-    if report.now is not None and with_now:
+    if report.now is not None and has_requested_time:
         time_text = "under the level's default sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
         console.print(f"{time_text}{_format_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
@@ -260,7 +260,7 @@ def _print_report(report: PointReport, with_now: bool) -> None:
         console.print(report.remark)
 
 
-def _print_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
+def _print_rows(points: list[TrackPoint], rows: list[PointRow]) -> None:
     from rich.table import Table
 
     table = Table("longitude", "latitude", "time", "ground, m", "sun", "direct sun, h", box=None)
@@ -273,10 +273,10 @@ def _print_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
     wide_console().print(table)
 
 
-def _format_state(lit: bool, altitude: float, occluder: ReportedCaster | None) -> str:
-    if altitude <= 0.0:
-        return _NIGHT
-    return _LIT if lit else f"{_DARK}, {_format_caster(occluder)}"
+def _format_state(is_lit: bool, altitude_deg: float, occluder: ReportedCaster | None) -> str:
+    if altitude_deg <= 0.0:
+        return _NIGHT_TEXT
+    return _LIT_TEXT if is_lit else f"{_DARK_TEXT}, {_format_caster(occluder)}"
 
 
 def _format_caster(caster: ReportedCaster | None) -> str:

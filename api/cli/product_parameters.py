@@ -14,10 +14,13 @@ from skugga.api.signature_parameters import FunctionT, with_parameters
 from skugga.terrain.errors import InputError, Problem
 
 
-def with_product_options(products: Sequence[str], after: str) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator for a command that takes ``**declared_options``: it adds the options of ``products`` after ``after``."""
+def with_product_options(products: Sequence[str], after_parameter: str) -> Callable[[FunctionT], FunctionT]:
+    """Return a decorator that replaces ``**declared_options`` of a command by the options of ``products``.
+
+    They come after the parameter named ``after_parameter``.
+    """
     names = dict.fromkeys(name for product in products for name in PRODUCTS[product].options.model_fields)
-    return with_parameters([(name, _product_option(name, products)) for name in names], after)
+    return with_parameters([(name, _product_option(name, products)) for name in names], after_parameter)
 
 
 def split_product_options(product: Product, declared_options: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
@@ -29,16 +32,16 @@ def split_product_options(product: Product, declared_options: dict[str, Any]) ->
             owners = " or ".join(
                 other_product.name for other_product in PRODUCTS.values() if name in other_product.options.model_fields
             )
-            raise InputError(_flag(name), Problem(f"is an option of {owners}, not of {product.name}"), "Leave it out")
+            raise InputError(_option_flag(name), Problem(f"is an option of {owners}, not of {product.name}"), "Leave it out")
     own_values = {name: value for name, value in declared_options.items() if name in fields and value is not None}
     try:
         options = product.options_of(own_values)
     except InputError as error:
-        raise error.renamed(_flag(error.name)) from None
+        raise error.renamed(_option_flag(error.name)) from None
     return options, {name: value for name, value in declared_options.items() if name not in fields and name not in foreign_names}
 
 
-def _flag(name: str) -> str:
+def _option_flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
@@ -52,5 +55,5 @@ def _product_option(name: str, products: Sequence[str]) -> Any:
     help_text = f"{', '.join(owners)}: {(field.description or '').replace('`', '')}"
     words = [word for word in get_args(field.annotation) if isinstance(word, str)]
     return Annotated[
-        value_type | None, typer.Option(_flag(name), help=help_text, metavar=metavar, autocompletion=complete_words(words))
+        value_type | None, typer.Option(_option_flag(name), help=help_text, metavar=metavar, autocompletion=complete_words(words))
     ]

@@ -20,22 +20,22 @@ AdvanceCallback = Callable[[int, int], None]
 
 
 @contextmanager
-def spinner(task: str) -> Iterator[None]:
+def spinner(title: str) -> Iterator[None]:
     """Show a spinner on a terminal during work of unknown progress."""
     if not sys.stderr.isatty():
         yield
         return
     from rich.console import Console
 
-    with Console(stderr=True).status(task):
+    with Console(stderr=True).status(title):
         yield
 
 
 class ProgressBar:
     """A progress bar on a terminal for four or more blocks; silent elsewhere. ``with`` returns the callback for finished blocks."""
 
-    def __init__(self, task: str) -> None:
-        self._title = task
+    def __init__(self, title: str) -> None:
+        self._title = title
         self._bar: tuple[Progress, TaskID] | None = None
 
     def __enter__(self) -> AdvanceCallback:
@@ -61,8 +61,8 @@ class ProgressBar:
 class ProgressLines:
     """Lines on standard error, and on a terminal a progress bar below them as soon as one unit is done. A context manager."""
 
-    def __init__(self, task: str) -> None:
-        self._task = task
+    def __init__(self, title: str) -> None:
+        self._title = title
         self._bar: tuple[Progress, TaskID] | None = None
 
     @cached_property
@@ -102,7 +102,7 @@ class ProgressLines:
         if self._bar is None:
             from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-            columns = TextColumn(self._task), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+            columns = TextColumn(self._title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
             progress = Progress(*columns, console=self._console, transient=True)
             self._bar = progress, progress.add_task("", total=total)
             progress.start()

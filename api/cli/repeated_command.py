@@ -7,12 +7,12 @@ import shlex
 import typer
 
 
-def command_line_without(context: typer.Context, *omitted: str) -> str:
-    """Return the running command line as shell text, without the options ``omitted`` (parameter names)."""
+def command_line_without(context: typer.Context, *omitted_parameters: str) -> str:
+    """Return the running command line as shell text, without the options ``omitted_parameters`` (parameter names)."""
     words = ["skugga", context.info_name or ""]
     for parameter in context.command.params:
         name, value = parameter.name or "", context.params.get(parameter.name or "")
-        if name in omitted or value is None or value is False or value == parameter.default:
+        if name in omitted_parameters or value is None or value is False or value == parameter.default:
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":

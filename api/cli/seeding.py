@@ -16,7 +16,7 @@ from rich.console import Console
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.product_parameters import split_product_options
 from skugga.api.cli.progress import ProgressLines
-from skugga.api.cli.tables import named_table
+from skugga.api.cli.tables import table_with_names
 from skugga.api.cli.times import TIME_PLACEHOLDER, paths_by_time, sun_from_options, suns_from_options
 from skugga.api.matrices import ZoomRange
 from skugga.api.products import product_named
@@ -31,7 +31,7 @@ from skugga.api.seed.running import TaskCompletion
 from skugga.api.seed.seeding import SeedResult, draw_and_publish, requeue_lost_shards
 from skugga.api.seed.storage import ShardStore, open_store
 from skugga.api.seed.task_table import TaskTable
-from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES
 from skugga.selector.formatting import format_duration
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError
@@ -42,8 +42,8 @@ from skugga.terrain.level.level_source import LevelSource
 if TYPE_CHECKING:
     from skugga.api.seed.dask_cluster import DaskCluster
 
-TABLE_NAME = "tasks.sqlite"
-LOG_NAME = "log.jsonl"
+TASK_TABLE_FILE_NAME = "tasks.sqlite"
+LOG_FILE_NAME = "log.jsonl"
 
 ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
 """Assumed bytes of a PNG tile full of data, by layer, until tiles are measured. ``color`` was measured (docs/scale.md)."""
@@ -92,13 +92,13 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
     level = level.model_copy(update={"path": level.path.resolve()})
     layer_options, overrides = split_product_options(product_named(options.layer), declared_options)
     product_request = ProductRequest(product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides))
-    request = SeedRequest(level, _zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
+    request = SeedRequest(level, _parse_zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
     work = options.work or options.output.with_name(options.output.name.replace(TIME_PLACEHOLDER, "times") + ".seed")
     store_address = options.shards or str(work.resolve() / "shards")
     store = open_store(store_address)
     if options.scheduler is not None and options.workers is not None:
         raise InputError.conflict("--workers", "--scheduler", "Leave out --workers: the cluster has its own")
-    with TaskTable(work / TABLE_NAME) as table, _RunProgress(work / LOG_NAME, options.as_json) as progress:
+    with TaskTable(work / TASK_TABLE_FILE_NAME) as table, _RunProgress(work / LOG_FILE_NAME, options.as_json) as progress:
         workers = _Workers(options)
         if table.get("spec") is None and not options.dry_run:
             workers.warm_up()  # in parallel with the planning of a new run, which has tasks
@@ -114,7 +114,7 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
             )  # fmt: skip
         finally:
             workers.close()
-        progress.end(result, table)
+        progress.report_end(result, table)
 
 
 class _Workers:
@@ -148,7 +148,7 @@ class _Workers:
             self._idle_workers.close()
 
 
-def _zooms(text: str | None) -> ZoomRange | None:
+def _parse_zooms(text: str | None) -> ZoomRange | None:
     if text is None:
         return None
     match = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
@@ -163,7 +163,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     measured_costs = table.measured_costs()
     rows: list[dict[str, Any]] = []
     for sun, zoom, reason, count, full_tasks, seconds in table.waiting_totals():
-        assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
+        assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_SIDE_TILES**2)
         full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
             "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1),
@@ -175,7 +175,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     if options.as_json:
         typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
         return
-    text_table = named_table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
+    text_table = table_with_names("sun", "zoom", "why", box=box.SIMPLE_HEAD)
     for name in ("tasks", "worker time", "bytes"):
         text_table.add_column(name, justify="right")
     for row in rows:
@@ -193,19 +193,19 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
     )
 
 
-def _format_bytes(count: float) -> str:
+def _format_bytes(byte_count: float) -> str:
     for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000.0:
-            return f"{count:.3g} {unit}"
-        count /= 1000.0
-    return f"{count:.3g} TB"
+        if byte_count < 1000.0:
+            return f"{byte_count:.3g} {unit}"
+        byte_count /= 1000.0
+    return f"{byte_count:.3g} TB"
 
 
 class _RunProgress:
     """Progress of a seeding run: a line for each task, with a bar on a terminal. A log file gets the same as JSON lines."""
 
-    def __init__(self, log: Path, quiet: bool) -> None:
-        self._log, self._quiet = log, quiet
+    def __init__(self, log_path: Path, is_quiet: bool) -> None:
+        self._log_path, self._is_quiet = log_path, is_quiet
         self._lines = ProgressLines("Drawing")
         self._file: IO[str] | None = None
 
@@ -229,40 +229,41 @@ class _RunProgress:
         record: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
         if isinstance(outcome, TaskResult):
             record |= {
-                "seconds": round(outcome.seconds, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
+                "seconds": round(outcome.duration_s, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
                 "peak_bytes": outcome.peak_bytes, "worker": outcome.worker,
             }  # fmt: skip
-            text = f"{outcome.seconds:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
+            text = f"{outcome.duration_s:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
         else:
             record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
-        record |= {"done": completion.done, "total": completion.total}
-        self._write(record)
-        self._print_line(f"[{completion.done}/{completion.total}] {block_label}: {text}", completion)
+        record |= {"done": completion.done_count, "total": completion.total_count}
+        self._write_record(record)
+        self._print_line(f"[{completion.done_count}/{completion.total_count}] {block_label}: {text}", completion)
 
-    def end(self, seeded: SeedResult, table: TaskTable) -> None:
+    def report_end(self, seed_result: SeedResult, table: TaskTable) -> None:
         """Report the end of the run."""
         counts = table.counts()
         record = {
-            "drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written],
-            "drawing_s": round(seeded.drawing_s, 3), "publishing_s": round(seeded.publishing_s, 3),
+            "drawn": seed_result.drawn_count, "tasks": sum(counts.values()),
+            "written": [str(path) for path in seed_result.written_paths],
+            "drawing_s": round(seed_result.drawing_s, 3), "publishing_s": round(seed_result.publishing_s, 3),
         }  # fmt: skip
-        self._write(record)
-        if self._quiet:
+        self._write_record(record)
+        if self._is_quiet:
             typer.echo(json.dumps(record, indent=2))
             return
-        for path in seeded.written:
+        for path in seed_result.written_paths:
             typer.echo(f"Wrote {path}.")
-        if not seeded.written:
+        if not seed_result.written_paths:
             typer.echo(f"Nothing to do: all {record['tasks']} tasks are done, and the output is up to date.")
 
-    def _write(self, record: dict[str, Any]) -> None:
+    def _write_record(self, record: dict[str, Any]) -> None:
         if self._file is None:
-            self._file = self._log.open("a", encoding="utf-8")
+            self._file = self._log_path.open("a", encoding="utf-8")
         self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
     def _print_line(self, text: str, completion: TaskCompletion) -> None:
-        if not self._quiet:
+        if not self._is_quiet:
             self._lines.print_line(text)
-            self._lines.advance(completion.done, completion.total)
+            self._lines.advance(completion.done_count, completion.total_count)

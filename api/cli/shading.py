@@ -10,8 +10,8 @@ from typing import Any
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.times import paths_by_time
 from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
-from skugga.api.compute import OnBlock, write_rasters
-from skugga.api.products.visibility import VISIBILITY
+from skugga.api.compute import ProgressCallback, write_rasters
+from skugga.api.products.visibility import NEEDS_VISIBILITY
 from skugga.api.raster_file import RasterCells
 from skugga.api.raster_view import Bounds, raster_view
 from skugga.api.request import ProductRequest
@@ -25,7 +25,7 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
-SUFFIXES = ".tif", ".tiff"
+GEOTIFF_SUFFIXES = ".tif", ".tiff"
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def write_product(
     requests: Sequence[ProductRequest],
     output_grid: OutputGrid,
     overrides: dict[str, Any],
-    on_step: OnBlock | None = None,
+    on_step: ProgressCallback | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
     """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``."""
@@ -70,7 +70,7 @@ def write_product(
     contour_targets = [] if contours is None else [("--contours", contours[0])]
     like = output_grid.like if isinstance(output_grid.like, Path) else None
     check_output_files(level, [*(("--output", path) for path in paths), *contour_targets], like)
-    declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
+    declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == NEEDS_VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
     if not is_terrain_only(scene) and product.when != "days":
         declare_product(MAPS_OF_CASTERS)
@@ -90,7 +90,7 @@ def write_product(
         scene.close()
 
 
-def sun_and_grid_of_item(
+def sun_and_grid_of_stac_item(
     stac: Path, suns: Sequence[SunSpec | None], like: Path | None, uses_item_grid: bool
 ) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
     """Return the sun of a STAC item, as a sequence of one, and the grid of the output (``None`` for the level's own).
@@ -108,8 +108,8 @@ def sun_and_grid_of_item(
 
 def output_paths(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     """Return the output path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
-    if output.suffix.lower() not in SUFFIXES:
-        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
+    if output.suffix.lower() not in GEOTIFF_SUFFIXES:
+        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(GEOTIFF_SUFFIXES)}")
     if not output.parent.is_dir():
         raise FileNotFoundError(2, "folder not found", str(output))
     return paths_by_time(output, suns)

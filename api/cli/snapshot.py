@@ -10,7 +10,7 @@ from typing import Any
 from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.compute import ComputedProduct, compute, plan_for
 from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, as_picture, encode_exactly
-from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
 from skugga.api.request import ProductRequest
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.plan import Plan
@@ -84,11 +84,11 @@ def snapshot(
     if request.sun is None and request.product_record.when == "sun":
         print_default_sun(scene)
     scene = scene.with_style(*style_overrides)
-    plan = plan_for(scene, view_value, view, request.product_record, overrides, limits_time=max_ms is not None)
+    plan = plan_for(scene, view_value, view, request.product_record, overrides, has_time_limit=max_ms is not None)
     if plan is not None:
         is_map = isinstance(view_value, MapView)
         subject = "a block of the map" if is_map else "the view"
-        check_cost(plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=not is_map)
+        check_cost(plan, subject, limit_or_service_limit_ms(max_ms), MAX_MS_OPTION, has_free_size=not is_map)
     return Snapshot(scene, view_value, plan, compute(scene, view_value, request, plan, light, on_block))
 
 
@@ -125,7 +125,7 @@ def check_seconds(seconds: float | None) -> None:
         raise InputError("--seconds", seconds, f"{-MAX_CLOCK_S:g} to {MAX_CLOCK_S:g} seconds")
 
 
-def statistics(result: Snapshot) -> dict[str, Any]:
+def snapshot_statistics(result: Snapshot) -> dict[str, Any]:
     """Return the content of ``--stats``: plan, passes with milliseconds, caster reach, sun, view and device."""
     from skugga.terrain.gl import device as gl
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-FILE_COLUMNS = 200
+FILE_WIDTH_CHARACTERS = 200
 """Width of tables in files and pipes, characters."""
 
 
@@ -13,10 +13,10 @@ def wide_console() -> Any:
     """Return a console as wide as the terminal, or wide enough for a table if the output is a file or a pipe."""
     from rich.console import Console
 
-    return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
+    return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_WIDTH_CHARACTERS)
 
 
-def named_table(first_column: str, *other_columns: str, **style: Any) -> Any:
+def table_with_names(first_column: str, *other_columns: str, **style: Any) -> Any:
     """Return an empty table whose first column is never truncated, because users type its names."""
     from rich.table import Table
 

@@ -60,10 +60,10 @@ def suns_from_options(
     return [SunSpec(time=first + n * every) for n in range(count)]
 
 
-def time_for_file_name(sun: SunSpec | None, number: int) -> str:
+def time_for_file_name(sun: SunSpec | None, sun_number: int) -> str:
     """Return the time of a sun for a file name, in UTC such as 20240321T090000Z; its number if it has no time."""
     if sun is None or sun.time is None:
-        return str(number)
+        return str(sun_number)
     return sun.time.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 

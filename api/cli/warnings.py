@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from skugga.api.raster_view import RasterView
 
 
-def print_warnings(scene: Scene, with_objects: bool = True) -> None:
-    """Print each warning about the ground as a line. ``with_objects`` also reads the files of objects and prints their warnings."""
-    on_objects = scene.objects.warnings if with_objects else ()
+def print_warnings(scene: Scene, includes_objects: bool = True) -> None:
+    """Print each warning about the ground as a line.
+
+    If ``includes_objects`` is true, also read the files of objects and print their warnings.
+    """
+    on_objects = scene.objects.warnings if includes_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
         typer.echo(printable(f"skugga: warning: {with_option_names(text)}"), err=True)
 

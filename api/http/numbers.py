@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-NOT_FINITE = "nan", "inf", "infinity"
+NON_FINITE_WORDS = "nan", "inf", "infinity"
 
 _INTEGER = re.compile("-?[0-9]{1,20}")
 _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,4})?")
@@ -27,7 +27,7 @@ def _check_integer(value: Any) -> Any:
 def _check_decimal(value: Any) -> Any:
     if not isinstance(value, str):
         return value
-    if value.strip().lstrip("+-").lower() in NOT_FINITE:  # before pydantic reports bounds
+    if value.strip().lstrip("+-").lower() in NON_FINITE_WORDS:  # before pydantic reports bounds
         raise PydanticCustomError("finite_number", "Input should be a finite number")
     if not _DECIMAL.fullmatch(value.strip()):
         raise PydanticCustomError("float_parsing", "Input should be a number")

@@ -9,23 +9,23 @@ from typing import Annotated, Any
 from fastapi import Path
 
 from skugga.api.http.numbers import PLAIN_INTEGER
-from skugga.api.http.problems import MEDIA_TYPE, Problem, problem_kinds
+from skugga.api.http.problems import PROBLEM_MEDIA_TYPE, Problem, problem_kinds
 
 ResponseDocs = dict[int | str, dict[str, Any]]
 """Documented responses by HTTP status, for the argument ``responses`` of FastAPI's routes."""
 
-LEVEL_ERRORS = 404, 422, 500
+LEVEL_ERROR_STATUSES = 404, 422, 500
 """Error statuses of routes that describe a level."""
 
-WORK_ERRORS = 404, 422, 429, 500, 503, 504
+WORK_ERROR_STATUSES = 404, 422, 429, 500, 503, 504
 """Error statuses of routes that use a render process."""
 
-COMMON_ERRORS = 400, 422, 431, 500
+COMMON_ERROR_STATUSES = 400, 422, 431, 500
 """Error statuses of every route."""
 
-UNEXPECTED_ERRORS = {500}
+UNEXPECTED_ERROR_STATUSES = {500}
 
-PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
+PROBLEM_SCHEMA = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
 PLAN_DOCS: ResponseDocs = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
 """The response with a plan.
@@ -46,13 +46,17 @@ RowPath = Annotated[int, PLAIN_INTEGER, Path(description="Row of the tile, from 
 def problem_docs(*statuses: int) -> ResponseDocs:
     """Return the documented responses with problem documents for some statuses, with an example of each kind of problem."""
     return {
-        status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problem_content(status)}} for status in statuses
+        status: {"description": HTTPStatus(status).phrase, "content": {PROBLEM_MEDIA_TYPE: _problem_content(status)}}
+        for status in statuses
     }
 
 
 def _problem_content(status: int) -> dict[str, Any]:
     kinds = [kind for kind in problem_kinds() if kind.status == status]
-    return {"schema": PROBLEM, "examples": {kind.code: {"summary": kind.description, "value": kind.example} for kind in kinds}}
+    return {
+        "schema": PROBLEM_SCHEMA,
+        "examples": {kind.code: {"summary": kind.description, "value": kind.example} for kind in kinds},
+    }
 
 
 def exception_docs(*statuses: int) -> ResponseDocs:
@@ -62,7 +66,7 @@ def exception_docs(*statuses: int) -> ResponseDocs:
     """
     responses: ResponseDocs = {}
     for status in statuses:
-        problem_content = {MEDIA_TYPE: _problem_content(status)} if status in UNEXPECTED_ERRORS else {}
+        problem_content = {PROBLEM_MEDIA_TYPE: _problem_content(status)} if status in UNEXPECTED_ERROR_STATUSES else {}
         content = {"text/xml": {"schema": {"type": "string"}}, **problem_content}
         responses[status] = {"description": f"{HTTPStatus(status).phrase}: an exception", "content": content}
     return responses
@@ -81,10 +85,10 @@ def example_query(*names: str, **values: str) -> dict[str, Any]:
 
     The query has the parameters ``names`` with their own examples, and the parameters ``values`` with the given values.
     """
-    return {EXAMPLE_QUERY: dict.fromkeys(names, "") | values}
+    return {EXAMPLE_QUERY_KEY: dict.fromkeys(names, "") | values}
 
 
-EXAMPLE_QUERY = "x-example-query"
+EXAMPLE_QUERY_KEY = "x-example-query"
 
 
 def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:

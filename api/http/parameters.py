@@ -46,7 +46,7 @@ class PlanQuery:
     overrides: RequestedSettings
 
 
-def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
+def allow_only_parameters(*names: str) -> Callable[[Request], Awaitable[None]]:
     """Return a FastAPI dependency that raises ``InputError`` for query parameters that are repeated or not in ``names``."""
 
     async def check_names(request: Request) -> None:
@@ -99,12 +99,12 @@ SlopeExaggerationQuery = Annotated[
 ]  # fmt: skip
 
 
-def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
+def style_named(name: str | None, parameter_name: str = "style") -> StyleName | None:
     """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
     if name is None or name == DEFAULT_STYLE:
         return None
     if name not in STYLES:
-        raise InputError(parameter, name, ", ".join((DEFAULT_STYLE, *STYLES)))
+        raise InputError(parameter_name, name, ", ".join((DEFAULT_STYLE, *STYLES)))
     return cast(StyleName, name)
 
 
@@ -231,14 +231,14 @@ def _product_parameter(name: str) -> Any:
     description = f"For {', '.join(f'`{product}`' for product in products)}. {field.description or ''}".rstrip()
     limits: dict[str, Any] = {"allow_inf_nan": False} if float in kinds else {}
     if str in kinds and not any(isinstance(constraint, MaxLen) for constraint in field.metadata):
-        limits["max_length"] = MAX_TEXT_CHARACTERS
+        limits["max_length"] = MAX_OPTION_CHARACTERS
     query = Query(description=description, examples=field.examples or [], **limits)
     return Annotated[(value_type | None, *readers[:1], *field.metadata, query)]
 
 
 OPTION_VALIDATORS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_INTEGER, float: PLAIN_DECIMAL}
 
-MAX_TEXT_CHARACTERS = 100
+MAX_OPTION_CHARACTERS = 100
 """Maximum number of characters of a text option."""
 
 

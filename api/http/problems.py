@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from skugga.api.errors import ERROR_REPORTS, ErrorReport, error_report_of
 from skugga.terrain.errors import SkuggaError
 
-MEDIA_TYPE = "application/problem+json"
+PROBLEM_MEDIA_TYPE = "application/problem+json"
 
 log = logging.getLogger("skugga")
 
@@ -104,7 +104,7 @@ def problem_of(status: int, detail: str | None = None, code: str | None = None, 
 def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
     """Return a problem document as a response that caches must not store."""
     return JSONResponse(
-        problem.model_dump(exclude_none=True), problem.status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE
+        problem.model_dump(exclude_none=True), problem.status, {"Cache-Control": "no-store", **(headers or {})}, PROBLEM_MEDIA_TYPE
     )
 
 
@@ -128,7 +128,7 @@ def public_problem(error: SkuggaError) -> Problem:
     return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})
 
 
-def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
+def logged_error_response(request: Request, error: SkuggaError) -> JSONResponse:
     """Return the response for a ``SkuggaError``, and log the error if clients must not see its own message."""
     public_error(request, error)
     return error_response(error)

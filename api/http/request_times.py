@@ -14,13 +14,13 @@ from fastapi import Request
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S
+from skugga.api.http.responses import REQUESTED_SUN_MAX_AGE_S
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import ALLOWED_TIMES, SunSpec, parse_time
 
-CURRENT = "current"
+CURRENT_TIME = "current"
 """The value of ``time`` that means now."""
 
 DEFAULT_TIME = "default"
@@ -32,7 +32,7 @@ TIME_HEADER = "X-Skugga-Time"
 MAX_CURRENT_AGE_S = 60
 """Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
 
-_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+_ROUNDING_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 _DATE = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
@@ -85,48 +85,50 @@ class RequestTime:
         The rounded time, with its UTC offset.
     max_age_s : int
         Freshness lifetime of the answer in seconds.
-    is_current : bool
+    requests_current_time : bool
         Whether the request asked for now.
     """
 
     time: datetime
     max_age_s: int
-    is_current: bool = False
+    requests_current_time: bool = False
 
 
-def rounded_time(moment: datetime, grain_s: int) -> datetime:
-    """Return a time rounded to the nearest multiple of ``grain_s`` seconds since 2000-01-01 UTC.
+def rounded_time(moment: datetime, interval_s: int) -> datetime:
+    """Return a time rounded to the nearest multiple of ``interval_s`` seconds since 2000-01-01 UTC.
 
-    Midpoints are rounded up. A ``grain_s`` of 0 leaves the time unchanged.
+    Midpoints are rounded up. An ``interval_s`` of 0 leaves the time unchanged.
     """
-    if grain_s == 0:
+    if interval_s == 0:
         return moment
-    grain = timedelta(seconds=grain_s)
+    interval = timedelta(seconds=interval_s)
     try:
-        return (_EPOCH + (moment - _EPOCH + grain / 2) // grain * grain).astimezone(moment.tzinfo)
+        return (_ROUNDING_EPOCH + (moment - _ROUNDING_EPOCH + interval / 2) // interval * interval).astimezone(moment.tzinfo)
     except OverflowError:  # beyond the last datetime: callers reject that time
         return moment
 
 
-def request_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
+def request_sun(
+    request: Request, time: str | None, azimuth: float | None, altitude: float | None, interval_s: int
+) -> SunSpec | None:
     """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
 
-    ``time`` is rounded to multiples of ``grain_s`` seconds, and ``current`` is rounded down. The rounded time is also stored as
+    ``time`` is rounded to multiples of ``interval_s`` seconds, and ``current`` is rounded down. The rounded time is also stored as
     ``request.state.request_time``. Raises ``InputError``.
     """
-    if time is not None and time.strip() == CURRENT:
+    if time is not None and time.strip() == CURRENT_TIME:
         if azimuth is not None or altitude is not None:
             raise InputError.conflict("time", "azimuth and altitude")
         now = datetime.now(UTC)
-        grain = timedelta(seconds=grain_s or 1)
-        moment = _EPOCH + (now - _EPOCH) // grain * grain  # rounded down: now is never in the future
-        left_s = int((moment + grain - now).total_seconds())
-        request.state.request_time = RequestTime(moment, max(min(left_s, MAX_CURRENT_AGE_S), 1), is_current=True)
+        interval = timedelta(seconds=interval_s or 1)
+        moment = _ROUNDING_EPOCH + (now - _ROUNDING_EPOCH) // interval * interval  # rounded down: now is never in the future
+        left_s = int((moment + interval - now).total_seconds())
+        request.state.request_time = RequestTime(moment, max(min(left_s, MAX_CURRENT_AGE_S), 1), requests_current_time=True)
         return SunSpec(time=moment)
     sun = parse_sun(None if time == DEFAULT_TIME else time, azimuth, altitude)
     if sun is None or sun.time is None:
         return sun
-    moment = rounded_time(sun.time, grain_s)
+    moment = rounded_time(sun.time, interval_s)
     check_times(as_utc([moment]))
     request.state.request_time = RequestTime(moment, REQUESTED_SUN_MAX_AGE_S)
     return SunSpec(time=moment)
@@ -137,10 +139,10 @@ def request_time(request: Request) -> RequestTime | None:
     return getattr(request.state, "request_time", None)
 
 
-def is_current(request: Request) -> bool:
+def requests_current_time(request: Request) -> bool:
     """Return whether a request asks for ``current``. Its address then means another picture soon."""
     stored_time = request_time(request)
-    return stored_time is not None and stored_time.is_current
+    return stored_time is not None and stored_time.requests_current_time
 
 
 def current_quarter_hour() -> tuple[datetime, int]:
@@ -149,14 +151,14 @@ def current_quarter_hour() -> tuple[datetime, int]:
     Time zones differ from UTC by multiples of a quarter of an hour, so midnight never falls inside one.
     """
     now, quarter = datetime.now(UTC), timedelta(minutes=15)
-    start = _EPOCH + (now - _EPOCH) // quarter * quarter
+    start = _ROUNDING_EPOCH + (now - _ROUNDING_EPOCH) // quarter * quarter
     return start, max(int((start + quarter - now).total_seconds()), 1)
 
 
-def freshness_s(request: Request, default_s: int) -> int:
-    """Return the freshness lifetime in seconds: for ``current`` until it means another rounded time, else ``default_s``."""
+def freshness_s(request: Request, default_age_s: int) -> int:
+    """Return the freshness lifetime in seconds: for ``current`` until it means another rounded time, else ``default_age_s``."""
     stored_time = request_time(request)
-    return stored_time.max_age_s if stored_time is not None and stored_time.is_current else default_s
+    return stored_time.max_age_s if stored_time is not None and stored_time.requests_current_time else default_age_s
 
 
 def time_headers(request: Request) -> dict[str, str]:

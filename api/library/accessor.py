@@ -21,11 +21,11 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
 from skugga.api.library.grids import grid_of_heights
+from skugga.api.library.north_up_grid import NorthUpGrid, north_up_grid
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
-from skugga.api.library.upright_grid import NorthUpGrid, north_up_grid
-from skugga.api.raster_file import TILE_CELLS
+from skugga.api.raster_file import TILE_SIDE_CELLS
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
@@ -153,7 +153,7 @@ class SkuggaAccessor:
         else:
             values = _compute_by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
-        return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
+        return answer.isel(grid.flip_slices).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
 class _StagedRaster:
@@ -167,7 +167,7 @@ class _StagedRaster:
         rows, cols = grid.heights.shape
         self._dataset = rasterio.open(
             self.path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", nodata=float("nan"),
-            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS,
+            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS,
             compress="lzw", bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
 
@@ -204,12 +204,12 @@ def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray
 
     staged = _StagedRaster(grid)
     stored = dask.array.store(grid.heights.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
-    ready = delayed(staged.finish)(stored)
+    staged_raster = delayed(staged.finish)(stored)
 
-    def chunk(ready: _StagedRaster, block_info: Any = None) -> np.ndarray:
+    def chunk(staged_raster: _StagedRaster, block_info: Any = None) -> np.ndarray:
         (top, bottom), (left, right) = block_info[None]["array-location"]
-        return compute_array(ready.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
+        return compute_array(staged_raster.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
 
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
-        chunk, ready=ready, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
+        chunk, staged_raster=staged_raster, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
     )

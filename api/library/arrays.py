@@ -8,30 +8,30 @@ from typing import Any, cast
 import numpy as np
 from affine import Affine
 
-from skugga.api.library.checked import (
+from skugga.api.library.argument_types import (
     AltitudeDeg,
     AzimuthDeg,
     CellSides,
-    Cores,
+    CoreCount,
     Date,
     LatitudeDeg,
-    Lines,
+    LineCount,
     LongitudeDeg,
     validate_arguments,
 )
-from skugga.api.library.grids import Heights, HorizonHeights, SweptHeights
+from skugga.api.library.grids import Heights, HorizonHeights, ShadowHeights
 from skugga.shadows.sweep import grid as sweep
 from skugga.shadows.sweep.horizon import horizon_deg
 
 
 @validate_arguments
 def shadow(
-    height_m: SweptHeights,
+    height_m: ShadowHeights,
     cell_m: CellSides,
     azimuth_deg: AzimuthDeg,
     altitude_deg: AltitudeDeg,
-    lines: Lines = 8,
-    cores: Cores = 1,
+    lines: LineCount = 8,
+    cores: CoreCount = 1,
 ) -> np.ndarray:
     """Return which nodes of a heightfield lie in shadow, cast or self-shadow.
 
@@ -77,12 +77,12 @@ def shadow(
 
 @validate_arguments
 def sunlit(
-    height_m: SweptHeights,
+    height_m: ShadowHeights,
     cell_m: CellSides,
     azimuth_deg: AzimuthDeg,
     altitude_deg: AltitudeDeg,
-    lines: Lines = 8,
-    cores: Cores = 1,
+    lines: LineCount = 8,
+    cores: CoreCount = 1,
 ) -> np.ndarray:
     """Return which nodes of a heightfield see the sun.
 
@@ -109,7 +109,9 @@ def sunlit(
 
 
 @validate_arguments
-def horizon(height_m: HorizonHeights, cell_m: CellSides, azimuth_deg: AzimuthDeg, lines: Lines = 4, cores: Cores = 1) -> np.ndarray:
+def horizon(
+    height_m: HorizonHeights, cell_m: CellSides, azimuth_deg: AzimuthDeg, lines: LineCount = 4, cores: CoreCount = 1
+) -> np.ndarray:
     """Return the horizon angle of each node of a heightfield towards an azimuth.
 
     A sun at that azimuth is visible above the horizon angle.

@@ -9,7 +9,7 @@ from itertools import count
 PACKAGE = __name__.partition(".")[0]
 
 
-def warn_caller(text: str) -> None:
+def warn_caller(message: str) -> None:
     """Issue a ``UserWarning`` for the nearest calling line outside of the package. Python then shows and filters that line."""
     for stack_level in count(2):
         try:
@@ -18,4 +18,4 @@ def warn_caller(text: str) -> None:
             break
         if module.partition(".")[0] != PACKAGE:
             break
-    warnings.warn(text, stacklevel=stack_level)
+    warnings.warn(message, stacklevel=stack_level)

@@ -15,7 +15,7 @@ from skugga.terrain.errors import ArrayError, Problem
 MAX_HEIGHT_M = 1e6
 """Largest height, as in engineering CRSs. Values beyond it are undeclared nodata values, such as -3.4e38."""
 
-GRID_BYTES, SWEEP_BYTES, HORIZON_BYTES = 10, 15, 42
+GRID_BYTES_PER_CELL, SHADOW_BYTES_PER_CELL, HORIZON_BYTES_PER_CELL = 10, 15, 42
 """Bytes per cell to make a raster in memory, to compute shadows, and to compute horizons.
 
 They include the grid. They were measured on 25, 36 and 16 million cells.
@@ -28,7 +28,9 @@ MEMORY_REMEDY = (
 """Remedy for heights that do not fit into memory."""
 
 
-def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, bytes_per_cell: float = GRID_BYTES) -> np.ndarray:
+def grid_of_heights(
+    values: Any, name: str = "height_m", min_side_cells: int = 1, bytes_per_cell: float = GRID_BYTES_PER_CELL
+) -> np.ndarray:
     """Return an array of heights as float32 (rows, cols), NaN without ground.
 
     Cells are without ground if they are masked, not finite, or beyond ``MAX_HEIGHT_M``. A float32 array without such cells is not
@@ -40,7 +42,7 @@ def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, byte
         The heights in metres.
     name
         The name of the parameter, for errors.
-    min_side
+    min_side_cells
         The smallest number of rows and of columns.
     bytes_per_cell
         Bytes of memory that the work takes for each cell.
@@ -65,8 +67,10 @@ def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, byte
             array = array.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             pass
-    if array.ndim != 2 or min(array.shape) < min_side:
-        raise ArrayError(name, Problem(f"its shape is {array.shape}"), f"Use (rows, cols), at least {min_side} x {min_side}")
+    if array.ndim != 2 or min(array.shape) < min_side_cells:
+        raise ArrayError(
+            name, Problem(f"its shape is {array.shape}"), f"Use (rows, cols), at least {min_side_cells} x {min_side_cells}"
+        )
     if array.dtype.kind not in "biuf":
         raise ArrayError(name, Problem(f"its type is {array.dtype}"), "Use real numbers, metres")
     mask = np.ma.getmask(array)
@@ -82,5 +86,7 @@ def grid_of_heights(values: Any, name: str = "height_m", min_side: int = 1, byte
 Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
 """An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
-SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, bytes_per_cell=SWEEP_BYTES))]
-HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, min_side=2, bytes_per_cell=HORIZON_BYTES))]
+ShadowHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, bytes_per_cell=SHADOW_BYTES_PER_CELL))]
+HorizonHeights = Annotated[
+    ArrayLike, PlainValidator(partial(grid_of_heights, min_side_cells=2, bytes_per_cell=HORIZON_BYTES_PER_CELL))
+]

@@ -33,8 +33,8 @@ def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
     if module is not None:
         hook(module)
         return lambda: None
-    _FINDER.add(name, hook)
-    return lambda: _FINDER.cancel(name, hook)
+    _FINDER.add_hook(name, hook)
+    return lambda: _FINDER.cancel_hook(name, hook)
 
 
 class _Finder(MetaPathFinder):
@@ -42,25 +42,25 @@ class _Finder(MetaPathFinder):
 
     def __init__(self) -> None:
         self._hooks: dict[str, list[Hook]] = {}
-        self._searching = threading.local()
+        self._thread_state = threading.local()
 
-    def add(self, name: str, hook: Hook) -> None:
+    def add_hook(self, name: str, hook: Hook) -> None:
         self._hooks.setdefault(name, []).append(hook)
         if self not in sys.meta_path:
             sys.meta_path.insert(0, self)
 
-    def cancel(self, name: str, hook: Hook) -> None:
+    def cancel_hook(self, name: str, hook: Hook) -> None:
         if hook in self._hooks.get(name, ()):
             self._hooks[name].remove(hook)
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if not self._hooks.get(name) or getattr(self._searching, "name", None) == name:
+        if not self._hooks.get(name) or getattr(self._thread_state, "name", None) == name:
             return None
-        self._searching.name = name
+        self._thread_state.name = name
         try:
             spec = importlib.util.find_spec(name)  # by all other finders
         finally:
-            self._searching.name = None
+            self._thread_state.name = None
         if spec is not None and hasattr(spec.loader, "exec_module"):
             spec.loader = _HookedLoader(spec.loader, lambda module: self._call_hooks(name, module))
         return spec

@@ -11,7 +11,7 @@ import numpy as np
 from skugga.api.compute import compute, plan_for
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_span import DEFAULT_FPS, film_span
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Bounds, CrsLike, Size, Time, validate_arguments
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, Bounds, CrsLike, Size, Time, validate_arguments
 from skugga.api.library.level_state import LevelState, crs_text, iso_time, requested_sun
 from skugga.api.products import product_named
 from skugga.api.request import ProductRequest

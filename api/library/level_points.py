@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from typing import cast
 
-from skugga.api.library.checked import CrsLike, Date, Time, validate_arguments
+from skugga.api.library.argument_types import CrsLike, Date, Time, validate_arguments
 from skugga.api.library.level_state import LevelState, requested_sun
 from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport

@@ -9,15 +9,14 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.api.compute import raster_array
-from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import (
+from skugga.api.library.argument_types import (
     AltitudeDeg,
     AzimuthDeg,
     Bounds,
     Cells,
     CrsLike,
     Date,
-    Days,
+    DayCount,
     HeightM,
     MinAltitudeDeg,
     Resolution,
@@ -26,6 +25,7 @@ from skugga.api.library.checked import (
     Time,
     validate_arguments,
 )
+from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.level_state import LevelState, crs_text, requested_sun
 from skugga.api.library.memory import check_memory
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
@@ -146,7 +146,7 @@ class LevelRasters(LevelState):
         date: Date,
         *,
         to: Date | None = None,
-        every_days: Days = 1,
+        every_days: DayCount = 1,
         window: str = "00:00-24:00",
         clock: str = "solar",
         quantity: str = "hours",
@@ -209,12 +209,12 @@ class LevelRasters(LevelState):
     def _compute_raster(
         self,
         request: ProductRequest,
-        grid: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
+        grid_arguments: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
         shadows: dict[str, Any],
     ) -> np.ndarray:
-        """Compute a raster for a request. ``grid`` holds bounds, CRS, resolution, raster file and slices of cells."""
+        """Compute a raster for a request. ``grid_arguments`` holds bounds, CRS, resolution, raster file and slices of cells."""
         product = request.product_record
-        raster = self._raster(*grid, np.dtype(product.dtype).itemsize * product.bands)
+        raster = self._raster(*grid_arguments, np.dtype(product.dtype).itemsize * product.bands)
         self._issue_object_warnings()
         return raster_array(self._scene, raster, request, shadows)
 

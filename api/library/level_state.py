@@ -8,8 +8,8 @@ from typing import cast
 from affine import Affine
 from pyproj import CRS
 
+from skugga.api.library.argument_types import Time
 from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import Time
 from skugga.api.raster_view import raster_view
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level import parse_sun
@@ -21,15 +21,15 @@ class LevelState:
     """The scene of an open level, its cell grid and its warnings."""
 
     def __init__(self, scene: Scene) -> None:
-        self._open: Scene | None = scene
+        self._open_scene: Scene | None = scene
         self._own_raster = raster_view(scene)
         self._has_issued_object_warnings = False
 
     @property
     def _scene(self) -> Scene:
-        if self._open is None:
+        if self._open_scene is None:
             raise InputError("level", Problem("it is closed"), "Open it again")
-        return self._open
+        return self._open_scene
 
     @property
     def name(self) -> str:
@@ -69,9 +69,9 @@ class LevelState:
                 warn_caller(text)
 
     def _close_scene(self) -> None:
-        if self._open is not None:
-            self._open.close()
-            self._open = None
+        if self._open_scene is not None:
+            self._open_scene.close()
+            self._open_scene = None
 
 
 def crs_text(crs: CRS | None) -> str | None:

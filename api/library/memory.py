@@ -8,8 +8,8 @@ from pathlib import Path
 
 from skugga.terrain.errors import InputError, Problem
 
-MEMINFO = Path("/proc/meminfo")
-CGROUPS = (
+MEMINFO_PATH = Path("/proc/meminfo")
+CGROUP_FILES = (
     (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
     (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
@@ -48,14 +48,14 @@ def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy:
 
 def _free_byte_counts() -> Iterator[int]:
     try:
-        fields = dict(line.split(":", 1) for line in MEMINFO.read_text(encoding="ascii").splitlines())
+        fields = dict(line.split(":", 1) for line in MEMINFO_PATH.read_text(encoding="ascii").splitlines())
         yield int(fields["MemAvailable"].split()[0]) * 1024
     except (OSError, KeyError, ValueError):
         try:
             yield os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         except (AttributeError, OSError, ValueError):
             pass
-    for folder, limit, use, inactive in CGROUPS:
+    for folder, limit, use, inactive in CGROUP_FILES:
         try:
             stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
             used_bytes = int((folder / use).read_text(encoding="ascii")) - int(stat.get(inactive, 0))

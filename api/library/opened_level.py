@@ -17,8 +17,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skugga.api.catalogue import find_level
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, CrsLike, Time, Transform, validate_arguments
 from skugga.api.library.caller_warnings import warn_caller
-from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, CrsLike, Time, Transform, validate_arguments
 from skugga.api.library.grids import Heights
 from skugga.api.library.level_pictures import LevelPictures
 from skugga.api.library.level_points import LevelPoints
@@ -38,7 +38,7 @@ ARRAY_REMEDIES = {
 }  # fmt: skip
 """Remedies for a raster in memory, by the option that a file would need."""
 
-_FILE_REMEDY = re.compile(
+_FILE_REMEDY_PATTERN = re.compile(
     r"write terrain: \{(\w+): [^}]*\} \(without a level file: [^)]*\)(?:\. UNIT is one of [\w-]+(?:, [\w-]+)*)?"
 )
 
@@ -252,4 +252,4 @@ def level_of_source(source: LevelSource, ground_name: str | None = None, memory_
 
 def _with_array_remedies(text: str) -> str:
     """Return a message with the remedies for a raster in memory instead of those for a file."""
-    return _FILE_REMEDY.sub(lambda match: ARRAY_REMEDIES[match[1]], text)
+    return _FILE_REMEDY_PATTERN.sub(lambda match: ARRAY_REMEDIES[match[1]], text)

@@ -21,7 +21,7 @@ from skugga.terrain.level.level_source import LevelSource
 START_TIMEOUT_S = 600.0
 """Timeout of the start. With empty caches the service compiles for some minutes."""
 
-IDLE_SETTINGS = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
+IDLE_WORK_VARIABLES = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
 
 POLL_INTERVAL_S = 0.1
 
@@ -41,7 +41,7 @@ class TileService:
         command = "from skugga.api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level.path), "--port", str(port), *options],
-            env={**dict.fromkeys(IDLE_SETTINGS, "false"), **os.environ},  # the notebook process is not idle
+            env={**dict.fromkeys(IDLE_WORK_VARIABLES, "false"), **os.environ},  # the notebook process is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._log_file,
         )  # fmt: skip
         self._stop_process = weakref.finalize(self, _stop_process, process, self._log_file)

@@ -35,7 +35,7 @@ class HorizonFormat:
         Suffix of its files, without a dot.
     media_type
         Media type of its files.
-    directions
+    azimuth_count
         Number of azimuths in a file; ``None`` writes all azimuths of the computed horizon.
     description
         Description for users.
@@ -46,7 +46,7 @@ class HorizonFormat:
     name: str
     suffix: str
     media_type: str
-    directions: int | None
+    azimuth_count: int | None
     description: str
     write: Writer
 
@@ -54,7 +54,7 @@ class HorizonFormat:
 def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
     """Return the text of a horizon file.
 
-    ``horizon`` must have the azimuths that ``directions_for`` returns for the format. They are evenly spaced and begin in the
+    ``horizon`` must have the azimuths that ``azimuths_of_format`` returns for the format. They are evenly spaced and begin in the
     north. Raises ``InputError``.
     """
     return horizon_format(name).write(horizon, place)
@@ -67,21 +67,21 @@ def horizon_format(name: str) -> HorizonFormat:
     return HORIZON_FORMATS[name]
 
 
-def directions_for(name: str) -> np.ndarray | None:
+def azimuths_of_format(name: str) -> np.ndarray | None:
     """Return the azimuths (n,) of a format, degrees clockwise from north; ``None`` for all azimuths of the computed horizon."""
-    count = horizon_format(name).directions
+    count = horizon_format(name).azimuth_count
     return None if count is None else np.arange(count) * (360.0 / count)
 
 
-def _heights(horizon: PointHorizon) -> np.ndarray:
+def _heights_above_horizontal(horizon: PointHorizon) -> np.ndarray:
     return np.maximum(horizon.elevation_deg, 0.0)
 
 
-def _from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
+def _azimuths_from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
     """Return azimuths and horizon angles in degrees, by ascending azimuth from -180 (north): -90 is east, 0 south, 90 west."""
     azimuth = (horizon.azimuth_deg + 360.0) % 360.0 - 180.0
     order = np.argsort(azimuth)
-    return azimuth[order], _heights(horizon)[order]
+    return azimuth[order], _heights_above_horizontal(horizon)[order]
 
 
 def _place_lines(place: PointPlace) -> list[str]:
@@ -93,14 +93,14 @@ def _place_lines(place: PointPlace) -> list[str]:
 
 
 def _pvgis_csv(horizon: PointHorizon, place: PointPlace) -> str:
-    azimuth, height = _from_south(horizon)
+    azimuth, height = _azimuths_from_south(horizon)
     rows = [f"{a:.2f}\t\t{h:.2f}" for a, h in zip([*azimuth, 180.0], [*height, height[0]], strict=True)]
     notes = ["A_hor: Azimuth (0 = S, 90 = W, -90 = E), ascending from -180 (N)", "H_hor: Horizon height (degrees)"]
     return "\r\n".join([*_place_lines(place), "", "A_hor\t\tH_hor", *rows, "", *notes]) + "\r\n"
 
 
 def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
-    azimuth, height = _from_south(horizon)
+    azimuth, height = _azimuths_from_south(horizon)
     pairs = zip([*azimuth, 180.0], [*height, height[0]], strict=True)
     profile = [{"A": round(float(a), 3), "H_hor": round(float(h), 3)} for a, h in pairs]
     location = {"latitude": place.lat_deg, "longitude": place.lon_deg, "elevation": round(place.eye_elevation_m, 2)}
@@ -114,20 +114,20 @@ def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
 
 
 def _pvgis_upload(horizon: PointHorizon, place: PointPlace) -> str:
-    return "".join(f"{height:.2f}\n" for height in _heights(horizon))
+    return "".join(f"{height:.2f}\n" for height in _heights_above_horizontal(horizon))
 
 
 def _forecast_solar(horizon: PointHorizon, place: PointPlace) -> str:
-    return ",".join(f"{height:.1f}" for height in _heights(horizon)) + "\n"
+    return ",".join(f"{height:.1f}" for height in _heights_above_horizontal(horizon)) + "\n"
 
 
 def _pvlib_csv(horizon: PointHorizon, place: PointPlace) -> str:
-    rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights(horizon), strict=True)]
+    rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights_above_horizontal(horizon), strict=True)]
     return "\n".join(["horizon_azimuth,horizon_elevation", *rows]) + "\n"
 
 
-def _hor(horizon: PointHorizon, place: PointPlace) -> str:
-    azimuth, height = _from_south(horizon)
+def _hor_text(horizon: PointHorizon, place: PointPlace) -> str:
+    azimuth, height = _azimuths_from_south(horizon)
     return "".join(f"{a:.0f} {h:.2f}\n" for a, h in zip(azimuth, height, strict=True))
 
 
@@ -148,7 +148,7 @@ _FORMATS = (
         "pvlib", "csv", "text/csv", None, "pvlib: horizon_azimuth (clockwise from north), horizon_elevation", _pvlib_csv
     ),
     HorizonFormat(
-        "hor", "hor", "text/plain", 360, "PVsyst and PV*SOL: azimuth from -180 to 179 (0 = south) and height", _hor
+        "hor", "hor", "text/plain", 360, "PVsyst and PV*SOL: azimuth from -180 to 179 (0 = south) and height", _hor_text
     ),
 )  # fmt: skip
 

@@ -28,11 +28,11 @@ MIN_LABEL_DIFFERENCE_DEG = 6.0
 MIN_OUTWARD_LABEL_ALTITUDE_DEG = 6.0
 """Altitude above which an hour's number lies on the outer side of its mark, degrees."""
 
-SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
+CHART_SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
 
-_PAPER, _INK, _GRID, _SKY = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
-_RELIEF, _SOLIDS, _FOREST = "#8d8373", "#b3705c", "#6f8f5f"
-_SUN, _SUN_EDGE, _HIDDEN, _OTHER = "#e8a200", "#b97f00", "#3f3a34", "#7f9fbf"
+_PAPER_COLOR, _INK_COLOR, _GRID_COLOR, _SKY_COLOR = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
+_RELIEF_COLOR, _SOLIDS_COLOR, _FOREST_COLOR = "#8d8373", "#b3705c", "#6f8f5f"
+_SUN_COLOR, _SUN_EDGE_COLOR, _HIDDEN_PATH_COLOR, _OTHER_PATH_COLOR = "#e8a200", "#b97f00", "#3f3a34", "#7f9fbf"
 _FONT = ["DejaVu Sans"]
 
 
@@ -48,7 +48,7 @@ def sky_picture(
     from matplotlib.figure import Figure
 
     with rc_context({"svg.hashsalt": "skugga", "svg.fonttype": "path", "font.family": _FONT}):
-        figure = Figure(figsize=(SIDE_INCHES, SIDE_INCHES + 0.95), facecolor=_PAPER)
+        figure = Figure(figsize=(CHART_SIDE_INCHES, CHART_SIDE_INCHES + 0.95), facecolor=_PAPER_COLOR)
         FigureCanvasAgg(figure)
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _draw_axes(axes)
@@ -56,8 +56,8 @@ def sky_picture(
         has_sun = surroundings.scene.world.off_earth_reason is None
         if has_sun:
             _draw_paths(axes, surroundings, day, clock)
-        figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
-        figure.text(0.06, 0.951, _subtitle(surroundings, day, clock), fontsize=9.5, color=_INK, va="top")
+        figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK_COLOR, va="top")
+        figure.text(0.06, 0.951, _subtitle(surroundings, day, clock), fontsize=9.5, color=_INK_COLOR, va="top")
         _draw_legend(figure, horizon, not has_sun)
         file = io.BytesIO()
         figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
@@ -68,7 +68,7 @@ def _draw_axes(axes: Any) -> None:
     """Draw the empty chart: axes, grid and labels."""
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
-    axes.set_facecolor(_SKY)
+    axes.set_facecolor(_SKY_COLOR)
     axes.set_ylim(0.0, 90.0)
     axes.set_yticks([30.0, 60.0], labels=["", ""])
     for altitude in (30, 60):
@@ -79,11 +79,13 @@ def _draw_axes(axes: Any) -> None:
     for label, azimuth in zip(axes.get_xticklabels(), range(0, 360, 30), strict=True):
         cardinal = azimuth in words
         label.set(
-            fontsize=13 if cardinal else 8.5, fontweight="bold" if cardinal else "normal", color=_INK if cardinal else "#6c7680"
+            fontsize=13 if cardinal else 8.5,
+            fontweight="bold" if cardinal else "normal",
+            color=_INK_COLOR if cardinal else "#6c7680",
         )
     axes.tick_params(axis="x", pad=3)
-    axes.grid(color=_GRID, linewidth=0.6)
-    axes.spines["polar"].set(color=_INK, linewidth=1.0)
+    axes.grid(color=_GRID_COLOR, linewidth=0.6)
+    axes.spines["polar"].set(color=_INK_COLOR, linewidth=1.0)
     axes.set_axisbelow(True)
 
 
@@ -91,7 +93,8 @@ def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
     """Draw the horizon from the rim inwards. Trees and roofs are visible where they rise above the ground's horizon."""
     angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
     for height, color, order in (
-        (horizon.forest_deg, _FOREST, 2.0), (horizon.solids_deg, _SOLIDS, 2.1), (horizon.relief_deg, _RELIEF, 2.2),
+        (horizon.forest_deg, _FOREST_COLOR, 2.0), (horizon.solids_deg, _SOLIDS_COLOR, 2.1),
+        (horizon.relief_deg, _RELIEF_COLOR, 2.2),
     ):  # fmt: skip
         top = 90.0 - np.maximum(np.append(height, height[0]), 0.0)
         axes.fill_between(angle, top, 90.0, color=color, linewidth=0.0, zorder=order)
@@ -105,16 +108,16 @@ def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo)
     max_altitude = np.nanmax(day_altitude) if np.isfinite(day_altitude).any() else -90.0
     for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
         azimuth, altitude = _sun_path(surroundings, date(day.year, month, day_of_month), clock)
-        axes.plot(np.radians(_unwrap_azimuth(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
+        axes.plot(np.radians(_unwrap_azimuth(azimuth)), 90.0 - altitude, color=_OTHER_PATH_COLOR, linewidth=1.1, zorder=3)
         if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - max_altitude) > MIN_LABEL_DIFFERENCE_DEG:
             _label_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
     azimuth, altitude = day_azimuth, day_altitude
     lit = sees_sun(surroundings, azimuth, np.nan_to_num(altitude, nan=-90.0))
     angle = np.radians(_unwrap_azimuth(azimuth))
-    axes.plot(angle, 90.0 - altitude, color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
+    axes.plot(angle, 90.0 - altitude, color=_HIDDEN_PATH_COLOR, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
     shining = np.where(lit, 90.0 - altitude, np.nan)
-    axes.plot(angle, shining, color=_SUN_EDGE, linewidth=4.6, solid_capstyle="round", zorder=4.1)
-    axes.plot(angle, shining, color=_SUN, linewidth=3.2, solid_capstyle="round", zorder=4.2)
+    axes.plot(angle, shining, color=_SUN_EDGE_COLOR, linewidth=4.6, solid_capstyle="round", zorder=4.1)
+    axes.plot(angle, shining, color=_SUN_COLOR, linewidth=3.2, solid_capstyle="round", zorder=4.2)
     _draw_hours(axes, surroundings, day, clock, bool(np.isfinite(altitude).any()))
 
 
@@ -135,7 +138,7 @@ def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str)
     axes.annotate(
         name, (np.radians(azimuth[top]), 90.0 - altitude[top]), xytext=(0, 5), textcoords="offset points", fontsize=7.5,
         color="#4c6f93", ha="center", va="bottom", zorder=6,
-        bbox={"facecolor": _SKY, "edgecolor": "none", "pad": 0.4, "alpha": 0.75},
+        bbox={"facecolor": _SKY_COLOR, "edgecolor": "none", "pad": 0.4, "alpha": 0.75},
     )  # fmt: skip
 
 
@@ -155,14 +158,14 @@ def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo,
             angle, radius = np.radians(azimuth[hour]), 90.0 - altitude[hour]
             size = 5.0 if is_day else 2.6
             axes.plot(
-                [angle], [radius], "o", markersize=size, color=_PAPER if is_day else _OTHER,
-                markeredgecolor=_INK if is_day else _OTHER, markeredgewidth=0.9 if is_day else 0.0, zorder=5,
+                [angle], [radius], "o", markersize=size, color=_PAPER_COLOR if is_day else _OTHER_PATH_COLOR,
+                markeredgecolor=_INK_COLOR if is_day else _OTHER_PATH_COLOR, markeredgewidth=0.9 if is_day else 0.0, zorder=5,
             )  # fmt: skip
             if is_day and has_path:
                 axes.annotate(
                     f"{hour}", (angle, radius), xytext=_number_offset(azimuth[hour], altitude[hour]), textcoords="offset points",
-                    fontsize=8.5, fontweight="bold", color=_INK, ha="center", va="center", zorder=7,
-                    bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
+                    fontsize=8.5, fontweight="bold", color=_INK_COLOR, ha="center", va="center", zorder=7,
+                    bbox={"facecolor": _PAPER_COLOR, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
                 )  # fmt: skip
 
 
@@ -196,22 +199,22 @@ def _clock_label(day: date, clock: tzinfo) -> str:
     return offset_text if name.startswith("UTC") else f"{name} ({offset_text})"
 
 
-def _draw_legend(figure: Any, horizon: PointHorizon, flat: bool) -> None:
+def _draw_legend(figure: Any, horizon: PointHorizon, is_flat_world: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [Patch(color=_RELIEF, label="ground")]
+    handles: list[Any] = [Patch(color=_RELIEF_COLOR, label="ground")]
     if (horizon.solids_deg > np.maximum(horizon.relief_deg, 0.0)).any():
-        handles.append(Patch(color=_SOLIDS, label="roofs and models"))
+        handles.append(Patch(color=_SOLIDS_COLOR, label="roofs and models"))
     if (horizon.forest_deg > np.maximum(horizon.relief_deg, 0.0)).any():
-        handles.append(Patch(color=_FOREST, label="trees"))
-    if not flat:
+        handles.append(Patch(color=_FOREST_COLOR, label="trees"))
+    if not is_flat_world:
         handles += [
-            Line2D([], [], color=_SUN, linewidth=3.2, label="direct sun"),
-            Line2D([], [], color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), label="sun hidden"),
-            Line2D([], [], color=_OTHER, linewidth=1.1, label="solstices, equinox"),
+            Line2D([], [], color=_SUN_COLOR, linewidth=3.2, label="direct sun"),
+            Line2D([], [], color=_HIDDEN_PATH_COLOR, linewidth=1.6, linestyle=(0, (3, 2)), label="sun hidden"),
+            Line2D([], [], color=_OTHER_PATH_COLOR, linewidth=1.1, label="solstices, equinox"),
         ]
     figure.legend(
         handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.012), ncols=len(handles), frameon=False, fontsize=9,
-        labelcolor=_INK, handlelength=1.6, columnspacing=1.4,
+        labelcolor=_INK_COLOR, handlelength=1.6, columnspacing=1.4,
     )  # fmt: skip

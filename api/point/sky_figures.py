@@ -11,10 +11,10 @@ from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
 from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
 
-SUN_STEP_S = 300.0
+SUN_PATH_STEP_S = 300.0
 """Time between two positions of the sun on its path."""
 
-ANGLE_DIGITS = 2
+ANGLE_DECIMALS = 2
 """Decimals of angles in degrees."""
 
 
@@ -57,24 +57,24 @@ class SkyFigures(_FiguresModel):
 def sky_figures(surroundings: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo) -> SkyFigures:
     """Return the horizon and the sun's path at a place on a day of a clock. Raises ``InputError`` for unsupported years."""
     heights = {name: _rounded(np.maximum(getattr(horizon, f"{name}_deg"), 0.0)) for name in ("relief", "solids", "forest")}
-    path = () if surroundings.scene.world.off_earth_reason else _path(surroundings, day, clock)
+    path = () if surroundings.scene.world.off_earth_reason else _sun_path(surroundings, day, clock)
     return SkyFigures(date=day, horizon=HorizonFigures(azimuth=_rounded(horizon.azimuth_deg), **heights), path=path)
 
 
-def _path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
+def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, SUN_STEP_S)
+    times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, SUN_PATH_STEP_S)
     azimuth, altitude = sun_angles_at(surroundings.place, to_sun)
     lit = sees_sun(surroundings, azimuth, altitude)
     return tuple(
         SunOnPath(
             time=datetime.fromtimestamp(round(float(times_s[n])), UTC).astimezone(clock),
-            azimuth=round(float(azimuth[n]), ANGLE_DIGITS),
-            altitude=round(float(altitude[n]), ANGLE_DIGITS), lit=bool(lit[n]),
+            azimuth=round(float(azimuth[n]), ANGLE_DECIMALS),
+            altitude=round(float(altitude[n]), ANGLE_DECIMALS), lit=bool(lit[n]),
         )
         for n in np.flatnonzero(altitude > 0.0)
     )  # fmt: skip
 
 
 def _rounded(degrees: np.ndarray) -> tuple[float, ...]:
-    return tuple(np.round(np.asarray(degrees, np.float64), ANGLE_DIGITS).tolist())
+    return tuple(np.round(np.asarray(degrees, np.float64), ANGLE_DECIMALS).tolist())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from skugga.api.point.report import point_surroundings, reported_sun, requested_clock, requested_day
-from skugga.api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
+from skugga.api.point.values import MAX_POINTS, PointQuery, PointRow, TrackPoint
 from skugga.shadows.point.sun_angles import sun_directions
 from skugga.shadows.point.sun_day import sampled_sun_hours
 from skugga.terrain.errors import InputError, SourceError
@@ -78,8 +78,8 @@ def with_arrival_times(points: list[TrackPoint], start: datetime, speed_kmh: flo
     ]
 
 
-def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hours: bool = True) -> list[PointAnswerRow]:
-    """Return the elevation and the sun at many points and, if ``hours``, the hours of direct sun on the query's date.
+def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, includes_hours: bool = True) -> list[PointRow]:
+    """Return the elevation and the sun at many points and, if ``includes_hours``, the hours of direct sun on the query's date.
 
     A point with a time uses the sun of that time; others use the scene's sun. A point outside the level's data has only a remark.
     """
@@ -91,15 +91,15 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
         try:
             surroundings = point_surroundings(point_scene, point_query)
         except InputError as error:
-            rows.append(PointAnswerRow(None, None, None, str(error)))
+            rows.append(PointRow(None, None, None, str(error)))
             continue
         direct_h = None
-        if hours and scene.world.off_earth_reason is None:
+        if includes_hours and scene.world.off_earth_reason is None:
             day = requested_day(point_scene, point_query, surroundings.place.lon_deg)
             direct_h = sampled_sun_hours(
                 surroundings, day, requested_clock(point_scene, point_query, surroundings.place.lon_deg, day)
             )
-        rows.append(PointAnswerRow(surroundings.place.ground_m, reported_sun(surroundings), direct_h, None))
+        rows.append(PointRow(surroundings.place.ground_m, reported_sun(surroundings), direct_h, None))
     return rows
 
 
@@ -138,7 +138,7 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
         except (TypeError, ValueError):
             words = f"line {number}: {','.join(str(v) for v in row.values())[:60]} has no valid coordinates or height"
             raise SourceError(str(path), words, "Give numbers") from None
-        points.append(TrackPoint(lon, lat, point_height_m, _moment(path, f"line {number}", row[time] if time else None)))
+        points.append(TrackPoint(lon, lat, point_height_m, _parse_moment(path, f"line {number}", row[time] if time else None)))
     return points
 
 
@@ -159,12 +159,12 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
         heights = np.nan_to_num(numeric_attribute(features, height, length_m), nan=height_m)
     times = [None] * len(heights) if time is None else features.attributes[time]
     return [
-        TrackPoint(float(point.x), float(point.y), float(point_height_m), _moment(path, features.label(row), moment))
+        TrackPoint(float(point.x), float(point.y), float(point_height_m), _parse_moment(path, features.label(row), moment))
         for row, (point, point_height_m, moment) in enumerate(zip(features.geometry, heights, times, strict=True))
     ]
 
 
-def _moment(path: Path, location: str, value: object) -> datetime | None:
+def _parse_moment(path: Path, location: str, value: object) -> datetime | None:
     """Convert a time attribute of a file; an empty one gives ``None``. Raises ``SourceError`` for a time without an offset."""
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):

@@ -20,8 +20,8 @@ class _ReportModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-def _rounded(digits: int) -> BeforeValidator:
-    return BeforeValidator(lambda value: None if value is None else round(float(value), digits))
+def _rounded(decimals: int) -> BeforeValidator:
+    return BeforeValidator(lambda value: None if value is None else round(float(value), decimals))
 
 
 RoundDegrees = Annotated[float, _rounded(3)]
@@ -139,7 +139,7 @@ class TrackPoint:
 
 
 @dataclass(frozen=True)
-class PointAnswerRow:
+class PointRow:
     """The sun at one of many points.
 
     Attributes

@@ -55,10 +55,13 @@ SEED_PRODUCTS = products_with(lambda each: each.when != "days" and set(each.map_
 """Products that ``skugga seed`` computes. Products of whole dates are excluded: each tile depends on too much ground."""
 
 
-def product_named(name: str, allowed: tuple[str, ...] | None = None, parameter: str = "layer") -> Product:
-    """Return a product by its name, which must be among ``allowed`` (default: any). Raises ``InputError`` of ``parameter``."""
-    if name not in PRODUCTS or (allowed is not None and name not in allowed):
-        raise InputError(parameter, name, ", ".join(PRODUCTS if allowed is None else allowed))
+def product_named(name: str, allowed_names: tuple[str, ...] | None = None, parameter_name: str = "layer") -> Product:
+    """Return a product by its name, which must be among ``allowed_names`` (default: any).
+
+    Raises ``InputError``, which names the parameter ``parameter_name``.
+    """
+    if name not in PRODUCTS or (allowed_names is not None and name not in allowed_names):
+        raise InputError(parameter_name, name, ", ".join(PRODUCTS if allowed_names is None else allowed_names))
     return PRODUCTS[name]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Part, Product
+from skugga.api.products.product import Product, ProductInput
 
 
-def _compute(part: Part) -> np.ndarray:
+def _compute(product_input: ProductInput) -> np.ndarray:
     """Return RGBA, uint8 (rows, cols, 4), transparent without a surface. The sky of a perspective view is opaque."""
-    color = part.required_picture.color
+    color = product_input.required_picture.color
     assert color is not None
-    alpha = np.where(part.required_picture.opaque_mask, np.uint8(255), np.uint8(0))
+    alpha = np.where(product_input.required_picture.opaque_mask, np.uint8(255), np.uint8(0))
     return np.concatenate([color, alpha[..., None]], axis=-1)
 
 

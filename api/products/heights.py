@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Part, Product
+from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Product, ProductInput
 from skugga.api.terrain_encodings import encode_terrain_rgb, encode_terrarium
 
 
-def height_m(part: Part) -> np.ndarray:
+def height_m(product_input: ProductInput) -> np.ndarray:
     """Return heights in metres, float32 (rows, cols): of the ground in a map, of the visible surface in a perspective view.
 
     Pixels without a surface are NaN.
     """
-    return part.ground_height_m if part.picture is None else part.frame.height_m
+    return product_input.ground_height_m if product_input.picture is None else product_input.frame.height_m
 
 
-def nodata_height_m(lowest_m: float) -> float:
+def nodata_height_m(lowest_ground_m: float) -> float:
     """Return the height shown in pixels without data: the level's lowest ground, rounded down to whole metres.
 
     Data edges therefore show no tall cliff.
     """
-    return float(np.floor(lowest_m))
+    return float(np.floor(lowest_ground_m))
 
 
 def encode_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
@@ -31,11 +31,11 @@ def encode_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncod
 
 
 def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> Product:
-    def compute(part: Part) -> np.ndarray:
-        return encode_heights(height_m(part), nodata_height_m(part.scene.height_range_m[0]), encoding)
+    def compute(product_input: ProductInput) -> np.ndarray:
+        return encode_heights(height_m(product_input), nodata_height_m(product_input.scene.height_range_m[0]), encoding)
 
-    def empty(rows: int, cols: int, lowest_m: float) -> np.ndarray:
-        return encode_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
+    def empty(rows: int, cols: int, lowest_ground_m: float) -> np.ndarray:
+        return encode_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_ground_m), encoding)
 
     return Product(
         name=name, description=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Part, Product
+from skugga.api.products.product import Product, ProductInput
 
 
-def _compute(part: Part) -> np.ndarray:
+def _compute(product_input: ProductInput) -> np.ndarray:
     from skugga.shadows.sunlit_ground import cosine_of_incidence
 
-    return cosine_of_incidence(part.scene, part.map_view)
+    return cosine_of_incidence(product_input.scene, product_input.map_view)
 
 
 PRODUCT = Product(

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Part, Product
-from skugga.api.products.visibility import VISIBILITY, visibility_of
+from skugga.api.products.product import Product, ProductInput
+from skugga.api.products.visibility import NEEDS_VISIBILITY, visibility_of
 
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 
 
-def _compute(part: Part) -> np.ndarray:
-    classes = np.where(visibility_of(part) < 0.5, MASK_SHADOW, MASK_LIT)
-    return np.where(part.required_picture.valid, classes, MASK_NO_SURFACE).astype(np.uint8)
+def _compute(product_input: ProductInput) -> np.ndarray:
+    classes = np.where(visibility_of(product_input) < 0.5, MASK_SHADOW, MASK_LIT)
+    return np.where(product_input.required_picture.valid, classes, MASK_NO_SURFACE).astype(np.uint8)
 
 
 PRODUCT = Product(
     name="mask", description=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
-    formats=("png", "webp", "tif", "npy"), compute=_compute, needs=VISIBILITY, dtype="uint8", nodata=MASK_NO_SURFACE,
+    formats=("png", "webp", "tif", "npy"), compute=_compute, needs=NEEDS_VISIBILITY, dtype="uint8", nodata=MASK_NO_SURFACE,
     is_smooth=False, is_picture=True,
 )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, MapFormat, Part, Product
+from skugga.api.products.product import NEEDS_FRAME, MapFormat, Product, ProductInput
 from skugga.shadows.passes import PassLayer
 from skugga.terrain.errors import InputError, Problem
 
@@ -23,7 +23,7 @@ def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
-def _stretch(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _stretch_to_gray(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return values as gray, uint8, scaled so that the largest value is bright."""
     return array * np.uint8(255 // max(int(array.max()), 1))
 
@@ -41,9 +41,9 @@ def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 def _pass_product(
     layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
 ) -> Product:
-    def compute(part: Part) -> np.ndarray:
+    def compute(product_input: ProductInput) -> np.ndarray:
         """Return the pass layer of the frame's first light. Raises ``InputError`` if the light has none."""
-        frame = part.frame
+        frame = product_input.frame
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
         if not by_light:
             raise InputError("layer", Problem(f"no light has a layer {layer} in this view"), "Use another view or layer")
@@ -59,7 +59,7 @@ def _pass_product(
 
 PRODUCTS = (
     _pass_product("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
-    _pass_product("stencil", "the stencil buffer of shadow volumes", ("npy", "png"), _stretch),
+    _pass_product("stencil", "the stencil buffer of shadow volumes", ("npy", "png"), _stretch_to_gray),
     _pass_product(
         "silhouettes", "edges of casters seen from the light; for a hybrid, the pixels that its volumes decide", ("npy", "png")
     ),

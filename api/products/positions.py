@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, Part, Product
+from skugga.api.products.product import NEEDS_FRAME, Product, ProductInput
 
 
-def _depth(part: Part) -> np.ndarray:
+def _depth(product_input: ProductInput) -> np.ndarray:
     """Return depths in metres, float32 (rows, cols).
 
     In a map they are measured down from the level's highest ground. In a perspective view they are measured from the eye along the
@@ -15,13 +15,13 @@ def _depth(part: Part) -> np.ndarray:
     """
     from skugga.terrain.geo.grid import MapView
 
-    view, frame = part.view, part.frame
+    view, frame = product_input.view, product_input.frame
     if isinstance(view, MapView):
-        return np.where(frame.valid, part.scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
+        return np.where(frame.valid, product_input.scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
     return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
 
 
-def _position(part: Part) -> np.ndarray:
+def _position(product_input: ProductInput) -> np.ndarray:
     """Return coordinates x, y and height, float64 (rows, cols, 3).
 
     x and y are in the CRS of a map view. For a perspective view they are in the CRS of the level's maps. Pixels without a surface
@@ -29,7 +29,7 @@ def _position(part: Part) -> np.ndarray:
     """
     from skugga.terrain.geo.grid import MapView
 
-    view, frame = part.view, part.frame
+    view, frame = product_input.view, product_input.frame
     out = np.full((view.rows, view.cols, 3), np.nan)
     row, col = np.nonzero(frame.valid)
     if isinstance(view, MapView):
@@ -37,7 +37,9 @@ def _position(part: Part) -> np.ndarray:
         out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
         out[row, col, 2] = frame.height_m[row, col]
     elif frame.position_earth_m is not None:
-        out[row, col] = np.stack(part.scene.world.map_position(part.scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
+        out[row, col] = np.stack(
+            product_input.scene.world.map_position(product_input.scene.map_crs, frame.position_earth_m[row, col]), axis=-1
+        )
     return out
 
 

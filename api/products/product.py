@@ -62,7 +62,7 @@ class ProductOptions(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ProductInput:
     """The input of a product's computation: the scene, the pixels of a view or of a block of a map, and the drawn picture.
 
     Attributes
@@ -70,7 +70,7 @@ class Part:
     scene
         The scene under the request's sun.
     view
-        The pixels to compute, including a margin of ``reach_px`` pixels of a map on each side. If the product needs no picture,
+        The pixels to compute, including a margin of ``margin_px`` pixels of a map on each side. If the product needs no picture,
         pixels of a map lie on the nodes of a grid.
     options
         The product's options.
@@ -142,14 +142,14 @@ class Product:
     formats
         The file formats that hold it without loss, or as a picture.
     compute
-        Returns the array (rows, cols) or (rows, cols, bands) of a ``Part``.
+        Returns the array (rows, cols) or (rows, cols, bands) of a ``ProductInput``.
     view_kinds
         The kinds of views that it exists for.
     when
         The dependence on time: ``none``, the ``sun`` of a moment, or the ``days`` that its options name.
     needs, perspective_needs
         The images to draw for a map, and for a perspective view (``None``: the same). If none, ``compute`` uses the scene only.
-    reach_px
+    margin_px
         Margin in pixels around a part that ``compute`` needs. It is computed and cropped, so that blocks and tiles have no seams.
     options
         The model of its options.
@@ -195,12 +195,12 @@ class Product:
     name: str
     description: str
     formats: tuple[MapFormat, ...]
-    compute: Callable[[Part], np.ndarray]
+    compute: Callable[[ProductInput], np.ndarray]
     view_kinds: tuple[Literal["map", "perspective"], ...] = ("map", "perspective")
     when: Literal["none", "sun", "days"] = "sun"
     needs: Needs = NEEDS_NOTHING
     perspective_needs: Needs | None = None
-    reach_px: int = 0
+    margin_px: int = 0
     options: type[ProductOptions] = ProductOptions
     dtype: str = "float32"
     bands: int = 1
@@ -284,13 +284,13 @@ class Product:
                 raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
             raise InputError(name, first["input"], allowed_phrase(first)) from None
 
-    def empty_array(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
+    def empty_array(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
         """Return the array of a map without data."""
         if self.empty is not None:
-            return self.empty(rows, cols, lowest_m)
+            return self.empty(rows, cols, lowest_ground_m)
         shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
         return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
 
-    def empty_picture(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
+    def empty_picture(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
         """Return the picture of a map without data, which is transparent for a product with a colour scale."""
-        return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_m)
+        return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_ground_m)

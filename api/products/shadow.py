@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Part, Product
+from skugga.api.products.product import Product, ProductInput
 
 
-def _compute(part: Part) -> np.ndarray:
+def _compute(product_input: ProductInput) -> np.ndarray:
     """Return RGBA, uint8 (rows, cols, 4): black with alpha 1 - visibility, transparent without a surface."""
-    opacity = part.required_picture.opacity
+    opacity = product_input.required_picture.opacity
     assert opacity is not None
     out = np.zeros((*opacity.shape, 4), np.uint8)
     out[..., 3] = opacity

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.products.product import Part, Product, ProductOptions
+from skugga.api.products.product import Product, ProductInput, ProductOptions
 from skugga.terrain.errors import UnsupportedError
 
 if TYPE_CHECKING:
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.world import World
     from skugga.terrain.scene import Scene
 
-NAME = "sunhours"
+PRODUCT_NAME = "sunhours"
 
 TILE_STEP_MIN = 5.0
 """Minutes between two suns of a tile. The mean error is half a minute in mountains, and a block takes seconds."""
 
-MAX_TICKS = 7
+MAX_LEGEND_TICKS = 7
 
-BLOCK_NODES = 2048
+BARE_BLOCK_SIDE_NODES = 2048
 """Side of a block of bare ground: twice that of a picture, because each sun reads the casters around the block again."""
 
 LARGE_RASTER_CELLS = 16_000_000
 """Limit of the cells of a raster with large blocks. Smaller blocks bound memory, since casters around a block may exceed it."""
 
-LARGE_RASTER_BLOCK_NODES = 1024
+LARGE_RASTER_BLOCK_SIDE_NODES = 1024
 
-MIN_BLOCK_NODES = 64
+MIN_BLOCK_SIDE_NODES = 64
 
 Date = datetime.date  # an alias, because the model has a field called ``date``
 
@@ -91,19 +91,19 @@ class SunHoursOptions(ProductOptions):
         return SunRules(self.step_min, self.threshold_h, self.least_altitude, self.height)
 
 
-def _compute(part: Part) -> np.ndarray:
+def _compute(product_input: ProductInput) -> np.ndarray:
     """Return the requested quantity of sun, float32 (rows, cols)."""
-    values: np.ndarray = getattr(_sun_hours(part), part.options.quantity)
+    values: np.ndarray = getattr(_sun_hours(product_input), product_input.options.quantity)
     return values
 
 
-def _sun_hours(part: Part) -> SunHours:
+def _sun_hours(product_input: ProductInput) -> SunHours:
     from skugga.shadows.sun_hours.sun_hours import sun_hours
     from skugga.shadows.sun_hours.suns import window_suns
 
-    scene, view, options = part.scene, part.map_view, part.options
+    scene, view, options = product_input.scene, product_input.map_view, product_input.options
     days = window_suns(scene.world, options.windows(scene.world))
-    return sun_hours(scene, view, days, options.rules, _plan_of(scene, view), part.on_step)
+    return sun_hours(scene, view, days, options.rules, _plan_of(scene, view), product_input.on_step)
 
 
 def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
@@ -141,9 +141,9 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
     return ColorScale(f"{quantity_title}, {date_text} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
 
 
-def _ticks(low: float, high: float, unit: float, text: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
-    tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12) if (high - low) / (multiple * unit) < MAX_TICKS)
-    return tuple((float(value), text(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
+def _ticks(low: float, high: float, unit: float, format_tick: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
+    tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS)
+    return tuple((float(value), format_tick(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
 
 
 def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
@@ -170,7 +170,9 @@ def _check(scene: Scene) -> None:
     from skugga.terrain.gbuffer.supersampling import is_terrain_only
 
     if not is_terrain_only(scene):  # each of many suns would be a picture
-        raise UnsupportedError("layer", NAME, "objects stand on this level's ground; `skugga sunhours` writes it as a raster")
+        raise UnsupportedError(
+            "layer", PRODUCT_NAME, "objects stand on this level's ground; `skugga sunhours` writes it as a raster"
+        )
 
 
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
@@ -185,9 +187,11 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     if not is_terrain_only(scene):
         return blocks_of(view)
     nodes = view.as_nodes()
-    side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_NODES
+    side = (
+        BARE_BLOCK_SIDE_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_SIDE_NODES
+    )
     if not scene.world.flat:
-        side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
+        side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_SIDE_NODES, side))
     limits: Sequence[tuple[int, int]] = [
         (int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side)))
         for (low, high), count in zip(ground_extent(scene, nodes), (view.rows, view.cols), strict=True)
@@ -205,7 +209,7 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 
 
 PRODUCT = Product(
-    name=NAME, description="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
+    name=PRODUCT_NAME, description="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
     describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, step_count=_date_count,
     tags=_tags, check=_check,

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Part, Product
+from skugga.api.products.product import Product, ProductInput
 from skugga.shadows.picture import Needs
 
-VISIBILITY: Needs = frozenset({"visibility", "reach"})
+NEEDS_VISIBILITY: Needs = frozenset({"visibility", "reach"})
 
 
-def visibility_of(part: Part) -> np.ndarray:
+def visibility_of(product_input: ProductInput) -> np.ndarray:
     """Return the visibility of the first light, float32 (rows, cols), NaN without a surface."""
-    visibility = part.required_picture.visibility
+    visibility = product_input.required_picture.visibility
     assert visibility is not None
     return visibility
 
 
 PRODUCT = Product(
     name="visibility", description="the share of the light that reaches the ground, 0 to 1", formats=("npy", "tif"),
-    compute=visibility_of, needs=VISIBILITY, unit="1",
+    compute=visibility_of, needs=NEEDS_VISIBILITY, unit="1",
 )  # fmt: skip

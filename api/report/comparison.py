@@ -61,7 +61,7 @@ def print_comparison(comparison: Comparison, base_command: str) -> None:
     ):
         table.add_column(title, justify="right")
     for row in sorted(comparison.rows, key=lambda row: row.figures["wrong_cast"]):
-        table.add_row(*_cells(row))
+        table.add_row(*_table_cells(row))
     console.print(table)
     console.print(
         f"boundary {100 * comparison.undecided_share:.2f} % of the surface (errors are not counted there), "
@@ -134,7 +134,7 @@ def comparison_facts(scene: Scene, comparison: Comparison, view: str) -> dict[st
     }
 
 
-def _cells(row: ComparisonRow) -> list[str]:
+def _table_cells(row: ComparisonRow) -> list[str]:
     f = row.figures
     return [
         f["name"],

@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from skugga.api.picture_cost import SLOW_PICTURE_MS, is_over_limit, remedy, time_limit_ms
+from skugga.api.picture_cost import SLOW_PICTURE_MS, cost_remedy, is_over_limit, time_limit_ms
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_wrong_share
 from skugga.selector.planner.planner import SETTING_NAMES
 from skugga.selector.predict import TARGET_MISSED
@@ -21,7 +21,7 @@ from skugga.terrain.scene import Scene
 LINE_WIDTH = 100
 """Maximum characters of a line."""
 
-POLICIES = {"rules": "by the rules", "predict": "by prediction", "probe": "by a probe", "measure": "by measuring"}
+POLICY_PHRASES = {"rules": "by the rules", "predict": "by prediction", "probe": "by a probe", "measure": "by measuring"}
 
 COMPASS_POINTS = (
     "north", "north-north-east", "north-east", "east-north-east", "east", "east-south-east", "south-east", "south-south-east",
@@ -41,7 +41,8 @@ CHOSEN_REASON = "as chosen"
 
 def format_heading(scene: Scene, plan: Plan) -> str:
     """Return the heading of a plan: level, view, sun and policy."""
-    return f"{scene.loaded.level.title or scene.loaded.name}. {format_view_and_sun(scene, plan)}; chosen {POLICIES[plan.policy]}."
+    title = scene.loaded.level.title or scene.loaded.name
+    return f"{title}. {format_view_and_sun(scene, plan)}; chosen {POLICY_PHRASES[plan.policy]}."
 
 
 def format_view_and_sun(scene: Scene, plan: Plan) -> str:
@@ -98,7 +99,7 @@ def format_expectation(plan: Plan) -> str:
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_wrong_share(plan.predicted.wrong_cast, plan.predicted.is_coverage)}."
     )
-    if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := remedy(plan)) is not None:
+    if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := cost_remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
     if is_over_limit(plan, limit_ms := time_limit_ms()):
         limit = f"A service gives up pictures after {format_duration(limit_ms)} (SKUGGA_RENDER_TIMEOUT_S): it refuses this one."
@@ -146,23 +147,23 @@ class _ReasonList:
         self._plan = plan
         self._unused = list(plan.reasons)
 
-    def take_notes(self, word: str) -> list[str]:
+    def take_notes(self, name_part: str) -> list[str]:
         """Take the reasons whose name contains a word, and return them as sentences."""
-        return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: word in name.split(" "))]
+        return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: name_part in name.split(" "))]
 
     def light_lines(self, light: str) -> list[str]:
         """Return the lines about a light: heading, algorithms and settings."""
         lines = ["Under the sun" if light == SUN else f"Under the light {light}"]
         for step in self._plan.steps:
             if step.light == light:
-                lines += self._step(step)
+                lines += self._step_lines(step)
         return lines
 
     def take_remaining(self) -> list[str]:
         """Take all remaining reasons, and return them as sentences."""
         return [f"{_capitalized(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
-    def _step(self, step: Step) -> Iterator[str]:
+    def _step_lines(self, step: Step) -> Iterator[str]:
         kinds_by_reason: dict[str, list[str]] = {}
         for kind in step.kinds:
             reasons = self._take_named(f"{step.light}/{kind}: {step.algorithm}")
@@ -170,11 +171,11 @@ class _ReasonList:
         for reason, kinds in kinds_by_reason.items():
             algorithm_phrase = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
             yield f"  {_capitalized(format_list(kinds))} {algorithm_phrase}{f': {reason}' if reason else ''}."
-        for key, value in _values(step.settings):
+        for key, value in _setting_values(step.settings):
             reasons = self._take_named(f"{key} {value}", f"{step.light}: {key} {value}")
             if reasons or (key in ALWAYS_LISTED_SETTINGS and (key, value) not in (("cascades", 1), ("filter", 1))):
                 reason = f": {reasons[0]}" if reasons and reasons[0] != CHOSEN_REASON else ""
-                yield f"    {_capitalized(_setting(key, value))}{reason}."
+                yield f"    {_capitalized(_setting_phrase(key, value))}{reason}."
 
     def _take_named(self, *names: str) -> list[str]:
         """Take the reasons that have one of some names."""
@@ -186,7 +187,7 @@ class _ReasonList:
         return matching
 
 
-def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
+def _setting_values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
     """Yield names and values of the requested settings of a step (one algorithm for some caster kinds), in ``SETTING_ORDER``.
 
     The value of ``cascades`` is their number.
@@ -201,7 +202,7 @@ def _matched_display_name(match: re.Match[str]) -> str:
     return display_name(word) if word in ALGORITHMS or word in EFFECTS else word
 
 
-def _setting(key: str, value: object) -> str:
+def _setting_phrase(key: str, value: object) -> str:
     match key, value:
         case "map_size", _:
             return f"{value} x {value} texels"

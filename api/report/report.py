@@ -14,10 +14,10 @@ import numpy as np
 
 from skugga.api.report.page.bars import bar_chart, bars_legend, exceeds_axis
 from skugga.api.report.page.markup import breakable_text, definition_list, script_json, tag
-from skugga.api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
+from skugga.api.report.page.pictures import ErrorPicture, ReportPictures, palette, report_pictures
 from skugga.api.report.page.scatter import scatter_file, scatter_legend, scatter_plot
 from skugga.api.report.page.table import GLOSSARY, rows_table
-from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, casts_shadow, format_summary, is_on_front
+from skugga.api.report.summary import MAX_EXACT_NOISE_FLOORS, RowFigures, casts_shadow, format_summary, is_on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
 from skugga.terrain.atomic_files import write_atomically
@@ -31,7 +31,7 @@ MAX_REMARK_CHARACTERS = 240
 LEFT_OUT_REMARK = "some rows were left out by the time limit"
 """Remark on rows for which the time limit left no time."""
 
-_COLOURS = {
+_COLOUR_MEANINGS = {
     "false": "false shadow: lit in truth",
     "missed": "missed shadow: dark in truth",
     "dark": "shadow",
@@ -42,7 +42,7 @@ _COLOURS = {
 def write_report(
     path: Path,
     comparison: Comparison,
-    base: np.ndarray,
+    shadowless_view: np.ndarray,
     facts: dict[str, str],
     commands: Sequence[str] = (),
     max_bytes: int = MAX_PAGE_BYTES,
@@ -57,7 +57,7 @@ def write_report(
         File to write.
     comparison
         The comparison.
-    base
+    shadowless_view
         The view without cast shadows, uint8 (rows, cols, 3).
     facts
         Facts of the run, in order. The first two values make the title.
@@ -71,7 +71,7 @@ def write_report(
     OSError
         If the file cannot be written.
     """
-    write_atomically(path, report_html(comparison, base, facts, commands, max_bytes))
+    write_atomically(path, report_html(comparison, shadowless_view, facts, commands, max_bytes))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
@@ -81,7 +81,7 @@ def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
 
 def report_html(
     comparison: Comparison,
-    base: np.ndarray,
+    shadowless_view: np.ndarray,
     facts: dict[str, str],
     commands: Sequence[str] = (),
     max_bytes: int = MAX_PAGE_BYTES,
@@ -102,7 +102,7 @@ def report_html(
                 ]  # fmt: skip
             ),
         ),
-        "shares": definition_list(_shares(comparison), class_="shares"),
+        "shares": definition_list(_share_texts(comparison), class_="shares"),
         "glossary": definition_list(GLOSSARY),
         "style": style,
         "script": script,
@@ -113,7 +113,7 @@ def report_html(
         return Template(_template_text("report.html")).substitute(parts, results="", data="")
     results = _results(comparison)
     picture_budget = max_bytes - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
-    encoded_pictures = report_pictures(base, _errors(comparison), picture_budget)
+    encoded_pictures = report_pictures(shadowless_view, _error_pictures(comparison), picture_budget)
     results |= {"thumbs": _thumbs(comparison, encoded_pictures), "shrunk": _pictures_note(encoded_pictures)}
     return Template(_template_text("report.html")).substitute(
         parts, results=Template(_template_text("results.html")).substitute(results), data=_data_script(comparison, encoded_pictures)
@@ -129,9 +129,9 @@ def _csp_hash(text: str) -> str:
     return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
 
 
-def _remark(remark: str) -> str:
+def _remark(remark_text: str) -> str:
     """Return a remark as a sentence; the list after the colon of a long remark is collapsed."""
-    sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
+    sentence = escape(f"{remark_text[:1].upper()}{remark_text[1:]}{'' if remark_text.endswith('.') else '.'}")
     head, colon, tail = sentence.partition(": ")
     return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > MAX_REMARK_CHARACTERS else sentence
 
@@ -144,14 +144,14 @@ def _left_out_note(commands: Sequence[str]) -> list[str]:
     return [tag("details", tag("summary", f"{LEFT_OUT_REMARK[:1].upper()}{LEFT_OUT_REMARK[1:]}. To measure them, run"), lines)]
 
 
-def _shares(comparison: Comparison) -> dict[str, str]:
+def _share_texts(comparison: Comparison) -> dict[str, str]:
     return {
         "cast shadow": f"{format_percent(comparison.cast_share)} of the surface, by truth",
         "boundary": f"{format_percent(comparison.undecided_share)} of the surface: errors are not counted there, because "
         "truth itself is uncertain",
         "rendered grid": f"{format_percent(comparison.simplification_share)} of the surface differs from that of the full raster",
         "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
-        f"errors up to {format_percent(EXACT_NOISE_FLOORS * comparison.noise_floor)} are called exact",
+        f"errors up to {format_percent(MAX_EXACT_NOISE_FLOORS * comparison.noise_floor)} are called exact",
     }
 
 
@@ -169,13 +169,13 @@ def _results(comparison: Comparison) -> dict[str, str]:
         "cold": "A time with a question mark is that of a first run, which includes compilation and allocation." if cold else "",
         "colours": tag(
             "ul",
-            *(tag("li", tag("span", class_=f"colour {class_}"), text) for class_, text in _COLOURS.items()),
+            *(tag("li", tag("span", class_=f"colour {class_}"), text) for class_, text in _COLOUR_MEANINGS.items()),
             class_="legend",
         ),
     }
 
 
-def _errors(comparison: Comparison) -> list[ErrorPicture]:
+def _error_pictures(comparison: Comparison) -> list[ErrorPicture]:
     """Return the error picture of each row.
 
     Pixels that face away from the light are dark in the shaded view already. They do not count as cast shadow.
@@ -189,26 +189,26 @@ def _errors(comparison: Comparison) -> list[ErrorPicture]:
     ]
 
 
-def _pictures_note(encoded_pictures: Pictures) -> str:
-    steps = f"Visibility is shown in {encoded_pictures.levels} steps."
-    if encoded_pictures.factor == 1:
+def _pictures_note(encoded_pictures: ReportPictures) -> str:
+    steps = f"Visibility is shown in {encoded_pictures.gray_levels} steps."
+    if encoded_pictures.shrink_factor == 1:
         return f"Pictures have the pixels of the view. {steps}"
     return (
-        f"To keep this page small, each pixel of a picture covers {encoded_pictures.factor} × "
-        f"{encoded_pictures.factor} pixels of the view; "
+        f"To keep this page small, each pixel of a picture covers {encoded_pictures.shrink_factor} × "
+        f"{encoded_pictures.shrink_factor} pixels of the view; "
         f"it is wrong if any of these is wrong. {steps}"
     )
 
 
-def _data_script(comparison: Comparison, encoded_pictures: Pictures) -> str:
+def _data_script(comparison: Comparison, encoded_pictures: ReportPictures) -> str:
     figures = [row.figures for row in comparison.rows]
     row_numbers = [k for k, f in enumerate(figures) if is_on_front(f, comparison.light)] or list(range(len(figures)))
     row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error_metric]))
     value = {
         "rows": encoded_pictures.rows,
         "cols": encoded_pictures.cols,
-        "levels": encoded_pictures.levels,
-        "palette": palette(encoded_pictures.levels).tolist(),
+        "levels": encoded_pictures.gray_levels,
+        "palette": palette(encoded_pictures.gray_levels).tolist(),
         "ground": encoded_pictures.ground,
         "left": row_numbers[0],
         "right": row_numbers[-1],
@@ -216,16 +216,23 @@ def _data_script(comparison: Comparison, encoded_pictures: Pictures) -> str:
     return tag("script", script_json(value), type="application/json", id="data")
 
 
-def _thumbs(comparison: Comparison, encoded_pictures: Pictures) -> str:
+def _thumbs(comparison: Comparison, encoded_pictures: ReportPictures) -> str:
     figures = [row.figures for row in comparison.rows]
     order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error_metric], figures[k]["ms_median"]))
     return "".join(_thumb(k, figures[k], comparison.error_metric, encoded_pictures) for k in order)
 
 
-def _thumb(k: int, figures: RowFigures, error: str, encoded_pictures: Pictures) -> str:
+def _thumb(row_index: int, figures: RowFigures, error: str, encoded_pictures: ReportPictures) -> str:
     caption = f"{format_percent(figures[error])}, {format_duration(figures['ms_median'])}"
     shares = f"{format_percent(figures['false_shadow'])} false and {format_percent(figures['missed_shadow'])} missed shadow"
     alt = f"Errors of {figures['name']}: {shares}"
-    picture = tag("img", src=encoded_pictures.row_uris[k], alt=alt, width=encoded_pictures.cols, height=encoded_pictures.rows)
+    picture = tag(
+        "img", src=encoded_pictures.row_uris[row_index], alt=alt, width=encoded_pictures.cols, height=encoded_pictures.rows
+    )
     name = tag("figcaption", tag("b", breakable_text(figures["name"])), tag("span", escape(caption)))
-    return tag("figure", tag("a", picture, href=f"#row-{k}", data_row=k), name, class_="front" if figures["pareto"] else None)
+    return tag(
+        "figure",
+        tag("a", picture, href=f"#row-{row_index}", data_row=row_index),
+        name,
+        class_="front" if figures["pareto"] else None,
+    )

@@ -13,7 +13,7 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 RowFigures = dict[str, Any]
 
 
-EXACT_NOISE_FLOORS = 3.0
+MAX_EXACT_NOISE_FLOORS = 3.0
 """An error below this multiple of the noise floor counts as exact."""
 EQUAL_TIME_RATIO = 1.05
 """Times that differ by less than this ratio count as equal."""
@@ -25,12 +25,12 @@ def format_summary(comparison: Comparison) -> list[str]:
     """Return sentences on the rows that cast shadows; an empty list if no row does.
 
     The cost of accuracy is the time of rows on the Pareto front. It starts from the fastest row, in steps that at least halve the
-    error. It ends where the error is 0 or below ``EXACT_NOISE_FLOORS`` times the noise floor, since truth is no more accurate.
+    error. It ends where the error is 0 or below ``MAX_EXACT_NOISE_FLOORS`` times the noise floor, since truth is no more accurate.
     """
     rows = [row.figures for row in comparison.rows if casts_shadow(row.figures, comparison.light)]
     if not rows:
         return []
-    summary = _SummaryWriter(comparison.error_metric, EXACT_NOISE_FLOORS * comparison.noise_floor)
+    summary = _SummaryWriter(comparison.error_metric, MAX_EXACT_NOISE_FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.error_of(f)))
     return [
         *summary.extreme_sentences(rows), *summary.cost_sentences(front), *_default_sentences(rows, comparison),
@@ -61,17 +61,17 @@ class _SummaryWriter:
 
     Attributes
     ----------
-    error
+    error_key
         Key of the error among the figures of a row.
     max_exact_error
         Errors up to this value count as exact.
     """
 
-    error: str
+    error_key: str
     max_exact_error: float
 
     def error_of(self, figures: RowFigures) -> float:
-        return float(figures[self.error])
+        return float(figures[self.error_key])
 
     def is_exact(self, figures: RowFigures) -> bool:
         return self.error_of(figures) <= self.max_exact_error
@@ -129,7 +129,7 @@ class _SummaryWriter:
         ]
 
     def _result(self, figures: RowFigures) -> str:
-        error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "difference in shadow share"
+        error_phrase = "of the cast shadow wrong" if self.error_key == "wrong_cast" else "difference in shadow share"
         error_text = (
             "exact within the noise of truth"
             if self.is_exact(figures)

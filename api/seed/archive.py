@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, Entry, serialize_directory, serialize_header, tileid_to_zxy
 
-from skugga.api.archive_format import HEADER_BYTES, TILE_TYPES
+from skugga.api.archive_format import PMTILES_HEADER_BYTES, TILE_TYPE_BY_FORMAT
 from skugga.api.errors import BrokenShardError
 from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.errors import InputError, Problem
@@ -32,7 +32,7 @@ DEDUPLICATION_LIMIT_BYTES = 2048
 Equal larger tiles are rare, and finding them would cost memory for every tile.
 """
 
-MAX_ROOT_END = 16_384
+MAX_ROOT_END_BYTES = 16_384
 """Upper bound in bytes of the end of the root directory (specification): readers fetch header and root in one request."""
 
 MAX_ROOT_ENTRIES = 16_384
@@ -119,18 +119,18 @@ class ArchiveSize:
     ----------
     file_bytes : int
         Bytes of the file.
-    tiles : int
+    tile_count : int
         Number of tile ids that the archive answers.
-    entries : int
+    entry_count : int
         Number of directory entries.
-    contents : int
+    content_count : int
         Number of tile contents that are stored; equal tiles may share one.
     """
 
     file_bytes: int
-    tiles: int
-    entries: int
-    contents: int
+    tile_count: int
+    entry_count: int
+    content_count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class _Layout:
 
     Attributes
     ----------
-    stored : (tiles,) bool
+    is_stored : (tiles,) bool
         Whether a tile's bytes are stored; if not, the tile shares the bytes of an equal one.
     ids, offsets, lengths, run_lengths : (entries,)
         Of each entry: first tile id, offset of its bytes from those of the first tile, number of bytes, and run length.
@@ -147,7 +147,7 @@ class _Layout:
         Bytes of all stored tiles.
     """
 
-    stored: NDArray[np.bool_]
+    is_stored: NDArray[np.bool_]
     ids: NDArray[np.uint64]
     offsets: NDArray[np.uint64]
     lengths: NDArray[np.uint32]
@@ -155,27 +155,31 @@ class _Layout:
     data_bytes: int
 
 
-def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int], bytes], facts: ArchiveMetadata) -> ArchiveSize:
-    """Write the tiles of shards as a PMTiles archive, atomically. Equal tiles and facts give equal bytes.
+def write_archive(
+    path: Path, indexes: Sequence[ShardIndex], read_shard: Callable[[int], bytes], archive_metadata: ArchiveMetadata
+) -> ArchiveSize:
+    """Write the tiles of shards as a PMTiles archive, atomically. Equal tiles and metadata give equal bytes.
 
-    The tile ids of the indexes ascend from shard to shard. ``read(i)`` returns shard i's bytes; it is called once per shard, in
-    order. Equal neighbouring tiles form one run, and equal small tiles share one content.
+    The tile ids of the indexes ascend from shard to shard. ``read_shard(i)`` returns shard i's bytes. It is called once
+    per shard, in order. Equal neighbouring tiles form one run, and equal small tiles share one content.
 
     Raises ``BrokenShardError`` for bytes that do not match the index, ``InputError`` without any tile, ``ValueError`` for
-    unordered ids or ids outside of the zooms, ``OSError``, and the errors of ``read``.
+    unordered ids or ids outside of the zooms, ``OSError``, and the errors of ``read_shard``.
     """
-    layout = _layout(indexes, facts)
-    head = _encode_head(layout, facts)
+    layout = _layout(indexes, archive_metadata)
+    head = _encode_head(layout, archive_metadata)
     with atomic_path(path) as part, part.open("wb") as file:
         file.write(head)
         first = 0
         for number, index in enumerate(indexes):
-            _copy_shard(file, number, index, read(number), layout.stored[first : first + len(index.ids)])
+            _copy_shard(file, number, index, read_shard(number), layout.is_stored[first : first + len(index.ids)])
             first += len(index.ids)
-    return ArchiveSize(len(head) + layout.data_bytes, len(layout.stored), len(layout.ids), int(np.count_nonzero(layout.stored)))
+    return ArchiveSize(
+        len(head) + layout.data_bytes, len(layout.is_stored), len(layout.ids), int(np.count_nonzero(layout.is_stored))
+    )
 
 
-def _layout(indexes: Sequence[ShardIndex], facts: ArchiveMetadata) -> _Layout:
+def _layout(indexes: Sequence[ShardIndex], archive_metadata: ArchiveMetadata) -> _Layout:
     ids = np.concatenate([np.empty(0, np.uint64), *(index.ids for index in indexes)])
     lengths = np.concatenate([np.empty(0, np.uint32), *(index.lengths for index in indexes)])
     digests = np.concatenate([np.empty((0, DIGEST_BYTES), np.uint8), *(index.digests for index in indexes)])
@@ -183,8 +187,8 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveMetadata) -> _Layout:
         raise InputError("tiles", Problem("no tile shows data"), "Choose zooms at which the level has data")
     if not (ids[1:] > ids[:-1]).all():
         raise ValueError("tile ids of shards do not ascend")
-    if not (first_tile_id(facts.first_zoom) <= ids[0] and ids[-1] < first_tile_id(facts.last_zoom + 1)):
-        raise ValueError(f"tiles outside of the zooms {facts.first_zoom} to {facts.last_zoom}")
+    if not (first_tile_id(archive_metadata.first_zoom) <= ids[0] and ids[-1] < first_tile_id(archive_metadata.last_zoom + 1)):
+        raise ValueError(f"tiles outside of the zooms {archive_metadata.first_zoom} to {archive_metadata.last_zoom}")
     if not lengths.all():
         raise ValueError("a tile without bytes")
 
@@ -200,25 +204,25 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveMetadata) -> _Layout:
     copied = source == np.arange(len(entry_starts))
     entry_lengths = lengths[entry_starts]
     ends = np.cumsum(np.where(copied, entry_lengths, 0), dtype=np.uint64)
-    stored = np.zeros(len(ids), np.bool_)
-    stored[entry_starts[copied]] = True
-    return _Layout(stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, run_lengths, int(ends[-1]))
+    is_stored = np.zeros(len(ids), np.bool_)
+    is_stored[entry_starts[copied]] = True
+    return _Layout(is_stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, run_lengths, int(ends[-1]))
 
 
-def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
+def _encode_head(layout: _Layout, archive_metadata: ArchiveMetadata) -> bytes:
     """Return the header, the directories and the metadata, which precede the tiles' bytes."""
     root, leaves = _directories(layout)
-    metadata = gzip.compress(json.dumps(dict(facts.metadata), sort_keys=True, allow_nan=False).encode(), mtime=0)
-    west, south, east, north = facts.bounds
+    metadata = gzip.compress(json.dumps(dict(archive_metadata.metadata), sort_keys=True, allow_nan=False).encode(), mtime=0)
+    west, south, east, north = archive_metadata.bounds
     # Readers accept no degrees beyond 180, so bounds across the antimeridian become all longitudes.
     west, east = (-180.0, 180.0) if east > 180.0 or west < -180.0 else (west, east)
     edges = [round(degrees * 1e7) for degrees in (west, max(south, -90.0), east, min(north, 90.0))]
-    metadata_at, leaves_at = HEADER_BYTES + len(root), HEADER_BYTES + len(root) + len(metadata)
+    metadata_at, leaves_at = PMTILES_HEADER_BYTES + len(root), PMTILES_HEADER_BYTES + len(root) + len(metadata)
     first_zoom = tileid_to_zxy(int(layout.ids[0]))[0]
     header = serialize_header(
         {
             "version": 3,
-            "root_offset": HEADER_BYTES,
+            "root_offset": PMTILES_HEADER_BYTES,
             "root_length": len(root),
             "metadata_offset": metadata_at,
             "metadata_length": len(metadata),
@@ -226,13 +230,13 @@ def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
             "leaf_directory_length": len(leaves),
             "tile_data_offset": leaves_at + len(leaves),
             "tile_data_length": layout.data_bytes,
-            "addressed_tiles_count": len(layout.stored),
+            "addressed_tiles_count": len(layout.is_stored),
             "tile_entries_count": len(layout.ids),
-            "tile_contents_count": int(np.count_nonzero(layout.stored)),
+            "tile_contents_count": int(np.count_nonzero(layout.is_stored)),
             "clustered": True,
             "internal_compression": Compression.GZIP,
             "tile_compression": Compression.NONE,
-            "tile_type": TILE_TYPES[facts.format],
+            "tile_type": TILE_TYPE_BY_FORMAT[archive_metadata.format],
             "min_zoom": first_zoom,
             "max_zoom": tileid_to_zxy(int(layout.ids[-1]))[0],
             "min_lon_e7": edges[0],
@@ -249,7 +253,7 @@ def _encode_head(layout: _Layout, facts: ArchiveMetadata) -> bytes:
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
     """Return the root directory and the leaf directories. Leaves hold more and more entries until the root fits its size limit."""
-    count, max_root_bytes = len(layout.ids), MAX_ROOT_END - HEADER_BYTES
+    count, max_root_bytes = len(layout.ids), MAX_ROOT_END_BYTES - PMTILES_HEADER_BYTES
     if count <= MAX_ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
         if len(root) <= max_root_bytes:
@@ -273,22 +277,25 @@ def _entries(layout: _Layout, first: int, end: int) -> list[Entry]:
     return [Entry(*row) for row in zip(*columns, strict=True)]
 
 
-def _copy_shard(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: NDArray[np.bool_]) -> None:
-    """Check a shard's tiles against their digests, and write the tiles that are ``stored``. Raises ``BrokenShardError``."""
+def _copy_shard(file: BinaryIO, shard_number: int, index: ShardIndex, shard: bytes, is_stored: NDArray[np.bool_]) -> None:
+    """Check a shard's tiles against their digests, and write the tiles for which ``is_stored`` is true.
+
+    Raises ``BrokenShardError``.
+    """
     ends = np.cumsum(index.lengths, dtype=np.int64).tolist()
     expected = ends[-1] if ends else 0
     if len(shard) != expected:
-        raise BrokenShardError(f"shard {number} has {len(shard)} bytes, but its index lists {expected}", number)
+        raise BrokenShardError(f"shard {shard_number} has {len(shard)} bytes, but its index lists {expected}", shard_number)
     view, digests = memoryview(shard), index.digests.tobytes()
     edges = [0, *ends]
     for row, (begin, end) in enumerate(pairwise(edges)):
         if _digest(view[begin:end]) != digests[row * DIGEST_BYTES : (row + 1) * DIGEST_BYTES]:
             z, x, y = tileid_to_zxy(int(index.ids[row]))
-            raise BrokenShardError(f"shard {number}: tile {z}/{x}/{y} does not match its digest", number)
-    if stored.all():
+            raise BrokenShardError(f"shard {shard_number}: tile {z}/{x}/{y} does not match its digest", shard_number)
+    if is_stored.all():
         file.write(shard)
         return
-    for row in np.flatnonzero(stored).tolist():
+    for row in np.flatnonzero(is_stored).tolist():
         file.write(view[edges[row] : edges[row + 1]])
 
 

@@ -62,14 +62,14 @@ class DaskCluster:
         self._run: tuple[str, str] | None = None
         self._running: dict[int, tuple[Task, Any]] = {}
         self._finished_futures: Queue[tuple[int, Any]] = Queue()
-        self._refused: dict[str, str] = {}
+        self._refusal_reasons: dict[str, str] = {}
         self._workers: list[str] = []
         self._polled_at_s, self._present_at_s = -WORKER_POLL_INTERVAL_S, clock.monotonic()
         try:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
-                "--scheduler", Problem(f"no Dask scheduler answers at {address} ({_short(error)})"), "Check the address"
+                "--scheduler", Problem(f"no Dask scheduler answers at {address} ({_one_line(error)})"), "Check the address"
             ) from None
         self._warm_up()
 
@@ -81,11 +81,11 @@ class DaskCluster:
         self._run, self._present_at_s = (store_address, name), clock.monotonic()
         return self
 
-    def free_lanes(self) -> Sequence[int]:
-        """Implement ``Runner.free_lanes`` with a single lane, since Dask chooses the worker of a task."""
+    def free_worker_queues(self) -> Sequence[int]:
+        """Implement ``Runner.free_worker_queues`` with a single worker queue, since Dask chooses the worker of a task."""
         return [0] * max(TASKS_PER_WORKER * len(self._eligible_workers()) - len(self._running), 0)
 
-    def submit(self, task: Task, lane: int = 0) -> None:
+    def submit(self, task: Task, worker_queue: int = 0) -> None:
         """Implement ``Runner.submit``."""
         assert self._run is not None
         eligible = self._eligible_workers()
@@ -97,7 +97,7 @@ class DaskCluster:
                 tuple(task),
                 pure=False,
                 retries=0,
-                workers=eligible if self._refused else None,
+                workers=eligible if self._refusal_reasons else None,
             )
         except SCHEDULER_LOST_ERRORS:
             self._polled_at_s = -WORKER_POLL_INTERVAL_S  # it is resubmitted once the scheduler returns
@@ -142,12 +142,12 @@ class DaskCluster:
         try:
             self._client.register_plugin(self._worker_module.WarmUpPlugin(), name=self._plugin)
         except Exception as error:  # an error of a worker, or a lost scheduler: the first task reports it
-            log.warning("%s: render processes cannot warm up before their first tasks: %s", self._address, _short(error))
+            log.warning("%s: render processes cannot warm up before their first tasks: %s", self._address, _one_line(error))
 
     def _outcome(self, task: Task, future: Any) -> list[TaskResult | TaskFailure]:
         try:
             if future.status != "finished":
-                reason = _short(future.exception(timeout=5.0))
+                reason = _one_line(future.exception(timeout=5.0))
                 del self._running[task.id]
                 return [TaskFailure(task.id, f"its Dask worker ended while drawing it: {reason}", "died")]
             message: TaskResult | TaskFailure = future.result(timeout=30.0)
@@ -157,7 +157,7 @@ class DaskCluster:
         del self._running[task.id]
         if isinstance(message, TaskFailure) and message.kind == "refused":
             log.warning("worker %s is refused: %s", message.worker, message.error)
-            self._refused[message.worker] = message.error
+            self._refusal_reasons[message.worker] = message.error
             if not self._eligible_workers():
                 raise GraphicsError(f"no worker of the cluster can draw this run: {message.error}")
             self.submit(task)
@@ -165,7 +165,7 @@ class DaskCluster:
         return [message]
 
     def _eligible_workers(self) -> list[str]:
-        return [worker for worker in self._workers if worker not in self._refused]
+        return [worker for worker in self._workers if worker not in self._refusal_reasons]
 
     def _update_workers(self) -> None:
         """Update the list of workers. Raises ``RenderError`` if no worker has been present for long."""
@@ -205,15 +205,15 @@ class DaskCluster:
             except SCHEDULER_LOST_ERRORS as error:
                 if clock.monotonic() > until:
                     raise RenderError(
-                        f"{self._address}: the scheduler did not return within {self._cluster_timeout_s:g} s ({_short(error)}). "
+                        f"{self._address}: the scheduler did not return within {self._cluster_timeout_s:g} s ({_one_line(error)}). "
                         f"Run the same command again to resume."
                     ) from None
                 clock.sleep(1.0)
         self._warm_up()
-        self._workers, self._present_at_s, self._refused = [], clock.monotonic(), {}
+        self._workers, self._present_at_s, self._refusal_reasons = [], clock.monotonic(), {}
         for task in lost_tasks:
             self.submit(task)
 
 
-def _short(error: object) -> str:
+def _one_line(error: object) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__

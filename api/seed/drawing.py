@@ -16,7 +16,7 @@ from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import Task, TaskResult
 from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
 from skugga.api.seed.storage import ShardStore
-from skugga.api.workers.block_tiles import BLOCK_TILES, TilePosition, empty_tile, tiles_of_array, tiles_of_picture
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES, TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
 from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS
 from skugga.terrain.compiling.hooks import declare_product
@@ -60,7 +60,7 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
     view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
     product, plan = request.product_record, spec.plan_by_sun_and_zoom.get((task.sun, task.zoom))
     files: Mapping[TilePosition, bytes | None]
-    if plan is not None and not product.reach_px:
+    if plan is not None and not product.margin_px:
         picture = draw_picture(scene, view, product, plan)
         start = clock.perf_counter()
         files = tiles_of_picture(picture, request, scene, view, spec.format)
@@ -72,7 +72,9 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
         files = {place: None if body == empty_body else body for place, body in files.items()}
     side = 2**task.zoom
     places = {
-        (task.y * BLOCK_TILES + row, task.x * BLOCK_TILES + col): body for (row, col), body in files.items() if body is not None
+        (task.y * BLOCK_SIDE_TILES + row, task.x * BLOCK_SIDE_TILES + col): body
+        for (row, col), body in files.items()
+        if body is not None
     }
     by_id = {zxy_to_tileid(task.zoom, x, y): body for (y, x), body in places.items() if x < side and y < side}
     return dict(sorted(by_id.items())), clock.perf_counter() - start

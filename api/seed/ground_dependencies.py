@@ -51,7 +51,7 @@ SHADOW_MARGIN_DEG = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class _Chunks:
+class _ChunkPoints:
     """Chunks of a raster as points.
 
     Attributes
@@ -229,20 +229,20 @@ class _SkyDigests:
     def __init__(self, scene: Scene) -> None:
         self._view = sky_view(scene.elevation, scene.world)
 
-    def digest_input(self, cells: tuple[float, float, float, float]) -> bytes:
+    def digest_input(self, cell_range: tuple[float, float, float, float]) -> bytes:
         """Return the occlusion values at the nodes below some cells (first and last row, first and last column), as bytes.
 
         A margin is included, because wide pixels average values around them.
         """
         side, (rows, cols) = 2**self._view.lod, self._view.occlusion.shape
-        margin = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
+        margin = max((cell_range[1] - cell_range[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
         ends = []
-        for low, high, count in ((cells[0], cells[1], rows), (cells[2], cells[3], cols)):
+        for low, high, count in ((cell_range[0], cell_range[1], rows), (cell_range[2], cell_range[3], cols)):
             ends.append(slice(int(np.clip(low / side - margin, 0, count)), int(np.clip(high / side + margin + 1.0, 0, count))))
         return self._view.occlusion[ends[0], ends[1]].tobytes()
 
 
-def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
+def _chunk_points(scene: Scene, chunks: GroundChunks) -> _ChunkPoints:
     elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
     ends = [np.minimum(np.arange(count + 1) * side, size) - 0.5 for count, size in ((rows, elevation.rows), (cols, elevation.cols))]
     corner_col, corner_row = np.meshgrid(ends[1], ends[0])
@@ -253,7 +253,7 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
         [np.linalg.norm(corners[i : i + rows, j : j + cols] - middles, axis=-1) for i in (0, 1) for j in (0, 1)], axis=0
     )
     top = middles + chunks.high_m[..., None].astype(np.float64) * up  # NaN without ground: it shades nothing
-    return _Chunks(top.reshape(-1, 3), half_diagonal_m.ravel())
+    return _ChunkPoints(top.reshape(-1, 3), half_diagonal_m.ravel())
 
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:

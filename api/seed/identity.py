@@ -42,7 +42,7 @@ def cached_ground_chunks(loaded: LoadedLevel, scene: Scene, table: TaskTable) ->
     Raises ``SourceError``.
     """
     source = loaded.source
-    stamp = _stamp_of(source) if source and Path(source).exists() else None
+    stamp = _stamp_of_source(source) if source and Path(source).exists() else None
     cache_key = (
         f"{stamp} {loaded.level.terrain.model_dump_json()} {None if loaded.level.water is None else loaded.level.water.level}"
     )
@@ -109,18 +109,18 @@ def _files_of(source: str) -> list[Path]:
     return [path for path in dict.fromkeys([*files, *sidecars]) if is_remote(str(path)) or path.is_file()]
 
 
-def _stamp_of(source: str) -> str:
+def _stamp_of_source(source: str) -> str:
     return repr(file_stamps(_files_of(source)))
 
 
 def _digest_of_bytes(path: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as file:
-        for part in _file_parts(file):
+        for part in _file_blocks(file):
             digest.update(part)
     return digest.hexdigest()
 
 
-def _file_parts(file: Any) -> Iterable[bytes]:
+def _file_blocks(file: Any) -> Iterable[bytes]:
     while part := file.read(READ_BLOCK_BYTES):
         yield part

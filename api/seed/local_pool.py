@@ -20,14 +20,14 @@ MAX_FAILED_STARTS = 5
 class Runner(Protocol):
     """Protocol of the workers that draw the tasks of a run. Use it from one thread."""
 
-    def free_lanes(self) -> Sequence[int]:
-        """Return the lanes (queues of workers) that accept a task now. A lane is listed once for each task that it accepts.
+    def free_worker_queues(self) -> Sequence[int]:
+        """Return the worker queues that accept a task now. A worker queue is listed once for each task that it accepts.
 
-        Consecutive tasks of a lane are best neighbours on the map, because its worker then has most of the ground in memory.
+        Consecutive tasks of a queue are best neighbours on the map, because its worker then has most of the ground in memory.
         """
 
-    def submit(self, task: Task, lane: int) -> None:
-        """Start to draw a task on a lane, without waiting for its result."""
+    def submit(self, task: Task, worker_queue: int) -> None:
+        """Start to draw a task on a worker queue, without waiting for its result."""
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Return results of tasks, after at most ``timeout_s`` seconds. Raises ``GraphicsError`` if the workers cannot draw."""
@@ -55,13 +55,13 @@ class LocalPool:
             process.prepare_run(*self._run)
         return self
 
-    def free_lanes(self) -> Sequence[int]:
-        """Implement ``Runner.free_lanes``. Each process is a lane."""
-        return [lane for lane, process in enumerate(self._processes) if process.is_ready and process.task is None]
+    def free_worker_queues(self) -> Sequence[int]:
+        """Implement ``Runner.free_worker_queues``. Each process is a worker queue."""
+        return [worker_queue for worker_queue, process in enumerate(self._processes) if process.is_ready and process.task is None]
 
-    def submit(self, task: Task, lane: int) -> None:
+    def submit(self, task: Task, worker_queue: int) -> None:
         """Implement ``Runner.submit``."""
-        self._processes[lane].draw(task)
+        self._processes[worker_queue].draw(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Implement ``Runner.wait``."""

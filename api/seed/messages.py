@@ -46,11 +46,11 @@ class TaskResult:
     ----------
     id : int
         Number of the task.
-    index : bytes
+    index_bytes : bytes
         Index of its tiles (``ShardIndex.to_bytes``).
     nbytes : int
         Bytes of its shard.
-    seconds, encode_s : float
+    duration_s, encode_s : float
         Duration in seconds, in total and of encoding.
     peak_bytes : int
         Peak memory of the process so far.
@@ -59,9 +59,9 @@ class TaskResult:
     """
 
     id: int
-    index: bytes
+    index_bytes: bytes
     nbytes: int
-    seconds: float
+    duration_s: float
     encode_s: float
     peak_bytes: int
     worker: str = ""

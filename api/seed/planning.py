@@ -15,7 +15,7 @@ from skugga.api.matrices import (
     MAX_OVERZOOM,
     LonLatBounds,
     ZoomRange,
-    detail_m,
+    finest_detail_m,
     is_extent_without_data,
     matrix_set_of,
     tile_limits,
@@ -28,11 +28,11 @@ from skugga.api.seed.ground_dependencies import GroundDependencies
 from skugga.api.seed.identity import cached_ground_chunks, digest_of_json, level_digest, plan_digest
 from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
 from skugga.api.seed.task_table import InputDigests, PlannedTask, TaskTable
-from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES
 from skugga.api.workers.block_views import block_of_grid
 from skugga.api.workers.jobs import LevelKey, ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan
@@ -137,7 +137,7 @@ def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], 
     renderer = _renderer_of(table)
     scene = build_scene(loaded)
     try:
-        zooms, bounds = _zooms(scene, request.zooms)
+        zooms, bounds = _zooms_and_bounds(scene, request.zooms)
         version = level_version(loaded, stamps)
         request_digest = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
         suns = tuple(PictureRequest(sun=sun).query() for sun in request.suns)
@@ -250,13 +250,15 @@ def _renderer_of(table: TaskTable) -> str:
     return current
 
 
-def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
+def _zooms_and_bounds(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
     """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
     data_bounds = scene.bounds_lon_lat
     if data_bounds is None or scene.world.off_earth_reason is not None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")
     cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
-    served_zooms, ground_zooms = (zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (detail_m(scene), cell_m))
+    served_zooms, ground_zooms = (
+        zoom_range(matrix_set, scene.world, data_bounds, detail) for detail in (finest_detail_m(scene), cell_m)
+    )
     if served_zooms is None or ground_zooms is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
     native_zoom = max(ground_zooms.last - MAX_OVERZOOM, served_zooms.first)
@@ -276,8 +278,8 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
     top, bottom, left, right = tile_limits(matrix_set, zoom, bounds)
     blocks = [
         (x, y)
-        for y in range(top // BLOCK_TILES, bottom // BLOCK_TILES + 1)
-        for x in range(left // BLOCK_TILES, right // BLOCK_TILES + 1)
+        for y in range(top // BLOCK_SIDE_TILES, bottom // BLOCK_SIDE_TILES + 1)
+        for x in range(left // BLOCK_SIDE_TILES, right // BLOCK_SIDE_TILES + 1)
     ]
     if (left, right) != (0, side - 1):
         return blocks
@@ -288,10 +290,10 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     """Return the smallest tile id of a block. The ids of its tiles are consecutive."""
     first = first_tile_id(zoom)
-    if 2**zoom < BLOCK_TILES:
+    if 2**zoom < BLOCK_SIDE_TILES:
         return first
-    tile_offset = zxy_to_tileid(zoom, x * BLOCK_TILES, y * BLOCK_TILES) - first
-    return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
+    tile_offset = zxy_to_tileid(zoom, x * BLOCK_SIDE_TILES, y * BLOCK_SIDE_TILES) - first
+    return first + tile_offset // BLOCK_SIDE_TILES**2 * BLOCK_SIDE_TILES**2
 
 
 def _full_block_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:

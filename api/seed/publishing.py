@@ -57,7 +57,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
     for sun, output in outputs.items():
         finished_tasks = table.finished_tasks(sun)
         state = _content_digest(run, sun, finished_tasks)
-        if table.get(f"written {output}") == f"{state} {_stamp(output)}".encode():
+        if table.get(f"written {output}") == f"{state} {_output_stamp(output)}".encode():
             continue
         numbers, keys = [row[0] for row in finished_tasks], [row[1] for row in finished_tasks]
         indexes = [ShardIndex.from_bytes(row[2]) for row in finished_tasks]
@@ -77,10 +77,10 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
-            if error.number is not None:
-                table.retry([numbers[error.number]], SHARD_LOST_REASON)
+            if error.shard_number is not None:
+                table.retry([numbers[error.shard_number]], SHARD_LOST_REASON)
             raise
-        table.put(**{f"written {output}": f"{state} {_stamp(output)}".encode()})
+        table.put(**{f"written {output}": f"{state} {_output_stamp(output)}".encode()})
         written_outputs.append(output)
     return written_outputs
 
@@ -93,7 +93,7 @@ def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, s
     return digest.hexdigest()
 
 
-def _stamp(output: Path) -> str:
+def _output_stamp(output: Path) -> str:
     return repr(file_stamps([output if is_archive(output) else output / MANIFEST_NAME]))
 
 
@@ -113,10 +113,10 @@ def _archive_metadata(run: PlannedRun, sun: str) -> ArchiveMetadata:
 def _write_folder(
     table: TaskTable,
     output: Path,
-    numbers: list[int],
-    keys: list[str],
+    task_numbers: list[int],
+    task_keys: list[str],
     indexes: list[ShardIndex],
-    read: Any,
+    read_shard: Any,
     run: PlannedRun,
     sun: str,
 ) -> None:
@@ -124,13 +124,13 @@ def _write_folder(
     with suppress(FileNotFoundError):
         (output / MANIFEST_NAME).unlink()
     published_tasks = table.published_tasks(str(output))
-    for position, (number, key, index) in enumerate(zip(numbers, keys, indexes, strict=True)):
+    for position, (number, key, index) in enumerate(zip(task_numbers, task_keys, indexes, strict=True)):
         previous = published_tasks.pop(number, None)
         if previous is not None and previous[0] == key:
             continue
         if previous is not None:
             _delete_tiles(output, ShardIndex.from_bytes(previous[1]), run.spec.format)
-        content, begin = read(position), 0
+        content, begin = read_shard(position), 0
         for tile_id, length in zip(index.ids.tolist(), index.lengths.tolist(), strict=True):
             path = _tile_path(output, tile_id, run.spec.format)
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -51,11 +51,11 @@ class RenderProcess:
     distinguishes the processes of a machine.
     """
 
-    def __init__(self, environment: Mapping[str, str], start_timeout_s: float = START_TIMEOUT_S, number: int = 0) -> None:
+    def __init__(self, environment: Mapping[str, str], start_timeout_s: float = START_TIMEOUT_S, process_number: int = 0) -> None:
         parent_end, child_end = socket.socketpair()
         with child_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", DRAW_TASKS_CODE, str(child_end.fileno()), str(number)],
+                [sys.executable, "-c", DRAW_TASKS_CODE, str(child_end.fileno()), str(process_number)],
                 pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
         self.connection = Connection(parent_end.detach())
@@ -129,16 +129,16 @@ def thread_environment(threads: int) -> dict[str, str]:
     return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
 
-def draw_tasks(descriptor: int, number: int = 0) -> None:
-    """Run the main loop of a child process, which is connected by ``descriptor``.
+def draw_tasks(file_descriptor: int, process_number: int = 0) -> None:
+    """Run the main loop of a child process, which is connected by ``file_descriptor``.
 
-    ``number`` distributes processes among several OpenGL devices in turn.
+    ``process_number`` distributes processes among several OpenGL devices in turn.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the parent
     forbid_code()
-    set_process_number(number)
+    set_process_number(process_number)
     with missing_loop_compiler(lambda products: compile_ahead(products, usable_cores())):
-        _draw_until_closed(Connection(descriptor))
+        _draw_until_closed(Connection(file_descriptor))
 
 
 def _draw_until_closed(connection: Connection) -> None:

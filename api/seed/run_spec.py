@@ -53,9 +53,9 @@ class RunSpec(BaseModel):
         """Name of the product."""
         return self.asked.product
 
-    def request(self, sun: int) -> ProductRequest:
-        """Return the request by which a service would draw the same tiles. ``sun`` is the index of the run's sun."""
-        return self.asked.with_sun(self.suns[sun])
+    def request(self, sun_index: int) -> ProductRequest:
+        """Return the request by which a service would draw the same tiles. ``sun_index`` is the index of the run's sun."""
+        return self.asked.with_sun(self.suns[sun_index])
 
     @cached_property
     def plan_by_sun_and_zoom(self) -> dict[tuple[int, int], Plan]:

@@ -16,7 +16,7 @@ from skugga.terrain.errors import RenderError
 MAX_WORKER_DEATHS = 3
 """Number of workers that may die while they draw the same task. The task then fails."""
 
-TIMEOUT_RATIO = 100.0
+TIMEOUT_PER_EXPECTED_TIME = 100.0
 """Timeout of a task relative to its expected duration; ``MIN_TASK_TIMEOUT_S`` is the minimum timeout."""
 
 FILE_CHECK_INTERVAL_S = 0.5
@@ -27,8 +27,8 @@ MAX_FILES_PER_TASK_CHECK = 100
 
 POLL_INTERVAL_S = 1.0
 
-MAX_BATCH_TASKS, MIN_BATCHES_PER_LANE = 16, 4
-"""Maximum number of tasks in a batch for a lane, and minimum number of such batches per lane in the remaining tasks."""
+MAX_BATCH_TASKS, MIN_BATCHES_PER_WORKER_QUEUE = 16, 4
+"""Maximum number of tasks in a batch for a worker queue, and minimum number of batches per worker queue in the remaining tasks."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class TaskCompletion:
 
     task: Task
     outcome: TaskResult | TaskFailure
-    done: int
-    total: int
+    done_count: int
+    total_count: int
 
 
 def shard_name(key: str) -> str:
@@ -46,38 +46,48 @@ def shard_name(key: str) -> str:
     return f"{key[:2]}/{key}.tiles"
 
 
-def task_of(table: TaskTable, run: PlannedRun, number: int, min_timeout_s: float) -> Task:
+def task_of(table: TaskTable, run: PlannedRun, task_number: int, min_timeout_s: float) -> Task:
     """Return a task of the table in the form that is sent to workers."""
-    sun, zoom, x, y, key, expected_s = table.task_row(number)
-    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(min_timeout_s, TIMEOUT_RATIO * expected_s))
+    sun, zoom, x, y, key, expected_s = table.task_row(task_number)
+    return Task(
+        task_number,
+        run.sun_names.index(sun),
+        zoom,
+        x,
+        y,
+        shard_name(key),
+        max(min_timeout_s, TIMEOUT_PER_EXPECTED_TIME * expected_s),
+    )
 
 
 class WaitingTasks:
-    """The queue of tasks, assigned to lanes (queues of workers) in batches of tasks that are neighbours on the map.
+    """The queue of tasks, assigned to worker queues in batches of tasks that are neighbours on the map.
 
-    A worker that draws neighbouring blocks already has most of their ground in memory. If no task is left for a lane, it steals the
-    last task of the longest lane.
+    A worker that draws neighbouring blocks already has most of their ground in memory. A worker queue for which no task is left
+    steals the last task of the longest worker queue.
     """
 
     def __init__(self, tasks: Sequence[int]) -> None:
-        self._left = deque(tasks)
-        self._lanes: dict[int, deque[int]] = {}
+        self._unassigned_tasks = deque(tasks)
+        self._worker_queues: dict[int, deque[int]] = {}
 
     def __len__(self) -> int:
-        return len(self._left) + sum(map(len, self._lanes.values()))
+        return len(self._unassigned_tasks) + sum(map(len, self._worker_queues.values()))
 
-    def take(self, lane: int) -> int:
-        """Return the next task of a lane. Raises ``IndexError`` if none waits."""
-        lane_tasks = self._lanes.setdefault(lane, deque())
-        if not lane_tasks and self._left:
-            # Smaller batches towards the end, so that all lanes share the remaining heavy tasks.
-            count = min(max(len(self._left) // (MIN_BATCHES_PER_LANE * len(self._lanes)), 1), MAX_BATCH_TASKS)
-            lane_tasks.extend(self._left.popleft() for _ in range(count))
-        return lane_tasks.popleft() if lane_tasks else max(self._lanes.values(), key=len).pop()
+    def take(self, worker_queue: int) -> int:
+        """Return the next task of a worker queue. Raises ``IndexError`` if none waits."""
+        queued_tasks = self._worker_queues.setdefault(worker_queue, deque())
+        if not queued_tasks and self._unassigned_tasks:
+            # Smaller batches towards the end, so that all worker queues share the remaining heavy tasks.
+            count = min(
+                max(len(self._unassigned_tasks) // (MIN_BATCHES_PER_WORKER_QUEUE * len(self._worker_queues)), 1), MAX_BATCH_TASKS
+            )
+            queued_tasks.extend(self._unassigned_tasks.popleft() for _ in range(count))
+        return queued_tasks.popleft() if queued_tasks else max(self._worker_queues.values(), key=len).pop()
 
     def requeue(self, task: int) -> None:
-        """Queue a task again, behind all tasks that are not assigned to a lane."""
-        self._left.append(task)
+        """Queue a task again, behind all tasks that are not assigned to a worker queue."""
+        self._unassigned_tasks.append(task)
 
 
 def run_tasks(
@@ -89,8 +99,8 @@ def run_tasks(
 ) -> None:
     """Draw all waiting tasks. A failed task is recorded and does not stop the others.
 
-    A process counts as dead if it takes too long for a task: longer than ``min_timeout_s``, and longer than ``TIMEOUT_RATIO`` times
-    the expected duration.
+    A process counts as dead if it takes too long for a task: longer than ``min_timeout_s``, and longer than
+    ``TIMEOUT_PER_EXPECTED_TIME`` times the expected duration.
 
     Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished tasks
     stay done.
@@ -100,11 +110,11 @@ def run_tasks(
     unchecked: list[TaskResult] = []
     total, done, checked_at_s = len(waiting_tasks), 0, clock.monotonic()
     while waiting_tasks or running:
-        for lane in runner.free_lanes():
+        for worker_queue in runner.free_worker_queues():
             if waiting_tasks:
-                task = task_of(table, run, waiting_tasks.take(lane), min_timeout_s)
+                task = task_of(table, run, waiting_tasks.take(worker_queue), min_timeout_s)
                 running[task.id] = task
-                runner.submit(task, lane)
+                runner.submit(task, worker_queue)
         for outcome in runner.wait(POLL_INTERVAL_S):
             ended = running.pop(outcome.id, None)
             if ended is None:
@@ -116,7 +126,7 @@ def run_tasks(
                 if outcome.kind == "died" and table.record_worker_death(outcome.id) < MAX_WORKER_DEATHS:
                     waiting_tasks.requeue(outcome.id)
                     continue
-                table.fail(outcome.id, outcome.error)
+                table.record_failure(outcome.id, outcome.error)
             else:
                 unchecked.append(outcome)
             done += 1
@@ -134,4 +144,4 @@ def _record_results(table: TaskTable, run: PlannedRun, results: list[TaskResult]
         raise RenderError(
             f"{run.loaded.path}: the level, or one of its files, has changed during the run. Run the same command again to resume."
         )
-    table.finish(results)
+    table.record_results(results)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skugga.api.errors import BrokenShardError
-from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_default_ms
+from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
 from skugga.api.seed.local_pool import Runner
 from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S
 from skugga.api.seed.planning import PlannedRun
@@ -22,7 +22,7 @@ from skugga.terrain.errors import InputError, RenderError
 MAX_PUBLISH_ATTEMPTS = 5
 """Maximum number of attempts to publish, with broken shards drawn again in between."""
 
-FAILED_LIST = "failed.txt"
+FAILED_TASKS_FILE_NAME = "failed.txt"
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,16 @@ class SeedResult:
 
     Attributes
     ----------
-    drawn : int
-        Tasks drawn by this run.
-    written : list of Path
+    drawn_count : int
+        Number of tasks drawn by this run.
+    written_paths : list of Path
         Written outputs.
     drawing_s, publishing_s : float
         Duration of drawing, including the start of workers, and of writing, in seconds.
     """
 
-    drawn: int
-    written: list[Path]
+    drawn_count: int
+    written_paths: list[Path]
     drawing_s: float
     publishing_s: float
 
@@ -57,7 +57,7 @@ def draw_and_publish(
     store: ShardStore,
     store_address: str,
     outputs: Mapping[str, Path],
-    start: Callable[[], Runner],
+    start_runner: Callable[[], Runner],
     on_progress: Callable[[TaskCompletion], None],
     max_tasks: int | None = None,
     retry_failed: bool = False,
@@ -84,7 +84,7 @@ def draw_and_publish(
     drawn_count, drawing_s = 0, 0.0
     for _ in range(MAX_PUBLISH_ATTEMPTS):
         begin = clock.perf_counter()
-        drawn_count += _draw(table, run, start, on_progress, min_timeout_s)
+        drawn_count += _draw(table, run, start_runner, on_progress, min_timeout_s)
         _report_failed_tasks(table)
         drawn_at = clock.perf_counter()
         drawing_s += drawn_at - begin
@@ -103,7 +103,7 @@ def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> Non
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
             subject = f"a block of zoom {planned.zoom}"
-            check_cost(planned.parsed_plan, subject, limit_or_default_ms(max_ms), MAX_MS_OPTION, has_size=False)
+            check_cost(planned.parsed_plan, subject, limit_or_service_limit_ms(max_ms), MAX_MS_OPTION, has_free_size=False)
 
 
 def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
@@ -114,13 +114,13 @@ def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
 def _draw(
     table: TaskTable,
     run: PlannedRun,
-    start: Callable[[], Runner],
+    start_runner: Callable[[], Runner],
     on_progress: Callable[[TaskCompletion], None],
     min_timeout_s: float,
 ) -> int:
     waiting_count = len(table.waiting_tasks())
     if waiting_count:
-        runner = start()
+        runner = start_runner()
         try:
             run_tasks(table, run, runner, on_progress, min_timeout_s)
         finally:
@@ -130,7 +130,7 @@ def _draw(
 
 def _report_failed_tasks(table: TaskTable) -> None:
     """Write the list of failed tasks. Raises ``RenderError`` if any failed."""
-    failed_tasks, path = table.failed_tasks(), table.folder / FAILED_LIST
+    failed_tasks, path = table.failed_tasks(), table.folder / FAILED_TASKS_FILE_NAME
     if not failed_tasks:
         path.unlink(missing_ok=True)
         return

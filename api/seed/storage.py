@@ -120,22 +120,22 @@ class RemoteStore:
                 self._system.rm(paths)
 
 
-def open_store(place: str) -> ShardStore:
+def open_store(location: str) -> ShardStore:
     """Return the store at a folder or an address. Raises ``InputError`` for an unsupported address."""
-    return RemoteStore(place) if "://" in place else FolderStore(Path(place))
+    return RemoteStore(location) if "://" in location else FolderStore(Path(location))
 
 
-def check_writable(store: ShardStore, place: str) -> None:
+def check_writable(store: ShardStore, location: str) -> None:
     """Write a test file and read it again. Raises ``RenderError``, and ``OSError`` that names the place."""
     name, content = f"check-{secrets.token_hex(4)}", b"skugga"
     try:
         store.write(name, content)
         if store.read(name) != content:
-            raise RenderError(f"{place}: a test file read back differs from what was written. Use another store.")
+            raise RenderError(f"{location}: a test file read back differs from what was written. Use another store.")
         store.delete([name])
     except OSError as error:
-        raise OSError(error.errno or 5, error.strerror or str(error), place) from None
+        raise OSError(error.errno or 5, error.strerror or str(error), location) from None
     except RenderError:
         raise
     except Exception as error:  # an error of an object store
-        raise RenderError(f"{place}: shards cannot be written there ({type(error).__name__}: {error})") from None
+        raise RenderError(f"{location}: shards cannot be written there ({type(error).__name__}: {error})") from None

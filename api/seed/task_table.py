@@ -16,7 +16,7 @@ from skugga.api.seed.messages import TaskResult
 from skugga.terrain.atomic_files import disk_error
 from skugga.terrain.errors import InputError, Problem, RenderError
 
-TABLE_FORMAT = 1
+TABLE_FORMAT_VERSION = 1
 """Version of the table's format. Other versions are refused."""
 
 _SCHEMA = """
@@ -118,11 +118,11 @@ class TaskTable:
                 self._db.executescript(_SCHEMA)
             self._db.create_function("why_changed", 2, _reason_of_change, deterministic=True)
             stored_format = self.get("format")
-            if stored_format is not None and stored_format != str(TABLE_FORMAT).encode():
+            if stored_format is not None and stored_format != str(TABLE_FORMAT_VERSION).encode():
                 raise InputError(
                     "--work", Problem(f"{path} was made by another version of Skugga"), "Delete the folder to start again"
                 )
-            self.put(format=str(TABLE_FORMAT).encode())
+            self.put(format=str(TABLE_FORMAT_VERSION).encode())
         except BaseException:
             self._lock.close()
             raise
@@ -219,40 +219,40 @@ class TaskTable:
         rows = self._db.execute("SELECT id FROM tasks WHERE wanted AND state = 'waiting' ORDER BY expected_s DESC, first_tile, sun")
         return [row[0] for row in rows]
 
-    def task_row(self, task: int) -> tuple[str, int, int, int, str, float]:
+    def task_row(self, task_number: int) -> tuple[str, int, int, int, str, float]:
         """Return sun, zoom, block x and y, key and expected duration in seconds of a task."""
-        row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task,)).fetchone()
+        row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task_number,)).fetchone()
         return tuple(row)
 
-    def finish(self, results: Sequence[TaskResult]) -> None:
+    def record_results(self, results: Sequence[TaskResult]) -> None:
         """Record drawn tasks."""
         with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'done', seconds = ?, encode_s = ?, peak_bytes = ?, bytes = ?, tiles = ?, error = NULL "
                 "WHERE id = ?",
                 [
-                    (result.seconds, result.encode_s, result.peak_bytes, result.nbytes, result.index, result.id)
+                    (result.duration_s, result.encode_s, result.peak_bytes, result.nbytes, result.index_bytes, result.id)
                     for result in results
                 ],
             )
 
-    def fail(self, task: int, error: str) -> None:
+    def record_failure(self, task_number: int, error: str) -> None:
         """Record a failed task."""
         with self._transaction():
-            self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task))
+            self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task_number))
 
-    def record_worker_death(self, task: int) -> int:
+    def record_worker_death(self, task_number: int) -> int:
         """Record that a worker died while it drew a task, and return how often this has happened to the task."""
         with self._transaction():
-            self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
-        return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task,)).fetchone()[0])
+            self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task_number,))
+        return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task_number,)).fetchone()[0])
 
-    def retry(self, tasks: Iterable[int], reason: str | None = None) -> None:
+    def retry(self, task_numbers: Iterable[int], reason: str | None = None) -> None:
         """Queue tasks again, with a new reason, or with the stored one if ``reason`` is ``None``."""
         with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'waiting', tries = 0, error = NULL, why = coalesce(?, why) WHERE id = ?",
-                [(reason, task) for task in tasks],
+                [(reason, task) for task in task_numbers],
             )
 
     def failed_tasks(self) -> dict[int, FailedTask]:
@@ -274,15 +274,15 @@ class TaskTable:
         rows = self._db.execute("SELECT task, key, tiles FROM published WHERE output = ?", (output,))
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
-    def record_published(self, output: str, task: int, key: str, tiles: bytes) -> None:
+    def record_published(self, output: str, task_number: int, key: str, tiles: bytes) -> None:
         """Record that a task's tiles lie in an output folder. ``tiles`` is their shard index."""
         with self._transaction():
-            self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task, key, tiles))
+            self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task_number, key, tiles))
 
-    def remove_published(self, output: str, task: int) -> None:
+    def remove_published(self, output: str, task_number: int) -> None:
         """Record that a task's tiles no longer lie in an output folder."""
         with self._transaction():
-            self._db.execute("DELETE FROM published WHERE output = ? AND task = ?", (output, task))
+            self._db.execute("DELETE FROM published WHERE output = ? AND task = ?", (output, task_number))
 
     def keys(self) -> set[str]:
         """Return the keys (digests of the inputs) of all tasks, including those of earlier requests."""
@@ -333,8 +333,8 @@ def task_key(task: PlannedTask) -> str:
     return blake2b("\n".join(map(str, key_fields)).encode(), digest_size=16).hexdigest()
 
 
-def _reason_of_change(old_parts: str, new_parts: str) -> str:
-    pairs = zip(InputDigests._fields, old_parts.split(":"), new_parts.split(":"), strict=True)
+def _reason_of_change(old_digests_json: str, new_digests_json: str) -> str:
+    pairs = zip(InputDigests._fields, old_digests_json.split(":"), new_digests_json.split(":"), strict=True)
     return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 
 

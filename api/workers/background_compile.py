@@ -35,28 +35,28 @@ class BackgroundCompile:
         Called in the event loop with the progress, and with ``None`` when the compilation has ended.
     """
 
-    def __init__(self, processes: int, on_progress: Callable[[PreparationProgress | None], None]) -> None:
-        self._processes, self._on_progress = processes, on_progress
-        self._thread = ThreadPoolExecutor(1, "skugga-compile")
+    def __init__(self, core_count: int, on_progress: Callable[[PreparationProgress | None], None]) -> None:
+        self._core_count, self._on_progress = core_count, on_progress
+        self._executor = ThreadPoolExecutor(1, "skugga-compile")
         self._compile_process: subprocess.Popen[str] | None = None
         self._task: asyncio.Task[None] | None = None
         self._is_done = self._closed = False
-        self._not_before_s = float("-inf")
+        self._retry_at_s = float("-inf")
 
     @property
     def is_running(self) -> bool:
         """Whether loops are being compiled."""
         return self._task is not None and not self._task.done()
 
-    def start_if_needed(self, missing_loops: int) -> None:
-        """Start the compilation of the missing loops, whose number is ``missing_loops``. Return at once.
+    def start_if_needed(self, missing_loop_count: int) -> None:
+        """Start the compilation of the missing loops, whose number is ``missing_loop_count``. Return at once.
 
         It does not start if no loops are missing, it runs or is done already, or it failed less than ``RETRY_DELAY_S`` ago.
         """
-        if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
+        if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._retry_at_s:
             return
-        if missing_loops:
-            self._on_progress(PreparationProgress("compiling loops for other products", 0, missing_loops))
+        if missing_loop_count:
+            self._on_progress(PreparationProgress("compiling loops for other products", 0, missing_loop_count))
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:
@@ -66,23 +66,23 @@ class BackgroundCompile:
             self._compile_process.kill()
         if self._task is not None:
             await asyncio.gather(self._task, return_exceptions=True)
-        self._thread.shutdown(wait=True)
+        self._executor.shutdown(wait=True)
 
     async def _run(self, loop: asyncio.AbstractEventLoop) -> None:
         def report(task: str, done: int, total: int) -> None:
             loop.call_soon_threadsafe(self._on_progress, PreparationProgress(task, done, total))
 
         try:
-            await run_in_pool(self._thread, self._compile, report)
+            await run_in_pool(self._executor, self._compile, report)
             self._is_done = True
         except Exception as error:
-            self._not_before_s = loop.time() + RETRY_DELAY_S
+            self._retry_at_s = loop.time() + RETRY_DELAY_S
             log.warning("background compilation of numba functions failed: %s. They are compiled on first use.", error)
         finally:
             self._on_progress(None)
 
     def _compile(self, report: Progress) -> None:
-        compile_ahead(PRODUCTS, self._processes, report, background=True, on_start=self._note_start)
+        compile_ahead(PRODUCTS, self._core_count, report, background=True, on_start=self._note_start)
 
     def _note_start(self, process: subprocess.Popen[str]) -> None:
         self._compile_process = process

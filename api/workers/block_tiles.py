@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, encode
-from skugga.api.products.product import MapFormat, Part
+from skugga.api.products.product import MapFormat, ProductInput
 from skugga.api.request import ProductRequest
 from skugga.shadows.picture import Picture
 from skugga.terrain.cache import MIB, cached
@@ -18,7 +18,7 @@ from skugga.terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
 from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
 
-BLOCK_TILES = BLOCK_PX // TILE_PX
+BLOCK_SIDE_TILES = BLOCK_PX // TILE_PX
 
 TilePosition = tuple[int, int]
 """Row and column of a tile in its block, from the north-west, in units of the tile's own size."""
@@ -29,7 +29,10 @@ def block_and_position(x: int, y: int, tiles_per_side: int) -> tuple[TilePositio
 
     The position is that of the file with the tile, if each file covers ``tiles_per_side`` x ``tiles_per_side`` tiles.
     """
-    return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles_per_side, x % BLOCK_TILES // tiles_per_side)
+    return (x // BLOCK_SIDE_TILES, y // BLOCK_SIDE_TILES), (
+        y % BLOCK_SIDE_TILES // tiles_per_side,
+        x % BLOCK_SIDE_TILES // tiles_per_side,
+    )
 
 
 def tiles_of_picture(
@@ -53,7 +56,7 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque_mask.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
-        array = product.compute(Part(scene, view, request.options, picture))
+        array = product.compute(ProductInput(scene, view, request.options, picture))
     return encode(apply_color_scale(array, product, request.options, scene.world, format), product, format, view)
 
 
@@ -71,24 +74,24 @@ def tiles_of_array(
 def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
     """Yield the position, the view, and the rows and columns of pixels of each file of ``tiles_per_side`` squared tiles."""
     side = tiles_per_side * TILE_PX
-    for row in range(BLOCK_TILES // tiles_per_side):
-        for col in range(BLOCK_TILES // tiles_per_side):
+    for row in range(BLOCK_SIDE_TILES // tiles_per_side):
+        for col in range(BLOCK_SIDE_TILES // tiles_per_side):
             window = slice(row * side, (row + 1) * side), slice(col * side, (col + 1) * side)
             yield (row, col), view.part(row * side, col * side, side, side), window
 
 
 @cached("process", 4 * MIB)
-def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_m: float = 0.0) -> bytes:
-    """Return the file of a tile without data. ``lowest_m`` is as in ``empty_file``."""
-    return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_m)
+def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_ground_m: float = 0.0) -> bytes:
+    """Return the file of a tile without data. ``lowest_ground_m`` is as in ``empty_file``."""
+    return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_ground_m)
 
 
 def empty_file(
-    request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_m: float, view: MapView | None = None
+    request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_ground_m: float, view: MapView | None = None
 ) -> bytes:
     """Return the encoded file of a map of ``shape`` (rows, cols) without data.
 
-    ``lowest_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
+    ``lowest_ground_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
     """
     make_empty = request.product_record.empty_array if format in ARRAY_FORMATS else request.product_record.empty_picture
-    return encode(make_empty(*shape, lowest_m), request.product_record, format, view)
+    return encode(make_empty(*shape, lowest_ground_m), request.product_record, format, view)

@@ -24,10 +24,10 @@ class ChildProcess:
     thread. The thread ends when the process ends. Use it from one event loop.
     """
 
-    def __init__(self, piped: PipedProcess, threads: Executor) -> None:
-        self.pipe = piped.pipe
-        self._piped, self._threads = piped, threads
-        self._in_thread: asyncio.Future[Any] | None = None
+    def __init__(self, piped_process: PipedProcess, threads: Executor) -> None:
+        self.pipe = piped_process.pipe
+        self._piped, self._threads = piped_process, threads
+        self._thread_future: asyncio.Future[Any] | None = None
 
     @property
     def pid(self) -> int | None:
@@ -52,7 +52,7 @@ class ChildProcess:
         """Run a function in a thread. Call it for one function at a time. Raises ``ExhaustedError`` if no thread is available."""
         running = run_in_pool(self._threads, function)
         running.add_done_callback(lambda future: future.cancelled() or future.exception())
-        self._in_thread = running
+        self._thread_future = running
         return running
 
     async def wait_for_end(self) -> None:
@@ -61,13 +61,13 @@ class ChildProcess:
 
     async def end(self) -> None:
         """Kill the process and close its pipe."""
-        if self._in_thread is not None and self.pid is None:
-            await asyncio.wait({self._in_thread})  # the process is still starting
+        if self._thread_future is not None and self.pid is None:
+            await asyncio.wait({self._thread_future})  # the process is still starting
         if self.pid is not None:
             self._piped.process.kill()
             await self.wait_for_end()
-        if self._in_thread is not None:
-            completed, _ = await asyncio.wait({self._in_thread}, timeout=EXIT_TIMEOUT_S)
+        if self._thread_future is not None:
+            completed, _ = await asyncio.wait({self._thread_future}, timeout=EXIT_TIMEOUT_S)
             if not completed:  # the thread still reads: the number of a closed pipe could be reused for another file
                 log.error("process %s cannot be killed, so its pipe stays open", self.pid)
                 return

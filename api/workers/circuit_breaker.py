@@ -22,7 +22,7 @@ INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
 
 
 @dataclass(frozen=True)
-class _Record:
+class _CircuitRecord:
     failures: int = 0
     open_until_s: float = 0.0
     next_open_s: float = INITIAL_OPEN_S
@@ -38,43 +38,43 @@ class CircuitBreaker:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._records: Cache[_Record] = Cache("skugga.api.workers.circuit_breaker", "process", MIB, lambda _: 512)
+        self._records: Cache[_CircuitRecord] = Cache("skugga.api.workers.circuit_breaker", "process", MIB, lambda _: 512)
 
-    def seconds_left(self, job: Job) -> float:
+    def open_seconds_left(self, job: Job) -> float:
         """Return the seconds until jobs like ``job`` are accepted again; 0 if its circuits are closed."""
-        return max(max((self._record(key).open_until_s - self._clock() for key in _keys(job)), default=0.0), 0.0)
+        return max(max((self._record(key).open_until_s - self._clock() for key in _circuit_keys(job)), default=0.0), 0.0)
 
     def record_failure(self, job: Job) -> None:
         """Record that a job timed out or ended its process. Its circuits may open."""
-        for key in _affected_keys(job):
+        for key in _affected_circuit_keys(job):
             record = self._record(key)
             record = replace(record, failures=record.failures + 1)
             if record.failures >= FAILURE_THRESHOLD:
                 # After the pause a single further failure opens the circuit again.
-                record = _Record(
+                record = _CircuitRecord(
                     FAILURE_THRESHOLD - 1, self._clock() + record.next_open_s, min(record.next_open_s * 2.0, MAX_OPEN_S)
                 )
             self._records.put(key, value=record)
 
     def record_success(self, job: Job) -> None:
         """Record that a job succeeded. Its circuits forget earlier failures."""
-        for key in _affected_keys(job):
+        for key in _affected_circuit_keys(job):
             self._records.drop(key)
 
-    def _record(self, key: Hashable) -> _Record:
+    def _record(self, key: Hashable) -> _CircuitRecord:
         record = self._records.get(key)
-        return _Record() if isinstance(record, Missing) else record
+        return _CircuitRecord() if isinstance(record, Missing) else record
 
 
-def _keys(job: Job) -> list[Hashable]:
+def _circuit_keys(job: Job) -> list[Hashable]:
     keys = [kind_of_job(job)]
     return keys if isinstance(job, DescriptorPlanJob) else [*keys, ("level", str(job.level.path), job.level.version)]
 
 
-def _affected_keys(job: Job) -> list[Hashable]:
+def _affected_circuit_keys(job: Job) -> list[Hashable]:
     """Return the keys of the circuits that record the outcome of a job: that of its kind, and for some jobs that of its level.
 
     These jobs are blocks, plans and descriptors whose request has no shadow settings.
     """
     is_plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
-    return _keys(job) if is_plain else _keys(job)[:1]
+    return _circuit_keys(job) if is_plain else _circuit_keys(job)[:1]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FilmPlanState, FrameJob
 from skugga.api.workers.map_plans import view_plan_selector
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.selector.film import FrameMoment, film_frames, frame_moments
 from skugga.selector.replanning import Replanner
 from skugga.shadows.plan import Plan
@@ -30,7 +30,7 @@ def plan_first_frame(job: FilmCheckJob, scene: Scene, measurements: PlanMeasurem
 
 def draw_film_frame(job: FrameJob, scene: Scene, measurements: PlanMeasurements) -> FilmPicture:
     """Draw one frame of a film. Return its colours and the planning state for the next frame. Raises ``SkuggaError``."""
-    moments = frame_moments(scene, job.film_request(), only_frame=job.number)
+    moments = frame_moments(scene, job.film_request(), only_frame=job.frame_number)
     replanner = _replanner(job, moments[0], scene, measurements, job.previous_plan_state)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)
     assert replanner.state is not None

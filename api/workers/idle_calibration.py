@@ -55,15 +55,21 @@ class IdleCalibration:
 
     def __init__(
         self,
-        enabled: bool,
-        idle: IdleWork,
-        device: Callable[[], DeviceProfile | None],
+        is_enabled: bool,
+        idle_work: IdleWork,
+        current_device: Callable[[], DeviceProfile | None],
         set_profile: Callable[[DeviceProfile], None],
-        measure: Callable[[], DeviceProfile] = measure_profile,
+        measure_device: Callable[[], DeviceProfile] = measure_profile,
     ) -> None:
-        self._enabled, self._idle, self._device, self._set_profile, self._measure = enabled, idle, device, set_profile, measure
+        self._is_enabled, self._idle_work, self._current_device, self._set_profile, self._measure = (
+            is_enabled,
+            idle_work,
+            current_device,
+            set_profile,
+            measure_device,
+        )
         self._renderer, self._version = "", ""
-        self._expected, self._failed = enabled, False
+        self._is_expected, self._failed = is_enabled, False
         self._watch_task: asyncio.Task[None] | None = None
 
     @property
@@ -75,19 +81,19 @@ class IdleCalibration:
         """
         if self._is_calibrated:
             return "calibrated"
-        if self._expected:
-            return "waiting" if self._idle.pid is None else "paused" if self._idle.paused else "running"
+        if self._is_expected:
+            return "waiting" if self._idle_work.pid is None else "paused" if self._idle_work.is_paused else "running"
         return "failed" if self._failed else "off" if self._version else "none"
 
     @property
     def is_expected(self) -> bool:
         """Whether the device will be calibrated in idle time. Plans may change then."""
-        return self._expected and not self._is_calibrated
+        return self._is_expected and not self._is_calibrated
 
     @property
     def _is_calibrated(self) -> bool:
         """Whether the plans' rates were measured, and not estimated."""
-        device = self._device()
+        device = self._current_device()
         return device is not None and not device.is_estimate
 
     def start_watching(self, renderer: str, version: str) -> None:
@@ -98,7 +104,7 @@ class IdleCalibration:
         """
         if self._version:
             return
-        self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
+        self._renderer, self._version, self._is_expected = renderer, version, self._is_enabled and bool(version)
         if version:
             self._watch_task = asyncio.create_task(self._watch())
 
@@ -111,10 +117,10 @@ class IdleCalibration:
     @property
     def _consequence(self) -> str:
         """How algorithms are chosen without a calibration, in words."""
-        return "fixed rules choose the algorithms" if self._device() is None else "plans use estimated times"
+        return "fixed rules choose the algorithms" if self._current_device() is None else "plans use estimated times"
 
     def _request_calibration(self) -> None:
-        if not self._enabled:
+        if not self._is_enabled:
             log.info(
                 "%s is not calibrated, so %s. Run skugga calibrate to measure it (SKUGGA_CALIBRATE_WHEN_IDLE is false)",
                 self._renderer, self._consequence,
@@ -124,13 +130,13 @@ class IdleCalibration:
             "%s is not calibrated, so %s until it is. The calibration takes a minute or two and runs while nothing is drawn",
             self._renderer, self._consequence,
         )  # fmt: skip
-        self._idle.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
+        self._idle_work.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
 
     async def _save_result(self, profile: DeviceProfile) -> None:
         if (profile.renderer, profile.version) != (self._renderer, self._version):
             self._note_failure(f"the calibration is of another device, {profile.renderer}")
             return
-        self._expected = False
+        self._is_expected = False
         self._set_profile(profile)
         message = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans use predictions from now on"
         try:
@@ -142,7 +148,7 @@ class IdleCalibration:
             log.info("%s; saved to %s", message, path)
 
     def _note_failure(self, reason: str) -> None:
-        self._expected, self._failed = False, True
+        self._is_expected, self._failed = False, True
         log.warning("%s could not be calibrated, so %s: %s", self._renderer, self._consequence, reason)
 
     async def _watch(self) -> None:
@@ -165,19 +171,19 @@ class IdleCalibration:
 
         Return the new stamp; ``last_stamp`` if the file is unchanged or missing.
         """
-        stamp = await asyncio.to_thread(_stamp, path)
+        stamp = await asyncio.to_thread(_file_stamp, path)
         if stamp is None or stamp == last_stamp:
             return last_stamp
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
         is_worse = profile is not None and profile.is_estimate and self._is_calibrated
-        if profile is not None and not is_worse and profile_digest(profile) != profile_digest(self._device()):
+        if profile is not None and not is_worse and profile_digest(profile) != profile_digest(self._current_device()):
             self._set_profile(profile)
             kind = "estimate" if profile.is_estimate else "calibration"
             log.info("the %s %s was loaded, and plans use it from now on", kind, path)
         return stamp
 
 
-def _stamp(path: Path) -> ProfileStamp | None:
+def _file_stamp(path: Path) -> ProfileStamp | None:
     try:
         status = path.stat()
     except OSError:

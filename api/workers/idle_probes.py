@@ -36,13 +36,13 @@ Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
 log = logging.getLogger("skugga")
 
 
-def probe_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
-    """Probe a level's maps at all scales under a representative sun of the class ``sun``. Raises ``SkuggaError``."""
+def probe_level(level: LevelKey, sun_class: int, device: DeviceProfile) -> MapProbes:
+    """Probe a level's maps at all scales under a representative sun of the class ``sun_class``. Raises ``SkuggaError``."""
     from skugga.api.map_probing import probe_maps, with_class_sun
 
     scene = build_scene(load_level(level))
     try:
-        return probe_maps(with_class_sun(scene, sun), device, budget_s=PROBE_BUDGET_S)
+        return probe_maps(with_class_sun(scene, sun_class), device, budget_s=PROBE_BUDGET_S)
     finally:
         scene.close()
 
@@ -68,17 +68,17 @@ class IdleProbes:
 
     def __init__(
         self,
-        enabled: bool,
-        idle: IdleWork,
-        device: Callable[[], DeviceProfile | None],
+        is_enabled: bool,
+        idle_work: IdleWork,
+        current_device: Callable[[], DeviceProfile | None],
         probes_in_use: Callable[[], Mapping[str, str]],
         add_probes: Callable[[Mapping[str, str]], None],
         probe: Probe = probe_level,
     ) -> None:
-        self._enabled, self._idle, self._device, self._probes_in_use, self._add_probes = (
-            enabled,
-            idle,
-            device,
+        self._is_enabled, self._idle_work, self._current_device, self._probes_in_use, self._add_probes = (
+            is_enabled,
+            idle_work,
+            current_device,
             probes_in_use,
             add_probes,
         )
@@ -86,7 +86,7 @@ class IdleProbes:
         self._requested: set[tuple[str, int]] = set()
         self._failed: set[tuple[str, int]] = set()
         self._folder: Path | None = None
-        self._read_ns: dict[str, int] = {}
+        self._read_mtime_ns: dict[str, int] = {}
         self._watch_task: asyncio.Task[None] | None = None
         self._is_unsaved = False
 
@@ -119,8 +119,8 @@ class IdleProbes:
 
         Nothing is requested without a calibration, or if such a probe exists, is requested already or has failed.
         """
-        device, key = self._device(), (level.version, unprobed_class.sun)
-        if not self._enabled or self._folder is None or device is None or key in self._requested | self._failed:
+        device, key = self._current_device(), (level.version, unprobed_class.sun)
+        if not self._is_enabled or self._folder is None or device is None or key in self._requested | self._failed:
             return
         if any(
             probed_class.sun == unprobed_class.sun
@@ -130,16 +130,16 @@ class IdleProbes:
         self._requested.add(key)
         name = f"{level.path.stem} under a sun about {unprobed_class.sun_altitude_deg:.0f} degrees high"
 
-        async def done(probes: MapProbes) -> None:
+        async def on_result(probes: MapProbes) -> None:
             await self._save_result(level, device, probes, name)
             self._requested.discard(key)
 
-        def failed(reason: str) -> None:
+        def on_failure(reason: str) -> None:
             self._failed.add(key)
             self._requested.discard(key)
             log.warning("maps of %s could not be probed, so their plans rely on predictions alone: %s", name, reason)
 
-        self._idle.add(IdleJob(self._probe, (level, unprobed_class.sun, device), done, failed))
+        self._idle_work.add(IdleJob(self._probe, (level, unprobed_class.sun, device), on_result, on_failure))
 
     async def _save_result(self, level: LevelKey, device: DeviceProfile, probes: MapProbes, name: str) -> None:
         known_probes = MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}"))
@@ -176,8 +176,8 @@ class IdleProbes:
                 stamp_ns = path.stat().st_mtime_ns
             except OSError:
                 continue
-            if self._read_ns.get(path.stem) != stamp_ns:
-                self._read_ns[path.stem] = stamp_ns
+            if self._read_mtime_ns.get(path.stem) != stamp_ns:
+                self._read_mtime_ns[path.stem] = stamp_ns
                 if (probes := load_probes(path)).classes:
                     changed_probes[path.stem] = probes
         return changed_probes

@@ -85,7 +85,7 @@ class IdleWork:
         self._task: asyncio.Task[None] | None = None
         self._last_activity_s = float("-inf")
         self._child: ChildProcess | None = None
-        self.paused = False
+        self.is_paused = False
 
     @property
     def pid(self) -> int | None:
@@ -146,7 +146,7 @@ class IdleWork:
             child = ChildProcess(piped, self._threads)
             try:
                 await child.start()
-                self._child, self.paused = child, False
+                self._child, self.is_paused = child, False
                 answer = child.run_in_thread(child.pipe.recv)
                 await self._watch(job, answer)
                 try:
@@ -158,7 +158,7 @@ class IdleWork:
                     raise _JobFailedError(result)
                 return result
             finally:
-                self._child, self.paused = None, False
+                self._child, self.is_paused = None, False
                 await child.end()
 
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
@@ -173,16 +173,16 @@ class IdleWork:
                 raise _ObsoleteJobError
             if self._is_idle():
                 self._set_paused(False)
-            if not self.paused:
+            if not self.is_paused:
                 left_s -= IDLE_CHECK_INTERVAL_S
                 if left_s <= 0.0:
                     raise _JobFailedError(f"it took longer than {JOB_TIMEOUT_S:g} s")
 
-    def _set_paused(self, paused: bool) -> None:
-        if self.pid is not None and paused != self.paused:
+    def _set_paused(self, is_paused: bool) -> None:
+        if self.pid is not None and is_paused != self.is_paused:
             with suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGSTOP if paused else signal.SIGCONT)
-            self.paused = paused
+                os.kill(self.pid, signal.SIGSTOP if is_paused else signal.SIGCONT)
+            self.is_paused = is_paused
 
 
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:

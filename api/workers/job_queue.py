@@ -1,4 +1,4 @@
-"""The queue of jobs for render processes: it orders jobs, predicts waits, and keeps a process free for light jobs."""
+"""The queue of jobs for render processes: it orders jobs, predicts waits, and keeps a process free for short jobs."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ class JobQueue:
     earlier, and every job gets its turn. Background jobs have a penalty of ``BACKGROUND_PENALTY_S`` and do not count in admission
     control.
 
-    If there are several processes, one of them is kept free for light jobs (``ExpectedTimes.is_light``). Other jobs, and all
+    If there are several processes, one of them is kept free for short jobs (``ExpectedTimes.is_short``). Other jobs, and all
     background jobs, share the remaining processes.
 
     Attributes
     ----------
-    processes : int
+    process_count : int
         Number of render processes.
     expected_times : ExpectedTimes
         Expected durations.
@@ -96,7 +96,7 @@ class JobQueue:
         Unspent credit of each waiting client, in seconds. The client that had the last turn comes last.
     """
 
-    processes: int
+    process_count: int
     expected_times: ExpectedTimes = field(default_factory=ExpectedTimes)
     waiting: dict[Job, PendingJob] = field(default_factory=dict)
     running: set[PendingJob] = field(default_factory=set)
@@ -121,10 +121,10 @@ class JobQueue:
 
     def start_next(self, now_s: float) -> PendingJob | None:
         """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
-        heavy_count = sum(not self._is_light(pending_job) for pending_job in self.running)
-        may_be_heavy = heavy_count < max(self.processes - 1, 1)
+        long_count = sum(not self._is_short(pending_job) for pending_job in self.running)
+        may_be_long = long_count < max(self.process_count - 1, 1)
         pending = self._choose_next(
-            [pending_job for pending_job in self.waiting.values() if may_be_heavy or self._is_light(pending_job)], now_s
+            [pending_job for pending_job in self.waiting.values() if may_be_long or self._is_short(pending_job)], now_s
         )
         if pending is None:
             return None
@@ -163,7 +163,7 @@ class JobQueue:
         running_left_s = sum(
             max(pending_job.cost_s - (now_s - (pending_job.started_s or now_s)), 0.0) for pending_job in self.running
         )
-        return (client_work_s + other_clients_s + running_left_s) / self.processes
+        return (client_work_s + other_clients_s + running_left_s) / self.process_count
 
     def _choose_next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
         background: PendingJob | None = None
@@ -198,5 +198,5 @@ class JobQueue:
         self.credit_s = credit_s
         return first_jobs[chosen]
 
-    def _is_light(self, pending: PendingJob) -> bool:
-        return not pending.is_background and self.expected_times.is_light(pending.job)
+    def _is_short(self, pending: PendingJob) -> bool:
+        return not pending.is_background and self.expected_times.is_short(pending.job)

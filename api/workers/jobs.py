@@ -46,7 +46,7 @@ class BlockJob(_Value):
     """Compute a block of 4 x 4 tiles (1024 x 1024 pixels), and encode it as several files.
 
     ``block_x`` and ``block_y`` are the block's column and row, counted in blocks from the top left corner of the tile matrix of
-    ``zoom``. Each file covers ``tiles`` x ``tiles`` tiles.
+    ``zoom``. Each file covers ``tiles_per_side`` x ``tiles_per_side`` tiles.
     """
 
     level: LevelKey
@@ -55,7 +55,7 @@ class BlockJob(_Value):
     block_x: int
     block_y: int
     format: MapFormat = "png"
-    tiles: int = 1
+    tiles_per_side: int = 1
     request: ProductRequest = ProductRequest()
 
 
@@ -193,10 +193,11 @@ class FilmPlanState:
 class FrameJob(Film):
     """Draw one frame of a film.
 
-    ``number`` counts frames from 0. ``previous_plan_state`` is the planning state after the previous frame; ``None`` for the first.
+    ``frame_number`` counts frames from 0. ``previous_plan_state`` is the planning state after the previous frame; ``None`` for the
+    first.
     """
 
-    number: int
+    frame_number: int
     previous_plan_state: InstanceOf[FilmPlanState] | None = None
 
 
@@ -214,14 +215,14 @@ class HeartbeatRequest:
 
 
 @dataclass(frozen=True)
-class HeartbeatAnswer:
+class HeartbeatResponse:
     """Answer to a ``HeartbeatRequest``.
 
-    ``missing_loops`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0 until the
-    process has counted them.
+    ``missing_loop_count`` is the number of loops (functions that numba compiles) without machine code in the cache on disk; 0
+    until the process has counted them.
     """
 
-    missing_loops: int = 0
+    missing_loop_count: int = 0
 
 
 @dataclass(frozen=True)
@@ -255,15 +256,15 @@ class WorkerReady:
         OpenGL's version; empty without OpenGL.
     egl_device : str
         Name of its EGL device.
-    missing_loops : int
-        As in ``HeartbeatAnswer``.
+    missing_loop_count : int
+        As in ``HeartbeatResponse``.
     """
 
     renderer: str
     device: DeviceProfile | None = None
     version: str = ""
     egl_device: str = ""
-    missing_loops: int = 0
+    missing_loop_count: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,21 +335,21 @@ class Snapshot:
 
 
 @dataclass(frozen=True)
-class PlanAnswer:
+class PlanResult:
     """A plan as JSON."""
 
     plan_json: str
 
 
 @dataclass(frozen=True)
-class DescriptorAnswer:
+class DescriptorResult:
     """A descriptor as JSON."""
 
     descriptor_json: str
 
 
 @dataclass(frozen=True)
-class PointAnswer:
+class PointResult:
     """The bytes of a point's report, horizon file or chart; a JSON list for many points."""
 
     body: bytes
@@ -409,5 +410,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer | FilmCheckResult | FilmPicture
+Result = BlockTiles | Snapshot | PlanResult | DescriptorResult | PointResult | FilmCheckResult | FilmPicture
 Answer = Result | Failure

@@ -88,22 +88,22 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
         array = empty(view.rows, view.cols, scene.height_range_m[0])
         if product.needs:
             return _map_file(job, array, view, NO_SHADOWS, (), NO_CASTERS.reach)
-        return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
+        return _map_file(job, array, view, product.name, (_only_pass(product.name, start),), None)
     product.check(scene)
     plan = plan_of(*representative_part(scene, view)) if product.needs else None
     computed = compute(scene, view, request, plan)
     array = apply_color_scale(computed.array, product, request.options, scene.world, job.format)
     if plan is None:
-        return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
+        return _map_file(job, array, view, product.name, (_only_pass(product.name, start),), None)
     return _map_file(job, array, view, plan.algorithms_text, computed.passes, computed.reach)
 
 
-def _single_pass(name: str, start: float) -> PassRecord:
+def _only_pass(name: str, start_s: float) -> PassRecord:
     """Return the only pass record of a product without render passes.
 
-    ``start`` is the begin of its computation, in seconds of the performance counter.
+    ``start_s`` is the begin of its computation, in seconds of the performance counter.
     """
-    return PassRecord(name, (time.perf_counter() - start) * 1000.0)
+    return PassRecord(name, (time.perf_counter() - start_s) * 1000.0)
 
 
 def _map_file(

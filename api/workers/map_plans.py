@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from skugga.api.workers.jobs import LevelKey
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.selector.map_probes import PROBE_SETTINGS, MapClass, map_class
 from skugga.selector.select import plan_of_view, select
 from skugga.terrain.geo.camera import PerspectiveView

@@ -17,7 +17,7 @@ from skugga.api.workers.pool_counters import PoolCounters
 from skugga.terrain.cache import Cache, Missing
 from skugga.terrain.errors import BusyError, SkuggaError
 
-MAX_STARTS = 2
+MAX_JOB_STARTS = 2
 """Maximum number of times that a job is started, if its process dies while the job runs."""
 
 log = logging.getLogger("skugga")
@@ -47,7 +47,7 @@ class PendingJobs:
     ----------
     queue : JobQueue
         The waiting and running jobs.
-    changed : asyncio.Event
+    may_start_event : asyncio.Event
         Set whenever a waiting job may start.
     counters : PoolCounters
         Counters for metrics.
@@ -72,7 +72,7 @@ class PendingJobs:
         self._circuit_breaker = CircuitBreaker()
         self._closed = False
         self.queue = JobQueue(settings.workers)
-        self.changed = asyncio.Event()
+        self.may_start_event = asyncio.Event()
         self.counters = PoolCounters()
 
     @property
@@ -113,15 +113,15 @@ class PendingJobs:
         return pending
 
     def retry_or_finish(self, pending: PendingJob, outcome: Failure | SkuggaError) -> None:
-        """Queue a job again whose process ended, if it was started fewer than ``MAX_STARTS`` times and a request waits.
+        """Queue a job again whose process ended, if it was started fewer than ``MAX_JOB_STARTS`` times and a request waits.
 
         Otherwise answer its requests with ``outcome``.
         """
-        if pending.start_count < MAX_STARTS and pending.clients and not self._closed:
+        if pending.start_count < MAX_JOB_STARTS and pending.clients and not self._closed:
             self.queue.discard(pending)
             self.queue.put(pending)
-            self.changed.set()
-            self.counters.retried += 1
+            self.may_start_event.set()
+            self.counters.jobs_retried += 1
             if not pending.is_background:
                 self._start_expiry_timer(pending)
             return
@@ -134,12 +134,12 @@ class PendingJobs:
         If that opens a circuit of the circuit breaker, fail the waiting jobs that the circuit breaker rejects now.
         """
         self._circuit_breaker.record_failure(job)
-        left_s = self._circuit_breaker.seconds_left(job)
+        left_s = self._circuit_breaker.open_seconds_left(job)
         if left_s <= 0.0:
             return
         log.error("%s keeps failing: its circuit breaker is open for %.0f s", _job_title(job), left_s)
         for pending in list(self.queue.waiting.values()):
-            if self._circuit_breaker.seconds_left(pending.job) > 0.0:
+            if self._circuit_breaker.open_seconds_left(pending.job) > 0.0:
                 self.finish(pending, _circuit_open_error(pending.job, left_s))
 
     def finish(self, pending: PendingJob, answer: Answer | SkuggaError, add_duration: bool = True) -> None:
@@ -156,10 +156,10 @@ class PendingJobs:
         if pending.answer.done():
             return
         if isinstance(answer, SkuggaError):
-            self.counters.failed += 1
+            self.counters.jobs_failed += 1
             pending.answer.set_exception(answer)
         else:
-            self.counters.answered += 1
+            self.counters.jobs_answered += 1
             if isinstance(answer, BlockTiles | Snapshot):
                 self._picture_cache.put(pending.job, answer.plan_version, value=answer)
             if not isinstance(answer, Failure):
@@ -190,16 +190,16 @@ class PendingJobs:
             if not pending.clients and self.queue.waiting.get(job) is pending:
                 self._remove(pending)
                 pending.answer.cancel()
-                self.counters.abandoned += 1
+                self.counters.jobs_abandoned += 1
 
     def _enqueue(self, job: Job, client: str) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
         self._before_enqueue()
         loop = asyncio.get_running_loop()
-        left_s = self._circuit_breaker.seconds_left(job)
+        left_s = self._circuit_breaker.open_seconds_left(job)
         if left_s > 0.0:
-            self.counters.refused += 1
+            self.counters.jobs_refused += 1
             raise _circuit_open_error(job, left_s)
         pending = PendingJob(job, loop.create_future(), loop.time(), is_background=isinstance(job, FrameJob))
         # Mark errors as retrieved, since no request may wait for them any more.
@@ -208,12 +208,12 @@ class PendingJobs:
             try:
                 check_admission(self.queue, job, client, loop.time(), self._settings, self._has_ready_process())
             except RetryLaterError:
-                self.counters.refused += 1
+                self.counters.jobs_refused += 1
                 raise
             self._start_expiry_timer(pending)
         self._pending[job] = pending
         self.queue.put(pending)
-        self.changed.set()
+        self.may_start_event.set()
         return pending
 
     def _start_expiry_timer(self, pending: PendingJob) -> None:
@@ -226,7 +226,7 @@ class PendingJobs:
         if not self._can_expire():
             self._start_expiry_timer(pending)
             return
-        self.counters.expired += 1
+        self.counters.jobs_expired += 1
         message = f"The service is busy: this picture waited longer than the limit of {self._settings.queue_timeout_s:g} s."
         wait_s = self.queue.wait_s(pending.job, pending.client, asyncio.get_running_loop().time())
         self.finish(pending, RetryLaterError(message, retry_after_s(wait_s)))
@@ -237,7 +237,7 @@ class PendingJobs:
         if self._pending.get(pending.job) is pending:
             del self._pending[pending.job]
         self.queue.discard(pending)
-        self.changed.set()  # a waiting job may start now
+        self.may_start_event.set()  # a waiting job may start now
 
 
 def _job_title(job: Job) -> str:

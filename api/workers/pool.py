@@ -29,7 +29,7 @@ from skugga.api.workers.jobs import (
 )
 from skugga.api.workers.pending_jobs import PendingJobs
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.pool_counters import PoolCounters
 from skugga.api.workers.supervisor import WorkerSupervisor
 from skugga.api.workers.worker_config import first_config
@@ -74,7 +74,7 @@ class Pool:
         and cached pictures of other plan versions are no longer used.
     preparing : PreparationProgress or None
         Progress of the first process until it is ready, then of the background compilation; ``None`` without either.
-    preparing_since : float
+    preparing_since_s : float
         Start of the preparation, in seconds of ``time.monotonic``.
     background_compile, idle_work, idle_calibration, idle_probes
         The background compilation, the queue of idle work, and what calibrates and probes in idle time.
@@ -85,9 +85,9 @@ class Pool:
     def __init__(
         self,
         settings: Settings,
-        target: WorkerTarget = worker_main,
+        worker_target: WorkerTarget = worker_main,
         preload_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
-        measure: Callable[[], DeviceProfile] = measure_profile,
+        measure_device: Callable[[], DeviceProfile] = measure_profile,
         probe: Probe = probe_level,
         spawned_worker: SpawnedWorker | None = None,
     ) -> None:
@@ -101,16 +101,16 @@ class Pool:
             self._note_result,
         )
         self.supervisor = WorkerSupervisor(
-            settings, self.jobs, target, preload_blocks, spawned_worker, lambda: self.measurements, self._note_ready,
-            self._note_preparation_progress, lambda missing_loops: self.background_compile.start_if_needed(missing_loops),
+            settings, self.jobs, worker_target, preload_blocks, spawned_worker, lambda: self.measurements, self._note_ready,
+            self._note_preparation_progress, lambda missing_loop_count: self.background_compile.start_if_needed(missing_loop_count),
         )  # fmt: skip
         self.measurements: PlanMeasurements | None = None
         self.preparing: PreparationProgress | None = PreparationProgress("starting a render process")
-        self.preparing_since = time.monotonic()
+        self.preparing_since_s = time.monotonic()
         self.background_compile = BackgroundCompile(usable_cores(), self._note_preparation_progress)
         self.idle_work = IdleWork(self._is_busy, first_config(settings).gl_threads)
         self.idle_calibration = IdleCalibration(
-            settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure
+            settings.calibrate_when_idle, self.idle_work, self._device, self._set_device, measure_device
         )
         self.idle_probes = IdleProbes(
             settings.probe_when_idle, self.idle_work, self._device, self._known_probes, self._add_probes, probe
@@ -143,12 +143,12 @@ class Pool:
         return self._closed or not any(task.done() for task in self.supervisor.tasks)
 
     @property
-    def queued(self) -> int:
+    def queued_count(self) -> int:
         """Number of jobs that wait for a process."""
         return len(self.jobs.queue)
 
     @property
-    def running(self) -> int:
+    def running_count(self) -> int:
         """Number of jobs that processes work on."""
         return len(self.jobs.queue.running)
 
@@ -236,7 +236,7 @@ class Pool:
 
     def _is_busy(self) -> bool:
         """Return whether jobs wait or run, a process starts, or loops are compiled: idle work must not run then."""
-        return bool(self.queued or self.running or self.supervisor.starting_count or self.background_compile.is_running)
+        return bool(self.queued_count or self.running_count or self.supervisor.starting_count or self.background_compile.is_running)
 
     def _can_expire(self) -> bool:
         """Return whether waiting jobs may expire: a process has started or failed, and none prepares (for example compiles) now."""
@@ -250,14 +250,14 @@ class Pool:
 
     def _note_preparation_progress(self, preparing: PreparationProgress | None) -> None:
         if self.preparing is None:
-            self.preparing_since = time.monotonic()
+            self.preparing_since_s = time.monotonic()
         self.preparing = preparing
 
     def _note_ready(self, worker: WorkerProcess, ready: WorkerReady) -> None:
         """Start the background work that a ready process allows."""
         self.measurements = self.measurements or worker.measurements
         self.preparing = self.preparing if self.background_compile.is_running else None
-        self.background_compile.start_if_needed(ready.missing_loops)
+        self.background_compile.start_if_needed(ready.missing_loop_count)
         self.idle_calibration.start_watching(ready.renderer, ready.version)
         self.idle_probes.start_watching(ready.renderer, ready.version)
 

@@ -11,27 +11,27 @@ class PoolCounters:
 
     Attributes
     ----------
-    answered, failed : int
+    jobs_answered, failed : int
         Jobs that ended with an answer, and jobs that ended with an error.
-    abandoned : int
+    jobs_abandoned : int
         Jobs dropped because no request waited for them any more.
-    started : int
+    processes_started : int
         Render processes that became ready.
-    refused : int
+    jobs_refused : int
         Jobs rejected by admission control or by the circuit breaker.
-    expired : int
+    jobs_expired : int
         Jobs that waited too long in the queue.
-    timed_out : int
+    jobs_timed_out : int
         Jobs that ran too long in a process.
-    retried : int
+    jobs_retried : int
         Jobs started again after their process died.
     """
 
-    answered: int = 0
-    failed: int = 0
-    abandoned: int = 0
-    started: int = 0
-    refused: int = 0
-    expired: int = 0
-    timed_out: int = 0
-    retried: int = 0
+    jobs_answered: int = 0
+    jobs_failed: int = 0
+    jobs_abandoned: int = 0
+    processes_started: int = 0
+    jobs_refused: int = 0
+    jobs_expired: int = 0
+    jobs_timed_out: int = 0
+    jobs_retried: int = 0

@@ -11,7 +11,7 @@ from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-NICENESS = 2
+RENDER_NICENESS = 2
 """Niceness (see nice(2)) of render processes.
 
 The service's own process has a higher priority, since it answers from its caches while they draw."""
@@ -32,7 +32,7 @@ STOPPED_STATES = "Tt"
 def lower_priority() -> None:
     """Set the niceness of this render process, so that the service's process has a higher priority."""
     with suppress(OSError, AttributeError):
-        os.nice(NICENESS)
+        os.nice(RENDER_NICENESS)
 
 
 def set_idle_priority() -> None:

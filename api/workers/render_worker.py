@@ -21,7 +21,7 @@ from skugga.api.compute import compute, draw_picture
 from skugga.api.device_calibration import calibration
 from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
-from skugga.api.products.visibility import VISIBILITY
+from skugga.api.products.visibility import NEEDS_VISIBILITY
 from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.block_tiles import TilePosition, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import draw_film_frame, plan_first_frame
@@ -29,20 +29,20 @@ from skugga.api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
-    DescriptorAnswer,
     DescriptorJob,
     DescriptorPlanJob,
+    DescriptorResult,
     Failure,
     FilmCheckJob,
     FilmCheckResult,
     FrameJob,
-    HeartbeatAnswer,
     HeartbeatRequest,
+    HeartbeatResponse,
     Job,
     LevelKey,
     MapJob,
-    PlanAnswer,
     PlanJob,
+    PlanResult,
     PointJob,
     PointsJob,
     PreparationProgress,
@@ -54,8 +54,8 @@ from skugga.api.workers.jobs import (
 )
 from skugga.api.workers.map_jobs import map_file
 from skugga.api.workers.map_plans import select_view_plan, unprobed_class
-from skugga.api.workers.plan_basis import PlanMeasurements
-from skugga.api.workers.point_jobs import point_answer, points_answer
+from skugga.api.workers.plan_measurements import PlanMeasurements
+from skugga.api.workers.point_jobs import point_result, points_result
 from skugga.api.workers.preparation import import_pvlib, prepare_level
 from skugga.api.workers.process_life import lower_priority
 from skugga.api.workers.worker_config import WorkerConfig
@@ -108,14 +108,14 @@ def run_job(job: Job, state: WorkerState) -> Result:
     declare_product(loop_group_of(job, scene))
     match job:
         case DescriptorJob():
-            return DescriptorAnswer(describe(scene, *_view_with_name(scene, job.view)).model_dump_json())
+            return DescriptorResult(describe(scene, *_view_with_name(scene, job.view)).model_dump_json())
         case PlanJob():
             plan = select_view_plan(scene, *_view_with_name(scene, job.view), overrides, job.level, state.measurements, job.policy)
-            return PlanAnswer(plan.model_dump_json())
+            return PlanResult(plan.model_dump_json())
         case PointJob():
-            return point_answer(job, scene)
+            return point_result(job, scene)
         case PointsJob():
-            return points_answer(job, scene)
+            return points_result(job, scene)
         case BlockJob():
             return _block_tiles(job, scene, state)
         case MapJob():
@@ -151,7 +151,7 @@ def loop_group_of(job: Job, scene: Scene) -> str:
             return POINTS
         case BlockJob() | MapJob() if job.request.product_record.when == "days":
             return SUN_HOURS
-        case BlockJob() if job.request.product_record.needs == VISIBILITY and is_terrain_only(scene):
+        case BlockJob() if job.request.product_record.needs == NEEDS_VISIBILITY and is_terrain_only(scene):
             return MASKS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
@@ -166,11 +166,11 @@ def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) ->
     return job.view != "map" if view_spec is None else view_spec.kind == "perspective"
 
 
-def _plan_of_descriptor(job: DescriptorPlanJob, state: WorkerState) -> PlanAnswer:
+def _plan_of_descriptor(job: DescriptorPlanJob, state: WorkerState) -> PlanResult:
     descriptor = Descriptor.model_validate_json(job.descriptor_json)
     plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in descriptor.light_kinds if lamp != SUN)))
     plan = select(descriptor, plan_request, job.request.overrides.for_selector(), job.policy, state.device)
-    return PlanAnswer(plan.model_dump_json())
+    return PlanResult(plan.model_dump_json())
 
 
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
@@ -183,7 +183,7 @@ def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     product = job.request.product_record
-    if not product.needs or product.reach_px:
+    if not product.needs or product.margin_px:
         return _tiles_of_array(job, scene, state)
     version = state.measurements.version_of(job.level)
     key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request.picture, product.needs
@@ -196,8 +196,8 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
         state.blocks.put(*key, value=cached)
     picture, facts = cached
     start = time.perf_counter()
-    tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
-    files = {place: body or empty_tile(job.request, job.format, job.tiles) for place, body in tiles.items()}
+    tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles_per_side)
+    files = {place: body or empty_tile(job.request, job.format, job.tiles_per_side) for place, body in tiles.items()}
     return BlockTiles(tiles=files, encode_ms=(time.perf_counter() - start) * 1000.0, is_newly_drawn=is_new, **facts)
 
 
@@ -209,7 +209,7 @@ def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTil
     computed = compute(scene, block_view(job), job.request, plan)
     encode_start = time.perf_counter()
     tiles: dict[TilePosition, bytes] = tiles_of_array(
-        computed.array, job.request, scene.world, block_view(job), job.format, job.tiles
+        computed.array, job.request, scene.world, block_view(job), job.format, job.tiles_per_side
     )
     if plan is None:
         passes = (PassRecord(product.name, (encode_start - start) * 1000.0),)
@@ -300,8 +300,8 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
             if compiled:  # a first start; later starts count missing loops in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
-            pipe.send(WorkerReady(state.renderer, state.device, version, egl_device, state.missing_loops))
-            _answer_jobs(pipe, state, [partial(count_missing_loops, state), import_pvlib])
+            pipe.send(WorkerReady(state.renderer, state.device, version, egl_device, state.missing_loop_count))
+            _process_jobs_of_pipe(pipe, state, [partial(count_missing_loops, state), import_pvlib])
     except SkuggaError as error:
         pipe.send(Failure.from_error(error, is_fatal=True))
     except (EOFError, OSError):
@@ -309,14 +309,14 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def count_missing_loops(state: WorkerState) -> None:
-    """Set ``state.missing_loops`` to the number of loops without machine code in the cache on disk.
+    """Set ``state.missing_loop_count`` to the number of loops without machine code in the cache on disk.
 
     Importing the modules of all loops takes time.
     """
-    state.missing_loops = len(missing_tasks(PRODUCTS))
+    state.missing_loop_count = len(missing_tasks(PRODUCTS))
 
 
-def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
+def _process_jobs_of_pipe(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
     """Answer jobs, heartbeat requests and new ``PlanMeasurements`` from the pipe, until a job fails fatally.
 
     While nothing arrives, run the functions ``idle_steps`` one after another. Raises ``EOFError`` or ``OSError`` when the pipe is
@@ -328,9 +328,9 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
             steps.popleft()()
         job = pipe.recv()
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer(state.missing_loops))
+            pipe.send(HeartbeatResponse(state.missing_loop_count))
             # Missing loops are being compiled in the background on all cores, so this time is not idle.
-            blocks = () if state.missing_loops else job.preload_blocks[:MAX_SCENES]
+            blocks = () if state.missing_loop_count else job.preload_blocks[:MAX_SCENES]
             steps.extend(partial(prepare_level, block, state) for block in blocks)
             continue
         if isinstance(job, PlanMeasurements):

@@ -12,10 +12,10 @@ from skugga.api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
 from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
 from skugga.api.workers.job_queue import PendingJob
-from skugga.api.workers.jobs import BlockJob, Failure, HeartbeatAnswer, HeartbeatRequest, PreparationProgress, WorkerReady
+from skugga.api.workers.jobs import BlockJob, Failure, HeartbeatRequest, HeartbeatResponse, PreparationProgress, WorkerReady
 from skugga.api.workers.pending_jobs import PendingJobs
 from skugga.api.workers.piped_process import SpawnedWorker, WorkerTarget
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.worker_config import first_config
 from skugga.api.workers.worker_process import WorkerProcess
@@ -82,16 +82,16 @@ class WorkerSupervisor:
         self,
         settings: Settings,
         jobs: PendingJobs,
-        target: WorkerTarget,
+        worker_target: WorkerTarget,
         preload_blocks: Callable[[], tuple[BlockJob, ...]],
         spawned_worker: SpawnedWorker | None,
-        measurements: Callable[[], PlanMeasurements | None],
+        current_measurements: Callable[[], PlanMeasurements | None],
         on_ready: Callable[[WorkerProcess, WorkerReady], None],
         on_preparation_progress: Callable[[PreparationProgress], None],
         on_missing_loops: Callable[[int], None],
     ) -> None:
-        self._settings, self._jobs, self._measurements = settings, jobs, measurements
-        self._target, self._preload_blocks, self._spawned = target, preload_blocks, spawned_worker
+        self._settings, self._jobs, self._measurements = settings, jobs, current_measurements
+        self._target, self._preload_blocks, self._spawned = worker_target, preload_blocks, spawned_worker
         self._on_ready, self._on_preparation_progress = on_ready, on_preparation_progress
         self._on_missing_loops = on_missing_loops
         self._config = first_config(settings)
@@ -129,20 +129,20 @@ class WorkerSupervisor:
         if self._start_error is not None and not self.ready_pids:
             raise _start_error_of(self._start_error)
 
-    async def _supervise(self, number: int) -> None:
+    async def _supervise(self, process_number: int) -> None:
         """Run a render process, and replace it whenever it ends, for ever. Failed starts are repeated after growing pauses.
 
-        ``number`` counts the supervised processes from 0. All others wait for the start of process 0, which compiles loops for all
-        of them.
+        ``process_number`` counts the supervised processes from 0. All others wait for the start of process 0, which compiles loops
+        for all of them.
         """
-        if number:
+        if process_number:
             await self.first_process_event.wait()
         failures = 0
         while True:
             if failures > 1:
                 await asyncio.sleep(min(INITIAL_BACKOFF_S * 2 ** (failures - 2), MAX_BACKOFF_S))
             try:
-                healthy = await self._run_process(number)
+                healthy = await self._run_process(process_number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the task survives all of them
                 log.error(
                     "the supervisor of a render process failed and starts another process: %s: %s", type(error).__name__, error
@@ -151,7 +151,7 @@ class WorkerSupervisor:
                 healthy = False
             failures = 0 if healthy else failures + 1
 
-    async def _run_process(self, number: int) -> bool:
+    async def _run_process(self, process_number: int) -> bool:
         """Start a render process and serve jobs with it until it ends.
 
         Return whether it worked: it became ready, and ran at least one job.
@@ -160,9 +160,9 @@ class WorkerSupervisor:
         if spawned_worker is None:
             # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
             needs_opengl = self.renderer not in (None, NO_OPENGL)
-            config = replace(self._config, needs_opengl=needs_opengl, measurements=self._measurements(), number=number)
+            config = replace(self._config, needs_opengl=needs_opengl, measurements=self._measurements(), number=process_number)
             spawned_worker = SpawnedWorker(self._target, config)
-        worker = WorkerProcess(spawned_worker, self._threads, self._jobs.changed.set, self._on_preparation_progress)
+        worker = WorkerProcess(spawned_worker, self._threads, self._jobs.may_start_event.set, self._on_preparation_progress)
         self.workers.add(worker)
         try:
             worker.preload_blocks = await run_in_pool(self._threads, self._preload_blocks)
@@ -187,12 +187,12 @@ class WorkerSupervisor:
             self.first_process_event.set()
         duration_s = asyncio.get_running_loop().time() - began_s
         self._start_error = None
-        self._jobs.counters.started += 1
+        self._jobs.counters.processes_started += 1
         self.ready_pids.add(worker.pid or 0)
         renderer_text = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
         log.info("render process %s ready after %.1f s: %s", worker.pid, duration_s, renderer_text)
         self._on_ready(worker, ready)
-        return await self._serve(worker)
+        return await self._run_jobs(worker)
 
     def _note_start_failure(self, error: SkuggaError) -> None:
         self._start_error = error
@@ -200,13 +200,13 @@ class WorkerSupervisor:
         if not self.ready_pids:
             self._jobs.fail_waiting(_start_error_of(error))
 
-    async def _serve(self, worker: WorkerProcess) -> bool:
+    async def _run_jobs(self, worker: WorkerProcess) -> bool:
         """Run jobs in a process until it ends or must be replaced.
 
         Return whether it ran any job. Otherwise its end counts as a failed start.
         """
         for count in range(self._settings.recycle_blocks):
-            pending = await self._next(worker)
+            pending = await self._next_job(worker)
             if pending is None:
                 return count > 0
             try:
@@ -220,7 +220,7 @@ class WorkerSupervisor:
                 return True
             except RenderTimeoutError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
-                self._jobs.counters.timed_out += 1
+                self._jobs.counters.jobs_timed_out += 1
                 self._jobs.queue.add_duration(pending.job, self._settings.render_timeout_s)
                 self._jobs.finish(pending, error)
                 self._jobs.record_crash(pending.job)
@@ -236,23 +236,23 @@ class WorkerSupervisor:
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
-    async def _next(self, worker: WorkerProcess) -> PendingJob | None:
+    async def _next_job(self, worker: WorkerProcess) -> PendingJob | None:
         """Wait for the next job and return it; return ``None`` if the process dies or does not answer a heartbeat request."""
         loop = asyncio.get_running_loop()
         while not worker.has_ended:
             pending = self._jobs.start_next(loop.time())
             if pending is not None:
                 return pending
-            self._jobs.changed.clear()
+            self._jobs.may_start_event.clear()
             try:
                 delay_s = PRELOAD_DELAY_S if worker.preload_blocks else HEARTBEAT_INTERVAL_S
-                await asyncio.wait_for(self._jobs.changed.wait(), delay_s)
+                await asyncio.wait_for(self._jobs.may_start_event.wait(), delay_s)
             except TimeoutError:
                 try:
                     answer = await worker.send_and_receive(HeartbeatRequest(worker.preload_blocks), HEARTBEAT_TIMEOUT_S)
                     worker.preload_blocks = ()
-                    if isinstance(answer, HeartbeatAnswer):
-                        self._on_missing_loops(answer.missing_loops)
+                    if isinstance(answer, HeartbeatResponse):
+                        self._on_missing_loops(answer.missing_loop_count)
                 except ExhaustedError:  # try again later
                     continue
                 except (RenderTimeoutError, WorkerCrashError):

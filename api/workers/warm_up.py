@@ -24,7 +24,7 @@ from skugga.terrain.gl.egl_devices import NO_OPENGL
 from skugga.terrain.level.level import Level, LoadedLevel
 from skugga.terrain.scene import Scene, build_scene
 
-WARM_UP_CELL_M, PLAIN_CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
+WARM_UP_CELL_M, PLAIN_SIDE_CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """Terrain of the test picture: a plain of 64 x 64 cells of 30 m. In its middle a wall, 300 m high, runs from north to south."""
 
 TEST_ZOOM = 12
@@ -35,13 +35,15 @@ The wall's shadow is 520 m long, since the sun stands 30 degrees high."""
 TEST_PICTURE_PX = 64
 """Side in pixels of the test picture around the wall's middle. It shows the whole plain."""
 
-TEST_DISTANCE_M = 240.0
+TEST_PIXEL_DISTANCE_M = 240.0
 """Distance of the two tested pixels from the wall. One lies inside the shadow, the other on the sunny side."""
 
 log = logging.getLogger("skugga.worker")
 
 
-def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, report: Callable[[str], None] = log.warning) -> str:
+def warm_up(
+    expect_renderer: str | None = None, needs_opengl: bool = False, report_problem: Callable[[str], None] = log.warning
+) -> str:
     """Draw a first picture, check that its shadow is in the right place, and return the renderer's name.
 
     Imports, compilation and the creation of the OpenGL context are then done before the first request.
@@ -52,7 +54,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
         Text that the renderer's name must contain; ``None`` accepts every renderer.
     needs_opengl
         Whether OpenGL is required. Otherwise a process without OpenGL computes the products that need none.
-    report
+    report_problem
         Called with the reason if OpenGL is missing and not required.
 
     Returns
@@ -72,7 +74,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, repo
     except NoOpenGLError as error:
         if needs_opengl or expect_renderer is not None:
             raise
-        report(str(error))
+        report_problem(str(error))
     if expect_renderer is not None and expect_renderer not in renderer:
         raise GraphicsError(f"the OpenGL renderer is '{renderer}', but SKUGGA_EXPECT_RENDERER is '{expect_renderer}'")
     west, east = _visibility_beside_wall(algorithm)
@@ -86,12 +88,12 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
 
     The sun is in the west, so the shadow lies east of the wall.
     """
-    heights = np.zeros((PLAIN_CELLS, PLAIN_CELLS), np.float32)
-    heights[:, PLAIN_CELLS // 2 - 1 : PLAIN_CELLS // 2 + 2] = WALL_HEIGHT_M
+    heights = np.zeros((PLAIN_SIDE_CELLS, PLAIN_SIDE_CELLS), np.float32)
+    heights[:, PLAIN_SIDE_CELLS // 2 - 1 : PLAIN_SIDE_CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
     with MemoryFile(ext=".tif") as memory:
         with memory.open(
-            driver="GTiff", width=PLAIN_CELLS, height=PLAIN_CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
+            driver="GTiff", width=PLAIN_SIDE_CELLS, height=PLAIN_SIDE_CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
@@ -100,7 +102,7 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
         view = _view_around(grid, center)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.close()
-    distance_px = TEST_DISTANCE_M / grid.step
+    distance_px = TEST_PIXEL_DISTANCE_M / grid.step
     row, col = center[0] - view.row0, center[1] - view.col0
     row, cols = int(row), (int(np.rint(col - distance_px)), int(np.rint(col + distance_px)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
@@ -125,14 +127,14 @@ def _grid_and_wall_center(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, f
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
-def _view_around(grid: Grid, center: tuple[float, float]) -> MapView:
-    """Return a view of ``TEST_PICTURE_PX`` pixels a side around ``center`` (row, column) of a grid.
+def _view_around(grid: Grid, center_row_col: tuple[float, float]) -> MapView:
+    """Return a view of ``TEST_PICTURE_PX`` pixels a side around ``center_row_col`` (row, column) of a grid.
 
     The view is shifted so that it lies within one block, since blocks are drawn separately.
     """
     row, col = (
         float(np.clip(int(index) - TEST_PICTURE_PX // 2, first, first + BLOCK_PX - TEST_PICTURE_PX))
-        for index in center
+        for index in center_row_col
         for first in [index // BLOCK_PX * BLOCK_PX]
     )
     return MapView(grid, row, col, 1.0, 1.0, TEST_PICTURE_PX, TEST_PICTURE_PX)

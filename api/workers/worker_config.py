@@ -9,7 +9,7 @@ from skugga.api.settings import Settings
 from skugga.terrain.cores import usable_cores
 
 if TYPE_CHECKING:
-    from skugga.api.workers.plan_basis import PlanMeasurements
+    from skugga.api.workers.plan_measurements import PlanMeasurements
 
 
 @dataclass(frozen=True)

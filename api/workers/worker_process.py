@@ -13,7 +13,7 @@ from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.child_process import ChildProcess
 from skugga.api.workers.jobs import Answer, BlockJob, Failure, HeartbeatRequest, Job, PreparationProgress, WorkerReady
 from skugga.api.workers.piped_process import SpawnedWorker
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
 

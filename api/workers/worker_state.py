@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
 from skugga.api.workers.jobs import BlockJob, LevelKey, ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.process_life import resident_bytes
 from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
@@ -29,10 +29,10 @@ MAX_SCENES = 16
 
 Each needs an overview of its raster (some MB), a file handle, and trees and meshes (up to hundreds of MB)."""
 
-SCENES_BYTES = 2**30
+MAX_SCENES_BYTES = 2**30
 """Upper bound of the bytes of the open levels' overviews together."""
 
-TILE_PLANS_BYTES = 16 * MIB
+MAX_TILE_PLANS_BYTES = 16 * MIB
 """Upper bound of the bytes of cached plans of tiles. A plan has some 30 KiB."""
 
 BLOCK_CACHE_BYTES = 48 * MIB
@@ -49,15 +49,15 @@ A software rasteriser needs about 1.5 GB."""
 class SceneCache:
     """Cache of recently used scenes (open levels) by level file. A level with another version than its open scene is reopened."""
 
-    def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
+    def __init__(self, max_scenes: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
         self._process_bytes = process_bytes
         self._scenes: Cache[tuple[str, Scene]] = Cache(
             "skugga.api.workers.scenes",
             "process",
-            SCENES_BYTES,
+            MAX_SCENES_BYTES,
             lambda entry: entry[1].elevation.nbytes,
             lambda entry: entry[1].close(),
-            limit,
+            max_scenes,
         )
 
     def __len__(self) -> int:
@@ -81,14 +81,14 @@ class SceneCache:
 class TilePlanCache:
     """Cache of plans by level, version of plans, zoom (or map scale) and request. All tiles of a zoom share a plan."""
 
-    def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
+    def __init__(self, limit_bytes: int = MAX_TILE_PLANS_BYTES) -> None:
         self._plans: Cache[Plan] = Cache("skugga.api.workers.tile_plans", "process", limit_bytes)
 
-    def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
-        """Return the cached plan of a key; if it is missing, call ``make`` and cache its result."""
+    def get(self, key: Hashable, make_plan: Callable[[], Plan]) -> Plan:
+        """Return the cached plan of a key; if it is missing, call ``make_plan`` and cache its result."""
         plan = self._plans.get(key)
         if isinstance(plan, Missing):
-            plan = make()
+            plan = make_plan()
             self._plans.put(key, value=plan)
         return plan
 
@@ -111,7 +111,7 @@ class WorkerState:
         The measurements that plans use.
     max_picture_ms : float or None
         Maximum expected time of a picture in milliseconds.
-    missing_loops : int
+    missing_loop_count : int
         Number of loops (functions that numba compiles) without machine code in the cache on disk, as last counted.
     scenes, plans, blocks
         Caches of open levels, plans of tiles and drawn blocks.
@@ -120,7 +120,7 @@ class WorkerState:
     renderer: str
     measurements: PlanMeasurements = field(default_factory=PlanMeasurements)
     max_picture_ms: float | None = None
-    missing_loops: int = 0
+    missing_loop_count: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
     blocks: Cache[DrawnBlock] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCK_CACHE_BYTES))

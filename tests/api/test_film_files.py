@@ -87,7 +87,7 @@ def test_a_webp_frame_holds_only_the_changed_rectangle():
         (6, 10, (3, 6)),
         (6, 10, (3, 6)),
     ]
-    assert [(change.duration_ms, change.frames) for change in changes] == [(200, 2), (300, 3), (100, 1)]
+    assert [(change.duration_ms, change.frame_count) for change in changes] == [(200, 2), (300, 3), (100, 1)]
     assert (changes[1].color == other[6:9, 10:16]).all()
 
 

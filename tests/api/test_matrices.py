@@ -9,8 +9,8 @@ from skugga.api.errors import NotServedError
 from skugga.api.matrices import (
     ZoomRange,
     check_tile,
-    detail_m,
-    is_quadtree_level,
+    finest_detail_m,
+    is_quadtree_zoom,
     matrix_set_of,
     served_matrix_sets,
     shows_no_data,
@@ -65,14 +65,14 @@ def test_objects_add_finer_zooms(write_raster, make_scene, tmp_path):
     last = {}
     for name, keys in {"bare": {}, "forest": {"forest": forest}, "meshes": {"meshes": meshes}}.items():
         scene = make_scene(raster, **keys)
-        zooms = zoom_range(MERCATOR, scene.world, scene.bounds_lon_lat, detail_m(scene))
+        zooms = zoom_range(MERCATOR, scene.world, scene.bounds_lon_lat, finest_detail_m(scene))
         assert zooms is not None
         last[name] = zooms.last
     pixel_m = {name: 40_075_016.7 / 256 / 2.0**zoom * np.cos(np.radians(54.142)) for name, zoom in last.items()}
     assert 30.0 / 8.0 / 1.42 < pixel_m["bare"] < 30.0 / 8.0 * 1.42
     assert pixel_m["forest"] == pixel_m["meshes"] and 14.0 < 10.0 / pixel_m["forest"] < 29.0
     fine_scene = make_scene(write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 1.0), forest=[])
-    assert detail_m(fine_scene) == pytest.approx(1.0, rel=0.01)
+    assert finest_detail_m(fine_scene) == pytest.approx(1.0, rel=0.01)
 
 
 def test_zooms_end_with_the_matrix_set():
@@ -100,9 +100,9 @@ def test_the_error_of_an_outside_tile_names_its_index():
 
 
 def test_quadtree_levels_are_recognized():
-    assert is_quadtree_level(MERCATOR, 10)
-    assert not is_quadtree_level(MERCATOR, MERCATOR.maxzoom)
-    assert not is_quadtree_level(registered.get("CanadianNAD83_LCC"), 5)
+    assert is_quadtree_zoom(MERCATOR, 10)
+    assert not is_quadtree_zoom(MERCATOR, MERCATOR.maxzoom)
+    assert not is_quadtree_zoom(registered.get("CanadianNAD83_LCC"), 5)
 
 
 def tiles_with_data(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:

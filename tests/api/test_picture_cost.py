@@ -8,7 +8,7 @@ import pytest
 
 from skugga.api.cli import snapshot as snapshot_module
 from skugga.api.errors import TooCostlyError
-from skugga.api.picture_cost import ESTIMATE_MARGIN, check_cost, remedy, soft_lamps
+from skugga.api.picture_cost import ESTIMATE_MARGIN, check_cost, cost_remedy, sphere_lamps
 from skugga.api.report.plan_text import format_expectation
 from skugga.api.request import ProductRequest
 from skugga.shadows.plan import Plan, Predicted
@@ -27,9 +27,9 @@ def lamp_scene(tmp_path: Path) -> tuple[Scene, Plan]:
 
 def test_a_slow_plan_names_the_key_that_makes_it_cheaper(lamp_scene: tuple[Scene, Plan]):
     _, plan = lamp_scene
-    points = soft_lamps(plan)["spot"]
+    points = sphere_lamps(plan)["spot"]
     assert points > 1
-    assert remedy(plan) == f"lights.spot.radius: 0 makes shadows hard, which need 1 sample point of a lamp instead of {points}"
+    assert cost_remedy(plan) == f"lights.spot.radius: 0 makes shadows hard, which need 1 sample point of a lamp instead of {points}"
     assert "For less time, lights.spot.radius: 0" in format_expectation(plan)
     quick_plan = plan.model_copy(update={"predicted": Predicted(ms=100.0, wrong=0.01, wrong_cast=0.01)})
     assert "For less time" not in format_expectation(quick_plan)

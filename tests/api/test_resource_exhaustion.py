@@ -26,7 +26,7 @@ from skugga.api.workers.jobs import Failure
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.worker_state import WorkerState
 from skugga.terrain.errors import SourceError
-from tests.api.animations.test_animations import film_order
+from tests.api.animations.test_animations import animation_spec
 from tests.api.http.test_level_checks import no_threads
 from tests.api.http.test_openapi import ROUTERS
 from tests.api.workers.test_pool import block, run_with_pool, wait_until
@@ -116,7 +116,7 @@ def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPa
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))
             assert (await pool.run(block(0))).tiles
-        assert pool.ready_pids == pids and pool.counters.started == 1
+        assert pool.ready_pids == pids and pool.counters.processes_started == 1
 
     run_with_pool(scenario)
 
@@ -155,7 +155,7 @@ def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
             await wait_until(lambda: not compiling.is_running)
         compiling.start_if_needed(7)
         assert not compiling.is_running, "the next try waits for some seconds"
-        monkeypatch.setattr(compiling, "_not_before_s", 0.0)
+        monkeypatch.setattr(compiling, "_retry_at_s", 0.0)
         compiling.start_if_needed(7)
         await wait_until(lambda: not compiling.is_running)
         assert compiled.is_set()
@@ -176,11 +176,11 @@ def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPa
     async def scenario() -> None:
         animations = Animations(Settings(), draw, lambda path, frames, film_request: path.write_bytes(bytes(len(list(frames)))))
         with no_threads(monkeypatch):
-            first = animations.request(film_order(1), 1.0)
-            await wait_until(lambda: first.ended)
+            first = animations.request(animation_spec(1), 1.0)
+            await wait_until(lambda: first.has_ended)
         assert isinstance(first.error, ExhaustedError) and not draw_calls
-        second = animations.request(film_order(2), 1.0)
-        await wait_until(lambda: second.ended)
+        second = animations.request(animation_spec(2), 1.0)
+        await wait_until(lambda: second.has_ended)
         assert second.status == "successful" and len(draw_calls) == 1
         await animations.close()
 

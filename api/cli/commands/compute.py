@@ -19,7 +19,7 @@ from skugga.terrain.level.level_source import LevelSource
 
 
 @with_level_argument
-@with_product_options(RASTER_PRODUCTS, after="product")
+@with_product_options(RASTER_PRODUCTS, after_parameter="product")
 @with_shadow_options("render")
 def compute_raster(
     level: LevelSource,

@@ -7,7 +7,7 @@ import json
 import typer
 
 from skugga.api.cli.common_options import JsonOption
-from skugga.api.cli.tables import named_table, wide_console
+from skugga.api.cli.tables import table_with_names, wide_console
 
 
 def levels(as_json: JsonOption = False) -> None:
@@ -19,7 +19,7 @@ def levels(as_json: JsonOption = False) -> None:
     if as_json:
         typer.echo(json.dumps(rows, indent=2))
         return
-    table = named_table("name", "title", "bounds (west, south, east, north)", "views", box=None)
+    table = table_with_names("name", "title", "bounds (west, south, east, north)", "views", box=None)
     for row in rows:
         bounds = "flat world" if row["bounds"] is None else ", ".join(f"{v:.3f}" for v in row["bounds"])
         table.add_row(row["name"], row["title"], bounds, ", ".join(row["views"]))

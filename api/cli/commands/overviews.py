@@ -19,11 +19,11 @@ def raster_overviews(
     positive: PositiveOption = None,
 ) -> None:
     """Write overviews of a big raster to RASTER.ovr. The raster itself does not change."""
-    from skugga.api.overviews import make_overviews, reason_for_no_overviews
+    from skugga.api.overviews import make_overviews, reason_against_overviews
     from skugga.terrain.level.level_source import parse_positive, parse_units
 
     vertical_options = parse_units("--units", units), parse_positive("--positive", positive)
-    if (why_none := reason_for_no_overviews(raster)) is not None:
+    if (why_none := reason_against_overviews(raster)) is not None:
         typer.echo(printable(why_none))
         return
     with ProgressBar("Averaging") as advance:

@@ -53,7 +53,7 @@ _SlopeExaggerationOption = Annotated[
 
 
 @with_level_argument
-@with_product_options(_LAYERS, after="layer")
+@with_product_options(_LAYERS, after_parameter="layer")
 @with_shadow_options("render")
 def render(
     level: LevelSource,
@@ -95,15 +95,15 @@ def render(
 ) -> None:
     """Render a view of a level to an image file, or to a film with a moving sun or camera."""
     from skugga.api.cli.film import FilmOptions, render_film
-    from skugga.api.cli.snapshot import snapshot, statistics
+    from skugga.api.cli.snapshot import snapshot, snapshot_statistics
     from skugga.api.request import ProductRequest
 
     product = product_named(layer, (*_LAYERS, *_PASS_LAYERS))
     options, declared_options = split_product_options(product, declared_options)
     film = FilmOptions(start, end, step, path, fps, lossless)
-    if film.used_names:
+    if film.used_option_names:
         if light is not None:
-            raise InputError.conflict("--light", film.used_names[0], "Leave out --light: films show all lights")
+            raise InputError.conflict("--light", film.used_option_names[0], "Leave out --light: films show all lights")
         sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(
@@ -129,7 +129,7 @@ def render(
         result = snapshot(level, view, request, overrides, *extent, advance, seconds, light, max_ms, style_overrides)
     result.write(request, output)
     if stats is not None:
-        write_atomically(stats, json.dumps(statistics(result), indent=2) + "\n")
+        write_atomically(stats, json.dumps(snapshot_statistics(result), indent=2) + "\n")
 
 
 def check_output(product: Product, path: Path) -> None:

@@ -17,8 +17,8 @@ from skugga.terrain.level.level_source import LevelSource
 
 
 @with_level_argument
-@with_product_options(SEED_PRODUCTS, after="format")
-@with_shadow_options("pictures", after="altitude")
+@with_product_options(SEED_PRODUCTS, after_parameter="format")
+@with_shadow_options("pictures", after_parameter="altitude")
 def seed(
     level: LevelSource,
     output: Annotated[

@@ -117,11 +117,11 @@ def _select_all(
     as_json: bool,
     write: bool,
 ) -> None:
-    from skugga.api.cli.all_views import choices_table, json_rows, pin_all, plan_all_views
+    from skugga.api.cli.all_views import choices_table, json_rows, pin_all_views, plan_all_views
 
     with spinner("Choosing for all views"):
         choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
-        message = pin_all(choices) if write else None
+        message = pin_all_views(choices) if write else None
     _print_choices(json_rows(choices), choices_table(choices), as_json, message)
 
 

@@ -53,7 +53,7 @@ def shade_raster(
     **declared_options: Any,
 ) -> None:
     """Write a shadow mask as a raster of any size, by default on the level's grid."""
-    from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_item, write_product
+    from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_stac_item, write_product
     from skugga.api.request import ProductRequest
 
     product_named(layer, SHADED_PRODUCTS, "--layer")
@@ -62,7 +62,9 @@ def shade_raster(
     suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)
     if stac is not None:
         check_output_files(level, [("--output", output)], stac)
-        suns, cells = sun_and_grid_of_item(stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None)
+        suns, cells = sun_and_grid_of_stac_item(
+            stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None
+        )
     with ProgressBar("Shading") as advance:
         requests = [ProductRequest(product=layer, sun=sun) for sun in suns]
         write_product(level, output, requests, OutputGrid(read_bounds(bounds), crs, resolution, cells), overrides, advance)

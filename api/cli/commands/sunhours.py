@@ -54,7 +54,7 @@ def sun_hours_raster(
 ) -> None:
     """Write hours of sun, first or last sun as a raster of any size, over dates and daily windows."""
     from skugga.api.cli.shading import OutputGrid, write_product
-    from skugga.api.cli.sunning import contour_values, sun_hours_request
+    from skugga.api.cli.sun_hours_options import contour_values, sun_hours_request
 
     rules = step, threshold, least_altitude, height
     request = sun_hours_request(quantity, (date, last, every), window, clock, rules)

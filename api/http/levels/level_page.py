@@ -8,8 +8,8 @@ from urllib.parse import quote
 
 from fastapi import Request, Response
 
-from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.ogc.ogc_requests import layer_name
+from skugga.api.http.responses import base_url, document_response
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
@@ -44,32 +44,32 @@ h2 {{ margin-top: 2rem; }}
 """
 
 
-def level_page(level: ServedLevel, base: str) -> str:
-    """Return the HTML page of a level. Its links are relative to ``/levels/``; ``base`` is the service's public URL."""
+def level_page(level: ServedLevel, base_url: str) -> str:
+    """Return the HTML page of a level. Its links are relative to ``/levels/``; ``base_url`` is the service's public URL."""
     name = quote(level.name)
     is_off_earth = level.world.off_earth_reason is not None
     return _PAGE.format(
         title=escape(level.loaded.level.title or level.name),
         name=name,
         picture=f"{name}/snapshot.webp?view=map" if is_off_earth else f"{name}/map.webp",
-        facts="\n".join(f"<tr><th>{escape(key)}</th><td>{value}</td></tr>" for key, value in _facts(level)),
+        facts="\n".join(f"<tr><th>{escape(key)}</th><td>{value}</td></tr>" for key, value in _fact_rows(level)),
         snippets="\n".join(
             f"<h2>{escape(title)}</h2>\n<pre>{escape(text)}</pre>"
-            for title, text in (() if is_off_earth else snippets(level, base))
+            for title, text in (() if is_off_earth else snippets(level, base_url))
         ),
     )
 
 
-def snippets(level: ServedLevel, base: str, product_request: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
+def snippets(level: ServedLevel, base_url: str, product_request: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
     """Yield pairs of a map client's name and a code snippet that adds the level to it.
 
-    ``base`` is the service's public URL. Tile URLs in the snippets carry the query of ``product_request``, by default none. Clients
-    of WMTS and WMS choose layer and time themselves.
+    ``base_url`` is the service's public URL. Tile URLs in the snippets carry the query of ``product_request``, by default none.
+    Clients of WMTS and WMS choose layer and time themselves.
     """
     assert level.bounds is not None
     query = "" if product_request is None else product_request.query()
     query_suffix = query and f"?{query}"
-    address = f"{base}/levels/{quote(level.name)}"
+    address = f"{base_url}/levels/{quote(level.name)}"
     wmts, wms = f"{address}/WMTSCapabilities.xml", f"{address}/wms"
     attribution = (level.loaded.level.attribution or "").replace("\\", "\\\\").replace("'", "\\'")
     west, south, east, north = level.bounds
@@ -116,14 +116,14 @@ def snippets(level: ServedLevel, base: str, product_request: ProductRequest | No
     yield "GDAL", f'gdal_translate "WMTS:{wmts},layer={layer_name(level, "color")}" level.tif'
 
 
-def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
+def _fact_rows(level: ServedLevel) -> Iterator[tuple[str, str]]:
     """Yield the rows of the page's table of facts: a heading as text and a value as HTML."""
     name, level_file = quote(level.name), level.loaded.level
     if level.bounds is not None:
         west, south, east, north = level.bounds
         yield "Bounds", f"{west:.5f}, {south:.5f}, {east:.5f}, {north:.5f} (west, south, east, north; degrees)"
         yield "Own maps", escape(level.map_crs.name)
-    yield "Lowest ground", f"{level.lowest_m:.0f} m"
+    yield "Lowest ground", f"{level.lowest_ground_m:.0f} m"
     if level_file.sun is not None and level_file.sun != "none":
         sun = level_file.sun
         angles = f"azimuth {sun.azimuth:g}°, altitude {sun.altitude:g}°" if sun.time is None else sun.time.isoformat()
@@ -143,12 +143,12 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
         yield "Warning", escape(warning)
 
 
-def _layer_link(name: str, layer: str) -> str:
+def _layer_link(level_name: str, layer: str) -> str:
     suffix = "png" if "png" in PRODUCTS[layer].map_formats else "tif"
-    return f'<a href="{name}/map.{suffix}?layer={layer}">{layer}</a>'
+    return f'<a href="{level_name}/map.{suffix}?layer={layer}">{layer}</a>'
 
 
-async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
+async def level_page_response(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
     """Return the page of a level as a response, or 304 if the client's copy is current."""
     page = level_page(level, base_url(request, service.settings.public_url))
-    return document_answer(request, page.encode(), "text/html", **headers)
+    return document_response(request, page.encode(), "text/html", **headers)

@@ -9,21 +9,21 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from skugga.api.http.answers import base_url, document_answer, json_answer
-from skugga.api.http.levels.level_page import page_answer, snippets
-from skugga.api.http.ogc.ogc_requests import this_year
+from skugga.api.http.levels.level_page import level_page_response, snippets
+from skugga.api.http.ogc.ogc_requests import current_year
 from skugga.api.http.ogc.qgis_layers import qgis_layers
-from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
-from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
+from skugga.api.http.openapi_parts import LEVEL_ERROR_STATUSES, LevelPath, file_docs, problem_docs
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only_parameters, tile_query
+from skugga.api.http.responses import base_url, document_response, json_response
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import UnsupportedError
 
-router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response)
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERROR_STATUSES), default_response_class=Response)
 
-NO_PARAMETERS = [Depends(allow_only())]
+NO_PARAMETERS = [Depends(allow_only_parameters())]
 
-QLR_MEDIA = "application/x-qgis-layer-definition"
+QLR_MEDIA_TYPE = "application/x-qgis-layer-definition"
 
 
 @router.get(
@@ -31,13 +31,13 @@ QLR_MEDIA = "application/x-qgis-layer-definition"
 )
 async def page_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return a page with the level's picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and others."""
-    return await page_answer(request, service, await service.level(level))
+    return await level_page_response(request, service, await service.level(level))
 
 
 @router.get(
     "/levels/{level}.qlr",
     summary="A level's layers for QGIS",
-    responses=file_docs("The file.", [QLR_MEDIA]),
+    responses=file_docs("The file.", [QLR_MEDIA_TYPE]),
     dependencies=NO_PARAMETERS,
 )
 async def qgis_layers_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
@@ -50,7 +50,7 @@ async def qgis_layers_of_level(request: Request, service: ServiceDep, level: Lev
             f"{served_level.world.off_earth_reason or 'it lies outside of all tile matrix sets'}, so it has no tiles",
         )
     base = base_url(request, service.settings.public_url)
-    return document_answer(request, await run_in_threadpool(qgis_layers, served_level, base, this_year()), QLR_MEDIA)
+    return document_response(request, await run_in_threadpool(qgis_layers, served_level, base, current_year()), QLR_MEDIA_TYPE)
 
 
 class ClientLines(BaseModel):
@@ -65,7 +65,7 @@ class ClientLines(BaseModel):
     summary="Lines for map clients",
     response_model=list[ClientLines],
     responses=file_docs("The lines.", ["application/json"]),
-    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*TILE_PARAMETERS))],
     response_class=JSONResponse,
 )
 async def lines_of_level(
@@ -79,4 +79,4 @@ async def lines_of_level(
     if served_level.world.off_earth_reason is not None:
         raise UnsupportedError("level", level, f"{served_level.world.off_earth_reason}, so it has no tiles")
     lines = snippets(served_level, base_url(request, service.settings.public_url), product_request)
-    return json_answer(request, [{"client": client, "text": text} for client, text in lines])
+    return json_response(request, [{"client": client, "text": text} for client, text in lines])

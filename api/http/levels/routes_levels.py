@@ -10,27 +10,27 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_html
-from skugga.api.http.levels.level_page import page_answer
-from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, MatrixSetPath, example_query, file_docs, problem_docs
-from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
+from skugga.api.http.levels.level_page import level_page_response
+from skugga.api.http.openapi_parts import LEVEL_ERROR_STATUSES, LevelPath, MatrixSetPath, example_query, file_docs, problem_docs
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only_parameters, tile_query
+from skugga.api.http.responses import JSON_MEDIA_TYPE, base_url, json_response, wants_html
 from skugga.api.http.state.service import ServiceDep
-from skugga.api.http.tiles.legends import legend_answer
-from skugga.api.http.tiles.tilejson import tilejson_answer
+from skugga.api.http.tiles.legends import legend_response
+from skugga.api.http.tiles.tilejson import tilejson_response
 from skugga.api.products.heights import nodata_height_m
 from skugga.api.products.product import MapFormat
-from skugga.api.products.sun_hours import NAME as SUN_HOURS
+from skugga.api.products.sun_hours import PRODUCT_NAME as SUN_HOURS
 from skugga.api.request import ProductRequest
 
-router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERROR_STATUSES))
 
 
 @router.get(
     "/levels",
     summary="The levels",
-    dependencies=[Depends(allow_only())],
+    dependencies=[Depends(allow_only_parameters())],
     response_model=list[dict[str, Any]],
-    responses=file_docs("All levels.", [JSON_MEDIA]),
+    responses=file_docs("All levels.", [JSON_MEDIA_TYPE]),
 )
 async def levels(request: Request, service: ServiceDep) -> Response:
     """Return every level: name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
@@ -41,30 +41,30 @@ async def levels(request: Request, service: ServiceDep) -> Response:
     `warnings` are about possible faults of its files.
     """
     served_levels = await service.all_levels()
-    return json_answer(request, [level.summary() for level in served_levels])
+    return json_response(request, [level.summary() for level in served_levels])
 
 
 @router.get(
     "/levels/{level}",
     summary="A level",
-    dependencies=[Depends(allow_only())],
+    dependencies=[Depends(allow_only_parameters())],
     response_model=dict[str, Any],
-    responses=file_docs("The level, or its page.", [JSON_MEDIA, "text/html"]),
+    responses=file_docs("The level, or its page.", [JSON_MEDIA_TYPE, "text/html"]),
 )
 async def level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
     """Return one level, as in the list of levels. Browsers get its page."""
     served_level = await service.level(level)
     if wants_html(request):
-        return await page_answer(request, service, served_level, Vary="Accept")
-    return json_answer(request, served_level.summary(), Vary="Accept")
+        return await level_page_response(request, service, served_level, Vary="Accept")
+    return json_response(request, served_level.summary(), Vary="Accept")
 
 
 @router.get(
     "/levels/{level}/{tms}/tilejson.json",
     summary="TileJSON",
-    dependencies=[Depends(allow_only("format", *TILE_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters("format", *TILE_PARAMETERS))],
     response_model=dict[str, Any],
-    responses=file_docs("TileJSON.", [JSON_MEDIA]),
+    responses=file_docs("TileJSON.", [JSON_MEDIA_TYPE]),
 )
 async def tilejson(
     request: Request,
@@ -97,7 +97,7 @@ async def tilejson(
     extra_entries: dict[str, Any] = {} if product.encoding is None else {"encoding": product.encoding}
     skugga_entries: dict[str, Any] = {"layer": product.name, "tile_matrix_set": tms, "sun": sun_facts}
     if extra_entries:
-        skugga_entries["nodata_height"] = nodata_height_m(served_level.lowest_m)
+        skugga_entries["nodata_height"] = nodata_height_m(served_level.lowest_ground_m)
     if product.color_scale is not None:
         scale = await run_in_threadpool(product.color_scale, product_request.options, served_level.world)
         picture = f"{address}/legend.png?{query}"
@@ -106,7 +106,7 @@ async def tilejson(
             "title": scale.title, "low": scale.low, "high": scale.high, "picture": picture, "entries": scale.entries(),
         }  # fmt: skip
     level_file = served_level.loaded.level
-    return tilejson_answer(
+    return tilejson_response(
         request, level_file.title or served_level.name, level_file.attribution, f"{tiles}?{query}" if query else tiles,
         (zooms.first, zooms.last), served_level.bounds, {**extra_entries, "skugga": skugga_entries},
     )  # fmt: skip
@@ -115,7 +115,7 @@ async def tilejson(
 @router.get(
     "/levels/{level}/legend.{format}",
     summary="A legend",
-    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*TILE_PARAMETERS))],
     response_class=Response,
     responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
     openapi_extra=example_query("date", layer=SUN_HOURS),
@@ -129,4 +129,4 @@ async def legend_of_tiles(
 ) -> Response:
     """Return the legend of a layer as a picture. Layers that are pictures have no legend."""
     served_level = await service.level(level)
-    return await legend_answer(request, served_level, product_request, format)
+    return await legend_response(request, served_level, product_request, format)

@@ -12,22 +12,30 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import json_answer
 from skugga.api.http.levels.sent_descriptor import SentDescriptor
 from skugga.api.http.numbers import PLAIN_INTEGER
-from skugga.api.http.openapi_parts import PLAN_DOCS, WORK_ERRORS, LevelPath, ResponseDocs, problem_docs
-from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
+from skugga.api.http.openapi_parts import PLAN_DOCS, WORK_ERROR_STATUSES, LevelPath, ResponseDocs, problem_docs
+from skugga.api.http.parameters import (
+    PLAN_PARAMETERS,
+    SUN_PARAMETERS,
+    PlanQuery,
+    ViewQuery,
+    allow_only_parameters,
+    plan_query,
+    sun_query,
+)
 from skugga.api.http.request_times import time_headers
+from skugga.api.http.responses import json_response
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.matrices import matrix_set_of
 from skugga.api.request import PictureRequest
-from skugga.api.workers.jobs import DescriptorAnswer, DescriptorJob, DescriptorPlanJob, PlanAnswer, PlanJob, ZoomTiles
+from skugga.api.workers.jobs import DescriptorJob, DescriptorPlanJob, DescriptorResult, PlanJob, PlanResult, ZoomTiles
 from skugga.terrain.errors import InputError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.parts import SunSpec
 
-router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERRORS))
+router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERROR_STATUSES))
 
 DESCRIPTOR_EXAMPLE: dict[str, Any] = {
     "view": "map", "view_kind": "map", "flat_world": False, "pixel_m": 10.0, "node_m": 30.0, "casters": ["relief"],
@@ -55,7 +63,7 @@ VIEW_PARAMETERS = ("view", "zoom", "tms")
     summary="The plan of a view",
     response_model=None,
     responses=PLAN_DOCS | NOT_MODIFIED_DOCS,
-    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
 )
 async def plan(
     request: Request,
@@ -77,8 +85,8 @@ async def plan(
         request=PictureRequest(sun=sun, overrides=plan_request.overrides),
     )
     answer = await service.run_job(request, job)
-    assert isinstance(answer, PlanAnswer)
-    return json_answer(request, json.loads(answer.plan_json), **time_headers(request))
+    assert isinstance(answer, PlanResult)
+    return json_response(request, json.loads(answer.plan_json), **time_headers(request))
 
 
 @router.get(
@@ -86,7 +94,7 @@ async def plan(
     summary="The facts of a view",
     response_model=Descriptor,
     responses=NOT_MODIFIED_DOCS,
-    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
 )
 async def descriptor(
     request: Request,
@@ -101,8 +109,8 @@ async def descriptor(
     served_level = await service.level(level)
     job = DescriptorJob(level=served_level.key, view=_view_or_tiles(served_level, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await service.run_job(request, job)
-    assert isinstance(answer, DescriptorAnswer)
-    return json_answer(request, json.loads(answer.descriptor_json), **time_headers(request))
+    assert isinstance(answer, DescriptorResult)
+    return json_response(request, json.loads(answer.descriptor_json), **time_headers(request))
 
 
 @router.post(
@@ -110,7 +118,7 @@ async def descriptor(
     summary="The plan of a descriptor",
     response_model=None,
     responses=PLAN_DOCS | problem_docs(413),
-    dependencies=[Depends(allow_only(*PLAN_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*PLAN_PARAMETERS))],
 )
 async def plan_of_descriptor(
     request: Request,
@@ -135,7 +143,7 @@ async def plan_of_descriptor(
         request=PictureRequest(overrides=plan_request.overrides),
     )
     answer = await service.run_job(request, job)
-    assert isinstance(answer, PlanAnswer)
+    assert isinstance(answer, PlanResult)
     return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 
 

@@ -40,13 +40,13 @@ def _parse_infinity(number: object) -> object:
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(number, number) if isinstance(number, str) else number
 
 
-def _numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
+def _json_numbers(data: object, path: str = "") -> Iterator[tuple[str, float | int]]:
     """Yield the dotted path and the value of every number in JSON data."""
     if isinstance(data, float | int) and not isinstance(data, bool):
         yield path, data
     elif isinstance(data, dict | list | tuple):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from _numbers(value, f"{path}.{key}" if path else str(key))
+            yield from _json_numbers(value, f"{path}.{key}" if path else str(key))
 
 
 FactNumber = Annotated[float, BeforeValidator(_parse_infinity), Field(strict=True, ge=-np.inf)]
@@ -178,7 +178,7 @@ class SentDescriptor(Descriptor):
     @model_validator(mode="before")
     @classmethod
     def _check_magnitudes(cls, data: object) -> object:
-        for path, number in _numbers(data):
+        for path, number in _json_numbers(data):
             if number and number == number and abs(number) != np.inf and not MIN_MAGNITUDE <= abs(number) <= MAX_MAGNITUDE:
                 context = {"place": path[:MAX_NAME_CHARACTERS], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
                 raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", context)

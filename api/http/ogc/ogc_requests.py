@@ -56,20 +56,20 @@ class KeyValuePairs:
             raise InputError.missing(name, remedy)
         return value
 
-    def integer(self, name: str) -> int:
+    def require_integer(self, name: str) -> int:
         """Return the value of a required key as a whole number. Raises ``InputError`` for other values, and if it is missing."""
         value = self.require(name, "Give a whole number")
         if not (value.isascii() and value.isdigit() and len(value) < 10):
             raise InputError(name, value, "a whole number")
         return int(value)
 
-    def number(self, name: str) -> float | None:
+    def get_number(self, name: str) -> float | None:
         """Return the value of a key as a number; ``None`` if it is missing. Raises ``InputError`` for other texts."""
         value = self.get(name)
-        number = None if value is None else parse_decimal(value)
-        if value is not None and number is None:
+        get_number = None if value is None else parse_decimal(value)
+        if value is not None and get_number is None:
             raise InputError(name, value, "a number")
-        return number
+        return get_number
 
 
 def styles_of(layer: str) -> dict[str, str]:
@@ -92,15 +92,15 @@ def layer_name(level: ServedLevel, layer: str) -> str:
     return f"{level.name}:{layer}"
 
 
-def split_layer(key: str, name: str) -> tuple[str, str]:
+def split_layer(parameter: str, name: str) -> tuple[str, str]:
     """Split a layer name of WMS or WMTS into the level's name and the layer.
 
-    Raises ``NotServedError`` for an unknown layer. Its message names ``key``, the key of the request.
+    Raises ``NotServedError`` for an unknown layer. Its message names ``parameter``, the key of the request.
     """
     level, colon, layer = name.rpartition(":")
     if not colon or layer not in MAP_PRODUCTS:
-        message = f"{key}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
-        raise NotServedError(key, message)
+        message = f"{parameter}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
+        raise NotServedError(parameter, message)
     return level, layer
 
 
@@ -131,7 +131,7 @@ def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> 
             raise InputError(key, Problem(f"layer {layer} has no such option"), "Omit it")
     values: dict[str, object] = {name: value for name in names if (value := parameters.get(name.upper())) is not None}
     if product.when == "days":
-        values["date"] = requested_date(parameters.get("TIME"), default_date(level, this_year()))
+        values["date"] = requested_date(parameters.get("TIME"), default_date(level, current_year()))
     try:
         return product.options_of({**product.options.UNSERVED, **values})
     except InputError as error:
@@ -145,7 +145,7 @@ def requested_sun(request: Request, level: ServedLevel, parameters: KeyValuePair
     """
     instant = requested_instant(parameters.get("TIME"), level.world.anchor_lon_deg)
     grain_s = service_of(request).settings.time_grain_s
-    return request_sun(request, instant, parameters.number("AZIMUTH"), parameters.number("ALTITUDE"), grain_s)
+    return request_sun(request, instant, parameters.get_number("AZIMUTH"), parameters.get_number("ALTITUDE"), grain_s)
 
 
 def layer_request(request: Request, level: ServedLevel, layer: str, parameters: KeyValuePairs, style_key: str) -> ProductRequest:
@@ -162,13 +162,13 @@ def layer_request(request: Request, level: ServedLevel, layer: str, parameters: 
     return ProductRequest(product=layer, options=options, sun=requested_sun(request, level, parameters), style=style)
 
 
-def this_year() -> int:
+def current_year() -> int:
     """Return the current year in UTC. Capabilities list its times for levels whose sun has no time."""
     return datetime.now(UTC).year
 
 
-def exception_answer(
-    request: Request, error: SkuggaError, codes: dict[str, str], write_xml: Callable[[str, str | None, str], bytes]
+def exception_response(
+    request: Request, error: SkuggaError, codes_by_parameter: dict[str, str], write_xml: Callable[[str, str | None, str], bytes]
 ) -> Response:
     """Return an error as a response in the XML of WMS or WMTS, with the HTTP status from ``skugga.api.errors``.
 
@@ -178,7 +178,7 @@ def exception_answer(
         The request, for the log.
     error
         The error.
-    codes
+    codes_by_parameter
         Exception codes by the wrong parameter. The key ``""`` is for errors without a parameter, ``"*"`` for other parameters, and
         ``"missing"`` for missing parameters.
     write_xml
@@ -189,7 +189,7 @@ def exception_answer(
     if report.retry_after_s is not None:
         headers["Retry-After"] = str(report.retry_after_s)
     name = getattr(error, "name", None) if report.public_message is None else None
-    code = codes.get((name or "").upper(), codes[""] if name is None else codes["*"])
+    code = codes_by_parameter.get((name or "").upper(), codes_by_parameter[""] if name is None else codes_by_parameter["*"])
     if isinstance(error, InputError) and error.value is MISSING_VALUE:
-        code = codes["missing"]
+        code = codes_by_parameter["missing"]
     return Response(write_xml(code, name, text), report.status, headers, "text/xml")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-XLINK = "http://www.w3.org/1999/xlink"
-XSI = "http://www.w3.org/2001/XMLSchema-instance"
+XLINK_NAMESPACE = "http://www.w3.org/1999/xlink"
+XSI_NAMESPACE = "http://www.w3.org/2001/XMLSchema-instance"
 
 MIN_LON_DEG, MAX_LON_DEG = -180.0, 180.0
 
 
-def add(parent: Element, tag: str, text: object = None, **attributes: str) -> Element:
+def add_element(parent: Element, tag: str, text: object = None, **attributes: str) -> Element:
     """Append a child element and return it.
 
     In the names of ``attributes`` the first underscore stands for the colon after a namespace prefix, as ``xlink_href``.
@@ -21,7 +21,7 @@ def add(parent: Element, tag: str, text: object = None, **attributes: str) -> El
     return child
 
 
-def document(root: Element) -> bytes:
+def xml_document(root: Element) -> bytes:
     """Return an element as an indented XML document in UTF-8."""
     indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
@@ -46,13 +46,13 @@ def ows_exception(code: str, locator: str | None, text: str) -> bytes:
     root = Element(
         "ows:ExceptionReport", {"xmlns:ows": "http://www.opengis.net/ows/1.1", "version": "1.1.0", "xml:lang": "en"}
     )  # fmt: skip
-    exception = add(root, "ows:Exception", exceptionCode=code, **({} if locator is None else {"locator": locator}))
-    add(exception, "ows:ExceptionText", text)
-    return document(root)
+    exception = add_element(root, "ows:Exception", exceptionCode=code, **({} if locator is None else {"locator": locator}))
+    add_element(exception, "ows:ExceptionText", text)
+    return xml_document(root)
 
 
 def wms_exception(code: str, locator: str | None, text: str) -> bytes:
     """Return a ``ServiceExceptionReport`` (WMS 1.3.0, 6.11). ``locator`` names the wrong parameter."""
     root = Element("ServiceExceptionReport", {"xmlns": "http://www.opengis.net/ogc", "version": "1.3.0"})
-    add(root, "ServiceException", text, code=code, **({} if locator is None else {"locator": locator}))
-    return document(root)
+    add_element(root, "ServiceException", text, code=code, **({} if locator is None else {"locator": locator}))
+    return xml_document(root)

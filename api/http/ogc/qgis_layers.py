@@ -7,12 +7,12 @@ from xml.etree.ElementTree import Element, indent, tostring
 
 from skugga.api.http.ogc.ogc_requests import layer_name, layer_title
 from skugga.api.http.ogc.ogc_times import time_dimension
-from skugga.api.http.ogc.ogc_xml import add
-from skugga.api.http.ogc.wmts_capabilities import TIME
+from skugga.api.http.ogc.ogc_xml import add_element
+from skugga.api.http.ogc.wmts_capabilities import TIME_DIMENSION
 from skugga.api.http.parameters import DEFAULT_STYLE
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.matrices import matrix_set_of
-from skugga.api.products.sun_hours import NAME as SUN_HOURS
+from skugga.api.products.sun_hours import PRODUCT_NAME as SUN_HOURS
 from skugga.terrain.geo.grid import crs_of_tiles
 
 QGIS_LAYERS = ("color", "shadow", SUN_HOURS)
@@ -28,9 +28,9 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
     three-dimensional view. Levels whose sun has no time get their default date in ``year``.
     """
     root = Element("qlr")
-    tree = add(root, "layer-tree-group")
-    group = add(tree, "layer-tree-group", name=level.loaded.level.title or level.name, checked="Qt::Checked", expanded="1")
-    layers = add(root, "maplayers")
+    tree = add_element(root, "layer-tree-group")
+    group = add_element(tree, "layer-tree-group", name=level.loaded.level.title or level.name, checked="Qt::Checked", expanded="1")
+    layers = add_element(root, "maplayers")
     for number, layer in enumerate(QGIS_LAYERS):
         _add_layer(
             group,
@@ -70,7 +70,8 @@ def _wmts_source(level: ServedLevel, layer: str, base_url: str, year: int) -> st
         {
             "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
             "styles": DEFAULT_STYLE,
-            "tileDimensions": f"{TIME}={time_dimension(level, layer, year).default}", "tileMatrixSet": qgis_matrix_set(level),
+            "tileDimensions": f"{TIME_DIMENSION}={time_dimension(level, layer, year).default_value}",
+            "tileMatrixSet": qgis_matrix_set(level),
             "url": f"{base_url}/levels/{quote(level.name)}/WMTSCapabilities.xml",
         },
         safe=":/",
@@ -85,11 +86,13 @@ def _heights_source(level: ServedLevel, base_url: str) -> str:
 
 
 def _add_layer(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, is_checked: bool) -> None:
-    add(
+    add_element(
         group, "layer-tree-layer", id=layer_id, name=title, source=source, providerKey="wms",
         checked="Qt::Checked" if is_checked else "Qt::Unchecked", expanded="1",
     )  # fmt: skip
-    layer = add(layers, "maplayer", type="raster")
+    layer = add_element(layers, "maplayer", type="raster")
     for tag, text in (("id", layer_id), ("datasource", source), ("layername", title), ("provider", "wms")):
-        add(layer, tag, text)
-    add(add(add(layer, "srs"), "spatialrefsys"), "authid", crs)  # QGIS reads the CRS from here, not from the data source
+        add_element(layer, tag, text)
+    add_element(
+        add_element(add_element(layer, "srs"), "spatialrefsys"), "authid", crs
+    )  # QGIS reads the CRS from here, not from the data source

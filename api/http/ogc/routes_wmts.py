@@ -10,20 +10,19 @@ from urllib.parse import quote
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.ogc.ogc_requests import (
     KeyValuePairs,
-    exception_answer,
+    current_year,
+    exception_response,
     format_of_media_type,
     layer_request,
     split_layer,
-    this_year,
 )
 from skugga.api.http.ogc.ogc_xml import ows_exception
 from skugga.api.http.ogc.wmts_capabilities import WMTS_VERSION, wmts_capabilities
 from skugga.api.http.openapi_parts import (
-    LEVEL_ERRORS,
-    WORK_ERRORS,
+    LEVEL_ERROR_STATUSES,
+    WORK_ERROR_STATUSES,
     LevelPath,
     example_query,
     exception_docs,
@@ -31,21 +30,22 @@ from skugga.api.http.openapi_parts import (
     ogc_parameters,
 )
 from skugga.api.http.parameters import DEFAULT_STYLE
+from skugga.api.http.responses import base_url, document_response
 from skugga.api.http.state.service import Service, ServiceDep
-from skugga.api.http.tiles.tile_answers import tile_answer
 from skugga.api.http.tiles.tile_docs import EMPTY_TILE_DOCS
+from skugga.api.http.tiles.tile_responses import tile_response
 from skugga.api.matrices import matrix_set_of
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
 
-WMTS_CODES = {
+WMTS_EXCEPTION_CODES = {
     "": "NoApplicableCode", "*": "InvalidParameterValue", "missing": "MissingParameterValue", "REQUEST": "OperationNotSupported",
     "VERSION": "VersionNegotiationFailed", "ACCEPTVERSIONS": "VersionNegotiationFailed",
     "X": "TileOutOfRange", "Y": "TileOutOfRange",
 }  # fmt: skip
-"""Exception codes by the wrong parameter (``exception_answer`` explains the special keys).
+"""Exception codes by the wrong parameter (``exception_response`` explains the special keys).
 
 They come from OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
@@ -66,13 +66,13 @@ async def wmts_of_all(request: Request, service: ServiceDep) -> Response:
 
     They list a WMTS layer for each level and layer, every tile matrix set, and the times.
     """
-    return await _capabilities(request, service, None)
+    return await _capabilities_response(request, service, None)
 
 
 @router.get(
     "/levels/{level}/WMTSCapabilities.xml",
     summary="WMTS capabilities of a level",
-    responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERRORS),
+    responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERROR_STATUSES),
     openapi_extra=DEFAULT_TIME_PARAMETER,
 )
 async def wmts_of_level(request: Request, service: ServiceDep, level: LevelPath) -> Response:
@@ -80,7 +80,7 @@ async def wmts_of_level(request: Request, service: ServiceDep, level: LevelPath)
 
     A `time` becomes the default time of all layers, for clients that cannot ask for another one.
     """
-    return await _capabilities(request, service, level)
+    return await _capabilities_response(request, service, level)
 
 
 WMTS_KEYS = ogc_parameters(
@@ -105,7 +105,7 @@ WMTS_KEYS = ogc_parameters(
     summary="WMTS by keys and values",
     responses=file_docs("The tile, or the document.", [*MEDIA_TYPES.values(), "text/xml"])
     | EMPTY_TILE_DOCS
-    | exception_docs(*WORK_ERRORS),
+    | exception_docs(*WORK_ERROR_STATUSES),
     openapi_extra=WMTS_KEYS | example_query("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
 )
 async def wmts_by_keys(request: Request, service: ServiceDep) -> Response:
@@ -124,15 +124,15 @@ async def wmts_by_keys(request: Request, service: ServiceDep) -> Response:
                 raise InputError(name, parameters.get(name), WMTS_VERSION)
         match operation.lower():
             case "getcapabilities":
-                return await _capabilities(request, service, None)
+                return await _capabilities_response(request, service, None)
             case "gettile":
-                return await _tile_by_keys(request, service, parameters)
+                return await _tile_response(request, service, parameters)
         raise InputError("REQUEST", operation, "GetCapabilities, GetTile")
     except SkuggaError as error:
-        return exception_answer(request, error, WMTS_CODES, ows_exception)
+        return exception_response(request, error, WMTS_EXCEPTION_CODES, ows_exception)
 
 
-async def _tile_by_keys(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+async def _tile_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
     level_name, layer = split_layer("LAYER", parameters.require("LAYER", "Give a layer, such as LEVEL:color"))
     matrix_set = parameters.require("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
     tile_matrix_set = matrix_set_of(matrix_set)
@@ -140,16 +140,16 @@ async def _tile_by_keys(request: Request, service: Service, parameters: KeyValue
     matrix = parameters.require("TILEMATRIX", f"Give a matrix of the set {matrix_set}")
     if matrix not in matrices:
         raise InputError("TILEMATRIX", matrix, ", ".join(matrices))
-    tile = matrices[matrix], parameters.integer("TILECOL"), parameters.integer("TILEROW")
+    tile = matrices[matrix], parameters.require_integer("TILECOL"), parameters.require_integer("TILEROW")
     format = format_of_media_type(parameters.require("FORMAT", "Give a media type, such as image/png"))
     level = await service.level(level_name)
     if level.world.off_earth_reason is not None:
         raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth_reason}, so the level has no tiles")
     product_request = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
-    return await tile_answer(request, service, level_name, matrix_set, tile, 1, format, product_request)
+    return await tile_response(request, service, level_name, matrix_set, tile, 1, format, product_request)
 
 
-async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
+async def _capabilities_response(request: Request, service: Service, level: str | None) -> Response:
     """Return the capabilities document of a level (``None``: of all levels), or an error as an XML exception."""
     try:
         levels = await run_in_threadpool(service.levels.current_levels) if level is None else [await service.level(level)]
@@ -161,8 +161,8 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
         all_levels_url = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
         address = all_levels_url if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"
         body = await run_in_threadpool(
-            wmts_capabilities, levels_on_earth, base, address, this_year(), KeyValuePairs(request).get("TIME")
+            wmts_capabilities, levels_on_earth, base, address, current_year(), KeyValuePairs(request).get("TIME")
         )
-        return document_answer(request, body, "text/xml")
+        return document_response(request, body, "text/xml")
     except SkuggaError as error:
-        return exception_answer(request, error, WMTS_CODES, ows_exception)
+        return exception_response(request, error, WMTS_EXCEPTION_CODES, ows_exception)

@@ -7,10 +7,10 @@ from datetime import datetime
 from html import escape
 from typing import Any
 
-Rows = list[tuple[str, str]]
+ReportRows = list[tuple[str, str]]
 
 
-def report_rows(report: dict[str, Any]) -> Rows:
+def report_rows(report: dict[str, Any]) -> ReportRows:
     """Return a report as rows of (name, text). ``report`` is the decoded JSON of a ``skugga.api.point.report.PointReport``."""
     rows = [
         ("Level", str(report["level"])),
@@ -36,26 +36,26 @@ def report_rows(report: dict[str, Any]) -> Rows:
     return rows
 
 
-def report_text(rows: Rows) -> str:
+def report_text(rows: ReportRows) -> str:
     """Return rows as lines of plain text."""
     return "".join(f"{name}: {value}\n" for name, value in rows)
 
 
-def report_page(rows: Rows) -> str:
+def report_page(rows: ReportRows) -> str:
     """Return rows as an HTML page with a table."""
     table = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
     head = '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head>'
     return f"{head}<body><table>{table}</table></body></html>\n"
 
 
-def report_features(place: tuple[float, float] | None, report: dict[str, Any]) -> str:
+def report_features(lon_lat_deg: tuple[float, float] | None, report: dict[str, Any]) -> str:
     """Return a report as a GeoJSON collection of one feature.
 
-    ``place`` is (longitude, latitude) in degrees, or ``None`` for a feature without geometry. The member ``crs`` is for QGIS:
+    ``lon_lat_deg`` is (longitude, latitude) in degrees, or ``None`` for a feature without geometry. The member ``crs`` is for QGIS:
     without it QGIS assumes the CRS of the map layer.
     """
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
-    geometry = None if place is None else {"type": "Point", "coordinates": place}
+    geometry = None if lon_lat_deg is None else {"type": "Point", "coordinates": lon_lat_deg}
     feature = {"type": "Feature", "geometry": geometry, "properties": report}
     return json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]})
 

@@ -11,11 +11,11 @@ from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_INTEGER
-from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, file_docs, problem_docs
-from skugga.api.http.parameters import TimeQuery, allow_only
-from skugga.api.http.points.point_answers import resolve_current_time, run_point_job
+from skugga.api.http.openapi_parts import WORK_ERROR_STATUSES, LevelPath, file_docs, problem_docs
+from skugga.api.http.parameters import TimeQuery, allow_only_parameters
+from skugga.api.http.points.point_queries import resolve_current_time, run_point_job
 from skugga.api.http.request_times import PLAIN_DATE, PLAIN_TIME, request_sun
-from skugga.api.http.state.job_answers import job_answer
+from skugga.api.http.state.job_responses import job_response
 from skugga.api.http.state.service import Service, ServiceDep
 from skugga.api.point.horizon_formats import HORIZON_FORMATS
 from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
@@ -26,7 +26,7 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.parts import SunSpec
 
-router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
+router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERROR_STATUSES))
 
 POINTS_PER_JOB = 200
 """Maximum number of points in one job. A request with more points becomes several jobs.
@@ -137,7 +137,7 @@ PointDep = Annotated[PointQuery, Depends(point_query)]
     summary="The sun at a point",
     response_model=PointReport,
     responses=file_docs("The report.", ["application/json"]),
-    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*POINT_PARAMETERS))],
 )
 async def sun_of_point(request: Request, service: ServiceDep, level: LevelPath, point: PointDep, time: TimeQuery = None) -> Any:
     """Report the sun at a point.
@@ -153,7 +153,7 @@ async def sun_of_point(request: Request, service: ServiceDep, level: LevelPath, 
     summary="The horizon of a point, as a file",
     response_class=Response,
     responses=file_docs("The file.", dict.fromkeys(horizon_format.media_type for horizon_format in HORIZON_FORMATS.values())),
-    dependencies=[Depends(allow_only(*POINT_PARAMETERS, "format"))],
+    dependencies=[Depends(allow_only_parameters(*POINT_PARAMETERS, "format"))],
 )
 async def horizon_of_point(
     request: Request,
@@ -190,7 +190,7 @@ async def horizon_of_point(
     summary="The sky over a point",
     response_class=Response,
     responses=file_docs("The chart.", SKY_MEDIA_TYPES.values()),
-    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters(*POINT_PARAMETERS))],
 )
 async def sky_of_point(
     request: Request,
@@ -213,7 +213,7 @@ async def sky_of_point(
     summary="The sun at many points",
     response_model=PointsReport,
     responses=problem_docs(413),
-    dependencies=[Depends(allow_only())],
+    dependencies=[Depends(allow_only_parameters())],
 )
 async def sun_of_points(
     request: Request,
@@ -251,7 +251,7 @@ async def _run_point_query(
     sun = request_sun(request, time, None, None, service.settings.time_grain_s)
     point, max_age_s = resolve_current_time(point, sun)
     job = PointJob(level=served_level.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
-    return await job_answer(request, service, job, level, "point", media_type, max_age_s)
+    return await job_response(request, service, job, level, "point", media_type, max_age_s)
 
 
 def _picture_request(time: datetime | None) -> PictureRequest:

@@ -14,10 +14,10 @@ from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_renderer, write_animation
 from skugga.api.errors import TooLargeError
 from skugga.api.http import problems
-from skugga.api.http.answers import EXPOSED_HEADERS, VERSION
 from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point
+from skugga.api.http.responses import EXPOSED_HEADERS, VERSION
 from skugga.api.http.server import routes_docs, routes_health, routes_viewer
 from skugga.api.http.server.bearer_token import BearerTokenMiddleware
 from skugga.api.http.server.cross_origin import SharedCacheCorsMiddleware
@@ -188,11 +188,11 @@ class BodyLimitMiddleware:
         )
         content_length = dict(scope["headers"]).get(b"content-length", b"0")
         if content_length.isdigit() and int(content_length) > self.max_bytes:
-            await problems.domain_problem(Request(scope), error)(scope, receive, send)
+            await problems.logged_error_response(Request(scope), error)(scope, receive, send)
             return
         read = 0
 
-        async def receive_some() -> Message:
+        async def receive_limited() -> Message:
             nonlocal read
             message = await receive()
             read += len(message.get("body", b""))
@@ -200,7 +200,7 @@ class BodyLimitMiddleware:
                 raise HTTPException(413, str(error))
             return message
 
-        await self.app(scope, receive_some, send)
+        await self.app(scope, receive_limited, send)
 
 
 async def _client_disconnected(request: Request, error: Exception) -> Response:

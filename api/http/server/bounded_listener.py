@@ -55,12 +55,12 @@ class _WaitState:
     ----------
     progress : tuple
         The value of ``_client_progress``, which changes as the client makes progress.
-    since_s : float
+    changed_s : float
         Time of the last change in seconds, by the event loop's clock.
     """
 
     progress: tuple[object, ...]
-    since_s: float
+    changed_s: float
 
 
 class BoundedListener:
@@ -90,17 +90,17 @@ class BoundedListener:
         listening_socket: socket.socket,
         make_protocol: Callable[[], asyncio.Protocol],
         connections: set[Any],
-        limit: int,
+        max_connections: int,
         client_timeout_s: float,
     ) -> None:
         self.sockets = (listening_socket,)
         self.closed_count = 0
         self._listening_socket, self._make_protocol = listening_socket, make_protocol
-        self._connections, self._limit, self._client_timeout_s = connections, limit, client_timeout_s
-        self._connecting: set[asyncio.Task[Any]] = set()
-        self._waiting: dict[HttpConnection, _WaitState] = {}
+        self._connections, self._max_connections, self._client_timeout_s = connections, max_connections, client_timeout_s
+        self._connecting_tasks: set[asyncio.Task[Any]] = set()
+        self._wait_states: dict[HttpConnection, _WaitState] = {}
         self._loop = asyncio.get_running_loop()
-        self._logged_s = -LOG_INTERVAL_S
+        self._last_log_s = -LOG_INTERVAL_S
         self._paused_until_s = 0.0
         self._is_accepting = False
         self._is_closed = False
@@ -117,8 +117,8 @@ class BoundedListener:
 
     async def wait_closed(self) -> None:
         """Wait until the connections that were just accepted have their protocol."""
-        if self._connecting:
-            await asyncio.wait(self._connecting)
+        if self._connecting_tasks:
+            await asyncio.wait(self._connecting_tasks)
 
     def _resume(self) -> None:
         if not self._is_accepting and not self._is_closed:
@@ -132,7 +132,7 @@ class BoundedListener:
 
     def _accept(self) -> None:
         for _ in range(MAX_ACCEPTS_PER_STEP):
-            if len(self._connections) + len(self._connecting) >= self._limit and not self._evict_idle():
+            if len(self._connections) + len(self._connecting_tasks) >= self._max_connections and not self._evict_idle():
                 self._pause()
                 return
             try:
@@ -142,17 +142,17 @@ class BoundedListener:
             except OSError as error:
                 self._pause()
                 self._paused_until_s = self._loop.time() + ACCEPT_RETRY_DELAY_S
-                if error.errno not in EXHAUSTION_ERRNOS or self._loop.time() - self._logged_s >= LOG_INTERVAL_S:
-                    self._logged_s = self._loop.time()
+                if error.errno not in EXHAUSTION_ERRNOS or self._loop.time() - self._last_log_s >= LOG_INTERVAL_S:
+                    self._last_log_s = self._loop.time()
                     log.error("connections cannot be accepted: %s; retrying every %g s", error.strerror, ACCEPT_RETRY_DELAY_S)
                 return
             client.setblocking(False)
             task = self._loop.create_task(self._connect(client))
-            self._connecting.add(task)
+            self._connecting_tasks.add(task)
             task.add_done_callback(self._on_connected)
 
     def _on_connected(self, task: asyncio.Task[Any]) -> None:
-        self._connecting.discard(task)
+        self._connecting_tasks.discard(task)
         if self._loop.time() >= self._paused_until_s:
             self._resume()
 
@@ -165,7 +165,7 @@ class BoundedListener:
     def _evict_idle(self) -> bool:
         """Close the idle connection that has waited longest for its client's request. Return whether there was one."""
         self._update_waiting()
-        idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
+        idle = [(state.changed_s, connection) for connection, state in self._wait_states.items() if _awaits_request(connection)]
         if not idle:
             return False
         _, longest_idle = min(idle, key=lambda entry: entry[0])
@@ -176,8 +176,8 @@ class BoundedListener:
         """Close stalled connections, resume accepting after a pause, and schedule the next call."""
         self._update_waiting()
         now_s = self._loop.time()
-        for connection, state in list(self._waiting.items()):
-            if now_s - state.since_s > self._client_timeout_s and _waits_for_client(connection):
+        for connection, state in list(self._wait_states.items()):
+            if now_s - state.changed_s > self._client_timeout_s and _waits_for_client(connection):
                 self._close_connection(connection)
         if now_s >= self._paused_until_s:
             self._resume()
@@ -185,18 +185,18 @@ class BoundedListener:
 
     def _update_waiting(self) -> None:
         now_s = self._loop.time()
-        for connection in list(self._waiting):
+        for connection in list(self._wait_states):
             if connection not in self._connections:
-                del self._waiting[connection]
+                del self._wait_states[connection]
         for connection in self._connections:
-            progress, state = _client_progress(connection), self._waiting.get(connection)
+            progress, state = _client_progress(connection), self._wait_states.get(connection)
             if state is None or state.progress != progress:
-                self._waiting[connection] = _WaitState(progress, now_s)
+                self._wait_states[connection] = _WaitState(progress, now_s)
 
     def _close_connection(self, connection: HttpConnection) -> None:
         self.closed_count += 1
         self._connections.discard(connection)
-        self._waiting.pop(connection, None)
+        self._wait_states.pop(connection, None)
         connection.transport.abort()
 
 

@@ -8,7 +8,7 @@ from urllib.parse import quote
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from skugga.api.http.answers import base_url
+from skugga.api.http.responses import base_url
 from skugga.api.http.state.service import service_of
 
 _PAGE = """<!doctype html>

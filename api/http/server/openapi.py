@@ -8,7 +8,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_standard_bounds
+from skugga.api.http.openapi_parts import COMMON_ERROR_STATUSES, EXAMPLE_QUERY_KEY, problem_docs, with_standard_bounds
 from skugga.api.http.problems import Problem
 from skugga.api.http.server.bearer_token import PUBLIC_PATHS
 from skugga.api.http.state.archive_file import ArchiveFile
@@ -16,7 +16,7 @@ from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.matrices import matrix_set_of
 
-EXAMPLE_DECIMALS = 5
+EXAMPLE_DEGREE_DECIMALS = 5
 """Decimals of degrees in examples."""
 
 
@@ -43,15 +43,17 @@ def _complete_document(document: dict[str, Any], service: Service) -> dict[str, 
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             needs_token = has_token and path not in PUBLIC_PATHS
-            answers = problem_docs(*COMMON_ERRORS, *([401] if needs_token else [])) | _with_integer_statuses(operation["responses"])
-            operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
+            responses = problem_docs(*COMMON_ERROR_STATUSES, *([401] if needs_token else [])) | _with_integer_statuses(
+                operation["responses"]
+            )
+            operation["responses"] = {str(status): responses[status] for status in sorted(responses)}
             if needs_token:
                 operation["security"] = [{"token": []}]
             _set_examples(
                 operation,
                 archive_examples(service.archives.cached_archives()) if path.startswith("/archives") else location_examples,
             )
-            query = operation.pop(EXAMPLE_QUERY, {})
+            query = operation.pop(EXAMPLE_QUERY_KEY, {})
             operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
     if has_token:
         document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
@@ -68,8 +70,8 @@ def _plan_schemas() -> dict[str, Any]:
     return schemas
 
 
-def _with_integer_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
-    return {int(status): answer for status, answer in answers.items() if "HTTPValidationError" not in str(answer)}
+def _with_integer_statuses(responses: dict[str, Any]) -> dict[int | str, Any]:
+    return {int(status): answer for status, answer in responses.items() if "HTTPValidationError" not in str(answer)}
 
 
 def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
@@ -82,8 +84,8 @@ def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
         return {"level": levels[0].name} if levels else {}
     level = levels_on_earth[0]
     assert level.bounds is not None
-    west, south, east, north = (round(edge_deg, EXAMPLE_DECIMALS) for edge_deg in level.bounds)
-    lon, lat = round((west + east) / 2, EXAMPLE_DECIMALS), round((south + north) / 2, EXAMPLE_DECIMALS)
+    west, south, east, north = (round(edge_deg, EXAMPLE_DEGREE_DECIMALS) for edge_deg in level.bounds)
+    lon, lat = round((west + east) / 2, EXAMPLE_DEGREE_DECIMALS), round((south + north) / 2, EXAMPLE_DEGREE_DECIMALS)
     zoom = level.zooms[DEFAULT_MATRIX_SET].first
     tile = matrix_set_of(DEFAULT_MATRIX_SET).tile(lon, lat, zoom)
     bbox = f"{west},{south},{east},{north}"

@@ -8,8 +8,8 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
-from skugga.api.http.answers import wants_html
-from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.http.problems import logged_error_response, problem_of, problem_response
+from skugga.api.http.responses import wants_html
 from skugga.api.http.server.not_found import not_found_page
 from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
 from skugga.terrain.level.level_errors import UNKNOWN_KEY, allowed_phrase
@@ -18,15 +18,15 @@ from skugga.terrain.level.level_errors import UNKNOWN_KEY, allowed_phrase
 def install_problem_handlers(app: FastAPI) -> None:
     """Install handlers that answer every error of an application with a problem document."""
 
-    async def domain(request: Request, error: Exception) -> JSONResponse:
+    async def handle_skugga_error(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, SkuggaError)
-        return domain_problem(request, error)
+        return logged_error_response(request, error)
 
-    async def validation(request: Request, error: Exception) -> JSONResponse:
+    async def handle_validation_error(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
-        return domain_problem(request, _first_error(error))
+        return logged_error_response(request, _first_error(error))
 
-    async def http(request: Request, error: Exception) -> Response:
+    async def handle_http_error(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         headers = dict(error.headers or {})
         if error.status_code == 405:
@@ -42,24 +42,24 @@ def install_problem_handlers(app: FastAPI) -> None:
         parameter = "body" if error.status_code in (400, 413) else None
         return problem_response(problem_of(error.status_code, detail, parameter=parameter), headers)
 
-    async def unexpected(request: Request, error: Exception) -> JSONResponse:
+    async def handle_unexpected_error(request: Request, error: Exception) -> JSONResponse:
         return problem_response(problem_of(500))
 
-    app.add_exception_handler(SkuggaError, domain)
-    app.add_exception_handler(RequestValidationError, validation)
-    app.add_exception_handler(HTTPException, http)
-    app.add_exception_handler(Exception, unexpected)
+    app.add_exception_handler(SkuggaError, handle_skugga_error)
+    app.add_exception_handler(RequestValidationError, handle_validation_error)
+    app.add_exception_handler(HTTPException, handle_http_error)
+    app.add_exception_handler(Exception, handle_unexpected_error)
 
 
 def _methods_at(request: Request) -> list[str]:
     """Return the HTTP methods of all routes that match a request's path. Starlette reports only the first route's methods."""
 
-    def has(method: str) -> bool:
+    def is_allowed(method: str) -> bool:
         scope = {**request.scope, "method": method}
         routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # mounts: files
         return any(route.matches(scope)[0] is Match.FULL for route in routes)
 
-    return [*(["GET", "HEAD"] if has("GET") else []), *(method for method in ("POST", "DELETE") if has(method))]
+    return [*(["GET", "HEAD"] if is_allowed("GET") else []), *(method for method in ("POST", "DELETE") if is_allowed(method))]
 
 
 def _first_error(error: RequestValidationError) -> InputError:

@@ -14,7 +14,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.http.problems import logged_error_response, problem_of, problem_response
 from skugga.api.http.request_times import TIME_HEADER
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.resource_exhaustion import exhausted_error
@@ -29,14 +29,14 @@ CACHED_ROUTE_KEY = "skugga.kept"
 Starlette has not set a route then, since the answer is sent before routing."""
 
 
-def content_security_policy(tiles: str = "'self'") -> str:
+def content_security_policy(tile_sources: str = "'self'") -> str:
     """Return the Content-Security-Policy (level 3) of a page.
 
-    The page may load resources of this service only, except images and data, which may come from the sources ``tiles``. Workers
-    from blobs are allowed, since the map library creates workers from its own code.
+    The page may load resources of this service only, except images and data, which may come from ``tile_sources``. Workers from
+    blobs are allowed, since the map library creates workers from its own code.
     """
     return (
-        f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "
+        f"default-src 'self'; img-src {tile_sources} data: blob:; connect-src {tile_sources}; style-src 'self' 'unsafe-inline'; "
         "worker-src 'self' blob:; child-src blob:; object-src 'none'; base-uri 'self'; frame-ancestors 'self'"
     )
 
@@ -44,7 +44,7 @@ def content_security_policy(tiles: str = "'self'") -> str:
 CLIENT_CLOSED_REQUEST = 499
 """Status in logs and metrics of a request whose client has disconnected (as in nginx). No client receives it."""
 
-METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
+KNOWN_METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
 
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 
@@ -84,30 +84,32 @@ class RequestMiddleware:
             if exhausted is None:
                 log.exception("%s %s failed unexpectedly", scope["method"], _loggable(scope["path"]))
             if not status:
-                answer = problem_response(problem_of(500)) if exhausted is None else domain_problem(Request(scope), exhausted)
+                answer = (
+                    problem_response(problem_of(500)) if exhausted is None else logged_error_response(Request(scope), exhausted)
+                )
                 await answer(scope, receive, send_with_headers)
         finally:
-            took_s = time.perf_counter() - began_s
+            duration_s = time.perf_counter() - began_s
             self.metrics.in_progress.dec()
-            self._count(scope, status or CLIENT_CLOSED_REQUEST, took_s)
+            self._count_request(scope, status or CLIENT_CLOSED_REQUEST, duration_s)
             if self.access_log:
-                self._log_access(scope, status or CLIENT_CLOSED_REQUEST, took_s, sent_bytes)
+                self._log_access(scope, status or CLIENT_CLOSED_REQUEST, duration_s, sent_bytes)
             request_id.reset(token)
 
-    def _count(self, scope: Scope, status: int, took_s: float) -> None:
-        route, method = _route(scope), scope["method"] if scope["method"] in METHODS else "other"
+    def _count_request(self, scope: Scope, status: int, duration_s: float) -> None:
+        route, method = _route_template(scope), scope["method"] if scope["method"] in KNOWN_METHODS else "other"
         self.metrics.requests.labels(route, method, str(status)).inc()
-        self.metrics.request_seconds.labels(route).observe(took_s)
+        self.metrics.request_seconds.labels(route).observe(duration_s)
 
-    def _log_access(self, scope: Scope, status: int, took_s: float, sent_bytes: int) -> None:
+    def _log_access(self, scope: Scope, status: int, duration_s: float, sent_bytes: int) -> None:
         client = scope.get("client") or ("",)
         access_logger.info(
             "request",
             extra={
                 "fields": {
                     "client": client[0], "method": scope["method"][:20], "path": _loggable(scope["path"]),
-                    "query": _loggable(scope["query_string"].decode("latin-1")), "route": _route(scope), "status": status,
-                    "ms": round(took_s * 1000.0, 1), "bytes": sent_bytes,
+                    "query": _loggable(scope["query_string"].decode("latin-1")), "route": _route_template(scope), "status": status,
+                    "ms": round(duration_s * 1000.0, 1), "bytes": sent_bytes,
                 }
             },
         )  # fmt: skip
@@ -142,9 +144,9 @@ def _request_id_of(scope: Scope) -> str:
     return sent_id if REQUEST_ID_PATTERN.fullmatch(sent_id) else secrets.token_hex(8)
 
 
-def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duration_ms: float) -> None:
+def _add_common_headers(headers: MutableHeaders, scope: Scope, id_header: str, duration_ms: float) -> None:
     """Add the headers that all answers have. ``duration_ms`` is the time since the request arrived."""
-    headers[REQUEST_ID_HEADER] = id_
+    headers[REQUEST_ID_HEADER] = id_header
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
     headers["Server-Timing"] = f"{timings}, total;dur={duration_ms:.1f}" if timings else f"total;dur={duration_ms:.1f}"
@@ -164,7 +166,7 @@ def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, duratio
         headers["Referrer-Policy"] = "same-origin"
 
 
-def _route(scope: Scope) -> str:
+def _route_template(scope: Scope) -> str:
     """Return the path template of a request's route, without parts that a client can choose; ``other`` without a route."""
     route = scope.get(CACHED_ROUTE_KEY) or getattr(scope.get("route"), "path", None)
     return str(route) if route else "other"

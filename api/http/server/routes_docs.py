@@ -6,7 +6,7 @@ from fastapi import FastAPI
 from fastapi.responses import HTMLResponse, Response
 from starlette.staticfiles import StaticFiles
 
-SWAGGER_UI = "fastapi_offline", "static"
+SWAGGER_UI_FOLDER = "fastapi_offline", "static"
 """The package with the files of Swagger UI, and their folder in it."""
 
 _PAGE = """<!doctype html>
@@ -26,7 +26,7 @@ _PAGE = """<!doctype html>
 """
 """The page. Its links are relative, so it works behind a proxy that adds a path prefix."""
 
-_START = """SwaggerUIBundle({
+_START_SCRIPT = """SwaggerUIBundle({
   url: 'openapi.json',
   dom_id: '#swagger-ui',
   presets: [SwaggerUIBundle.presets.apis],
@@ -41,11 +41,11 @@ def install_docs(app: FastAPI) -> None:
     """Serve Swagger UI on ``/docs`` and its files below."""
 
     @app.get("/docs", include_in_schema=False)
-    async def interface() -> Response:
+    async def docs_page() -> Response:
         return HTMLResponse(_PAGE)
 
     @app.get("/docs/start.js", include_in_schema=False)
-    async def start() -> Response:
-        return Response(_START, media_type="text/javascript")
+    async def start_script() -> Response:
+        return Response(_START_SCRIPT, media_type="text/javascript")
 
-    app.mount("/docs/assets", StaticFiles(packages=[SWAGGER_UI]), name="docs")
+    app.mount("/docs/assets", StaticFiles(packages=[SWAGGER_UI_FOLDER]), name="docs")

@@ -11,11 +11,11 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from skugga.api.errors import NotReadyError, UnhealthyError
 from skugga.api.http.openapi_parts import problem_docs
-from skugga.api.http.parameters import allow_only
+from skugga.api.http.parameters import allow_only_parameters
 from skugga.api.http.state.metrics import METRICS_MEDIA_TYPE
 from skugga.api.http.state.service import ServiceDep
 
-router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
+router = APIRouter(tags=["health"], dependencies=[Depends(allow_only_parameters())])
 
 NO_STORE_HEADERS = {"Cache-Control": "no-store"}
 
@@ -45,7 +45,7 @@ async def readyz(service: ServiceDep) -> JSONResponse:
     pool = service.pool
     preparing: dict[str, Any] | None = None
     if pool.preparing is not None:
-        preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since, 1)}
+        preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since_s, 1)}
     if service.can_render and not pool.is_ready:
         raise NotReadyError("No render process is ready. If this lasts, see the service's log.", preparing)
     return JSONResponse(
@@ -53,7 +53,7 @@ async def readyz(service: ServiceDep) -> JSONResponse:
             "status": "ready",
             "renderer": pool.renderer,
             "workers": len(pool.ready_pids),
-            "queued": pool.queued,
+            "queued": pool.queued_count,
             "calibration": pool.idle_calibration.state,
             "probes_waiting": pool.idle_probes.requested_count,
             "preparing": preparing,

@@ -36,7 +36,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
             # Users may name any server for tiles of a base map; scripts come from this service only.
-            policy = content_security_policy(tiles="'self' https: http:")
+            policy = content_security_policy(tile_sources="'self' https: http:")
             return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
         levels = await service.all_levels()
         items = "".join(

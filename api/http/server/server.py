@@ -43,7 +43,7 @@ FOLDER_RETRY_DELAY_S = 5.0
 """Seconds until the next attempt to read the folder of levels, if no thread can be started for it."""
 
 MIN_CONNECTIONS = 8
-BACKLOG = 2048
+LISTEN_BACKLOG = 2048
 
 
 def log_config(settings: Settings) -> dict[str, Any]:
@@ -139,7 +139,7 @@ class Server(uvicorn.Server):
         pool = self._service.pool
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
-            len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
+            len(self.server_state.connections), len(self.server_state.tasks), pool.queued_count, pool.running_count,
             self._service.animations.active_count, sorted(pool.ready_pids),
         )  # fmt: skip
 
@@ -183,4 +183,4 @@ def _listening_sockets(host: str, port: int) -> list[socket.socket]:
     """Return listening sockets for all addresses of a host name."""
     address_infos = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     addresses = dict.fromkeys((family, address) for family, _, _, _, address in address_infos)
-    return [socket.create_server(address, family=family, backlog=BACKLOG) for family, address in addresses]
+    return [socket.create_server(address, family=family, backlog=LISTEN_BACKLOG) for family, address in addresses]

@@ -15,12 +15,12 @@ CACHED_TILE_ROUTE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
 """The route in metrics and logs of tiles that this middleware sends."""
 
 
-def tile_versions(service: Service, name: str) -> TileVersions:
+def tile_versions(service: Service, level_name: str) -> TileVersions:
     """Return the versions that the tiles of a level depend on: of the level, the renderer, its plans and its archives.
 
     The result is ``(None,)`` if the files of the level or its archives must be checked first. No cached tile has this version.
     """
-    level = service.levels.fresh_level(name)
+    level = service.levels.fresh_level(level_name)
     archives = None if level is None else service.archives.fresh_archives_of(level)
     if level is None or archives is None:
         return (None,)
@@ -40,7 +40,7 @@ class TileCacheMiddleware:
             await self.app(scope, receive, send)
         else:
             scope[CACHED_ROUTE_KEY] = CACHED_TILE_ROUTE
-            await tile.answer(Request(scope))(scope, receive, send)
+            await tile.response(Request(scope))(scope, receive, send)
 
     def _cached_tile(self, scope: Scope) -> EncodedTile | None:
         return self.service.tiles.cached_tile(scope, partial(tile_versions, self.service))

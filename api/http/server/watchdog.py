@@ -12,47 +12,47 @@ import threading
 import time
 from collections.abc import Callable
 
-TICK_S = 5.0
-"""Seconds between two looks at the event loop."""
+CHECK_INTERVAL_S = 5.0
+"""Seconds between two checks whether the event loop runs."""
 
-MAX_MISSED_TICKS = 24
-"""Consecutive looks without a sign of the event loop after which the service ends: two minutes.
+MAX_MISSED_CHECKS = 24
+"""Consecutive checks in which the event loop did not run, after which the service ends: two minutes.
 
-Looks are counted, not seconds, so that a process that was stopped for hours goes on where it was.
+Checks are counted, not seconds, so that a process that was stopped for hours goes on where it was.
 """
 
-EXIT_STATUS = 70
+STUCK_EXIT_STATUS = 70
 """Exit status of a stuck service: an internal software error (sysexits.h)."""
 
-MESSAGE = b"ERROR skugga: the event loop has been stuck for two minutes. The service ends, so that it can be started again.\n"
+STUCK_MESSAGE = b"ERROR skugga: the event loop has been stuck for two minutes. The service ends, so that it can be started again.\n"
 
 
 def end_stuck_process() -> None:
     """Write a message to standard error and end the process at once. Both need no memory."""
-    os.write(2, MESSAGE)
-    os._exit(EXIT_STATUS)
+    os.write(2, STUCK_MESSAGE)
+    os._exit(STUCK_EXIT_STATUS)
 
 
 def watch_event_loop(
-    loop: asyncio.AbstractEventLoop, on_stuck: Callable[[], None] = end_stuck_process, tick_s: float = TICK_S
+    loop: asyncio.AbstractEventLoop, on_stuck: Callable[[], None] = end_stuck_process, check_interval_s: float = CHECK_INTERVAL_S
 ) -> None:
-    """Start a daemon thread that calls ``on_stuck`` once if the event loop does not run for ``MAX_MISSED_TICKS`` ticks.
+    """Start a daemon thread that calls ``on_stuck`` once if the event loop does not run for ``MAX_MISSED_CHECKS`` checks.
 
     The thread ends with the loop.
     """
     has_run = threading.Event()
 
     def watch() -> None:
-        missed_ticks = 0
-        while missed_ticks < MAX_MISSED_TICKS:
+        missed_checks = 0
+        while missed_checks < MAX_MISSED_CHECKS:
             try:
                 loop.call_soon_threadsafe(has_run.set)
             except RuntimeError:  # the loop is closed
                 return
             except MemoryError:
                 pass
-            time.sleep(tick_s)
-            missed_ticks = 0 if has_run.is_set() else missed_ticks + 1
+            time.sleep(check_interval_s)
+            missed_checks = 0 if has_run.is_set() else missed_checks + 1
             has_run.clear()
         on_stuck()
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, HeaderDict, TileType, deserialize_header, tileid_to_zxy, zxy_to_tileid
 
-from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_FORMATS
+from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, FORMAT_BY_TILE_TYPE, PMTILES_HEADER_BYTES
 from skugga.api.errors import ArchiveError
 from skugga.api.file_stamps import Stamp, file_stamps
 from skugga.terrain.cache import MIB, Cache, Missing
@@ -49,7 +49,7 @@ class _Directory:
     ----------
     ids
         First tile id of each entry, ascending.
-    runs
+    run_lengths
         Number of consecutive tile ids that the entry's tile stands for; 0 if the entry is a leaf directory.
     lengths
         Lengths of the tiles or leaf directories in bytes.
@@ -58,7 +58,7 @@ class _Directory:
     """
 
     ids: NDArray[np.uint64]
-    runs: NDArray[np.uint64]
+    run_lengths: NDArray[np.uint64]
     lengths: NDArray[np.uint64]
     offsets: NDArray[np.uint64]
 
@@ -68,7 +68,7 @@ class _Directory:
         return 4 * self.ids.nbytes
 
 
-_directories: Cache[_Directory] = Cache("skugga.api.http.archive_directories", "process", 64 * MIB)
+_directory_cache: Cache[_Directory] = Cache("skugga.api.http.archive_directories", "process", 64 * MIB)
 
 
 class ArchiveFile:
@@ -82,16 +82,16 @@ class ArchiveFile:
         self.path = path
         try:
             (self.stamp,) = file_stamps([path])  # before reading: the next check then sees changes made meanwhile
-            self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError as error:
             raise self._error(error.strerror or str(error)) from None
-        weakref.finalize(self, os.close, self._file)
-        self.header = self._header()
-        self.metadata = self._metadata()
-        self.version = self._version()
-        self._root = self._checked_root()
-        self.first_tile = self._first_tile()
-        self.format = TILE_FORMATS[self.header["tile_type"]]
+        weakref.finalize(self, os.close, self._descriptor)
+        self.header = self._read_header()
+        self.metadata = self._read_metadata()
+        self.version = self._compute_version()
+        self._root_directory = self._checked_root()
+        self.first_tile = self._find_first_tile()
+        self.format = FORMAT_BY_TILE_TYPE[self.header["tile_type"]]
         self.media_type = ARCHIVED_MEDIA_TYPES[self.format]
 
     @property
@@ -118,40 +118,40 @@ class ArchiveFile:
         if zoom not in self.zooms or not (0 <= x < 2**zoom and 0 <= y < 2**zoom):
             return None
         tile_id = zxy_to_tileid(zoom, x, y)
-        directory = self._root
+        directory = self._root_directory
         for _ in range(MAX_DIRECTORY_DEPTH):
             row = int(np.searchsorted(directory.ids, np.uint64(tile_id), side="right")) - 1
             if row < 0:
                 return None
-            run, length, offset = (int(column[row]) for column in (directory.runs, directory.lengths, directory.offsets))
+            run, length, offset = (int(column[row]) for column in (directory.run_lengths, directory.lengths, directory.offsets))
             if run:
                 is_in_run = tile_id < int(directory.ids[row]) + run
                 return self._read(self.header["tile_data_offset"] + offset, length) if is_in_run else None
-            directory = self._leaf(offset, length)
+            directory = self._leaf_directory(offset, length)
         raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
-    def _first_tile(self) -> tuple[int, int, int]:
+    def _find_first_tile(self) -> tuple[int, int, int]:
         """Return zoom, column and row of the tile with the lowest tile id."""
-        directory = self._root
+        directory = self._root_directory
         for _ in range(MAX_DIRECTORY_DEPTH):
-            if directory.runs[0]:
+            if directory.run_lengths[0]:
                 return tileid_to_zxy(int(directory.ids[0]))
-            directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
+            directory = self._leaf_directory(int(directory.offsets[0]), int(directory.lengths[0]))
         raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
-    def _header(self) -> HeaderDict:
-        raw = os.pread(self._file, HEADER_BYTES, 0)
+    def _read_header(self) -> HeaderDict:
+        raw = os.pread(self._descriptor, PMTILES_HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
             raise self._error("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
         if raw[7:8] not in (b"", b"\x03"):
             raise self._error(f"a PMTiles archive of version {raw[7]}")
-        if len(raw) < HEADER_BYTES:
+        if len(raw) < PMTILES_HEADER_BYTES:
             raise self._error("truncated: it ends in its header")
         try:
             header = deserialize_header(raw)
         except ValueError as error:
             raise self._error(f"its header is wrong: {error}") from None
-        if header["tile_type"] not in TILE_FORMATS:
+        if header["tile_type"] not in FORMAT_BY_TILE_TYPE:
             kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
             raise self._error(f"it has {kind}, which are not served")
         for part in ("internal", "tile"):
@@ -161,7 +161,7 @@ class ArchiveFile:
                 raise self._error(
                     f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {compression.name.lower()}"
                 )
-        size = os.fstat(self._file).st_size
+        size = os.fstat(self._descriptor).st_size
         ends = {
             "root directory": header["root_offset"] + header["root_length"],
             "metadata": header["metadata_offset"] + header["metadata_length"],
@@ -175,7 +175,7 @@ class ArchiveFile:
             raise self._error(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
         return header
 
-    def _metadata(self) -> dict[str, Any]:
+    def _read_metadata(self) -> dict[str, Any]:
         raw = self._decompress(self.header["metadata_offset"], self.header["metadata_length"], "metadata")
         try:
             metadata = json.loads(raw) if raw else {}
@@ -185,36 +185,36 @@ class ArchiveFile:
             raise self._error("its metadata are not a JSON object")
         return metadata
 
-    def _version(self) -> str:
+    def _compute_version(self) -> str:
         text = repr((self.stamp, sorted(map(str, self.header.items())), sorted(map(str, self.metadata.items()))))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _checked_root(self) -> _Directory:
-        root = self._directory(self.header["root_offset"], self.header["root_length"])
+        root = self._read_directory(self.header["root_offset"], self.header["root_length"])
         bytes_left = MAX_VALIDATED_LEAF_BYTES
-        for length, offset in _leaves(root):
+        for length, offset in _leaf_directories(root):
             bytes_left -= length
             if bytes_left < 0:
                 break
-            self._leaf(offset, length)
+            self._leaf_directory(offset, length)
         return root
 
-    def _leaf(self, offset: int, length: int) -> _Directory:
+    def _leaf_directory(self, offset: int, length: int) -> _Directory:
         """Return a leaf directory from the cache or from the file."""
-        directory = _directories.get(self, offset)
+        directory = _directory_cache.get(self, offset)
         if isinstance(directory, Missing):
             if offset + length > self.header["leaf_directory_length"]:
                 raise self._error("broken directories: a leaf reaches past the end of the leaf directories")
-            directory = self._directory(self.header["leaf_directory_offset"] + offset, length)
-            _directories.put(self, offset, value=directory)
+            directory = self._read_directory(self.header["leaf_directory_offset"] + offset, length)
+            _directory_cache.put(self, offset, value=directory)
         return directory
 
-    def _directory(self, offset: int, length: int) -> _Directory:
+    def _read_directory(self, offset: int, length: int) -> _Directory:
         numbers = _varints(self._decompress(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
             raise self._error("broken directories: one is truncated or empty")
-        deltas, runs, lengths, codes = numbers[1:].reshape(4, count)
+        deltas, run_lengths, lengths, codes = numbers[1:].reshape(4, count)
         ids = np.cumsum(deltas, dtype=np.uint64)
         # A code of 0 means that the entry follows the previous one. Its offset is the last explicit offset plus the lengths since.
         is_explicit = codes > 0
@@ -223,20 +223,20 @@ class ArchiveFile:
         lengths_before = np.concatenate([[0], np.cumsum(lengths[:-1], dtype=np.uint64)]).astype(np.uint64)
         last_explicit = np.maximum.accumulate(np.where(is_explicit, np.arange(count), 0))
         offsets = codes[last_explicit] - np.uint64(1) + lengths_before - lengths_before[last_explicit]
-        is_tile = runs > 0
+        is_tile = run_lengths > 0
         ends = offsets + lengths
         if not (
             (deltas[1:] > 0).all()
-            and (ids[1:] >= ids[:-1] + runs[:-1]).all()
+            and (ids[1:] >= ids[:-1] + run_lengths[:-1]).all()
             and lengths.all()
             and (ends >= lengths).all()
             and (ends[is_tile] <= self.header["tile_data_length"]).all()
             and (ends[~is_tile] <= self.header["leaf_directory_length"]).all()
         ):
             raise self._error("broken directories: entries overlap, or reach past the end")
-        return _Directory(ids, runs, lengths, offsets)
+        return _Directory(ids, run_lengths, lengths, offsets)
 
-    def _decompress(self, offset: int, length: int, part: str) -> bytes:
+    def _decompress(self, offset: int, length: int, section_name: str) -> bytes:
         raw = self._read(offset, length)
         if self.header["internal_compression"] is Compression.NONE or not raw:
             return raw
@@ -244,14 +244,14 @@ class ArchiveFile:
         try:
             decompressed = decompressor.decompress(raw, MAX_DECOMPRESSED_BYTES)
         except zlib.error:
-            raise self._error(f"broken {part}: not gzip") from None
+            raise self._error(f"broken {section_name}: not gzip") from None
         if not decompressor.eof:
-            raise self._error(f"broken {part}: gzip that is truncated or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
+            raise self._error(f"broken {section_name}: gzip that is truncated or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
         return decompressed
 
     def _read(self, offset: int, length: int) -> bytes:
         try:
-            raw = os.pread(self._file, length, offset)
+            raw = os.pread(self._descriptor, length, offset)
         except (OSError, OverflowError) as error:
             raise self._error(f"cannot be read: {error}") from None
         if len(raw) < length:
@@ -271,9 +271,9 @@ def has_changed(archive: ArchiveFile | None, path: Path) -> bool:
     return archive is None or archive.stamp != stamp
 
 
-def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
+def _leaf_directories(directory: _Directory) -> Iterator[tuple[int, int]]:
     """Return pairs of length and offset, in bytes, of the leaf directories that a directory lists."""
-    rows = np.flatnonzero(directory.runs == 0)
+    rows = np.flatnonzero(directory.run_lengths == 0)
     return zip(directory.lengths[rows].tolist(), directory.offsets[rows].tolist(), strict=True)
 
 

@@ -12,8 +12,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
 
-from skugga.api.http.answers import is_fresh
-from skugga.api.http.request_times import TIME_HEADER, is_current
+from skugga.api.http.request_times import TIME_HEADER, requests_current_time
+from skugga.api.http.responses import has_current_copy
 from skugga.terrain.cache import MIB, Cache, Missing
 
 TileVersions = tuple[str | None, ...]
@@ -21,7 +21,7 @@ TileVersions = tuple[str | None, ...]
 
 These are the versions of the level, the renderer, the plans and the level's archives."""
 
-OVERHEAD_BYTES = 1024
+ENTRY_OVERHEAD_BYTES = 1024
 """Estimated bytes of a cache entry without its body: headers, tags and the cache's own overhead."""
 
 
@@ -43,9 +43,9 @@ class EncodedTile:
     headers: dict[str, str]
     media_type: str
 
-    def answer(self, request: Request) -> Response:
+    def response(self, request: Request) -> Response:
         """Return the response to a request; 304 if the client's copy is current."""
-        if is_fresh(request, self.headers["ETag"]):
+        if has_current_copy(request, self.headers["ETag"]):
             not_modified_headers = {
                 name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)
             }
@@ -72,7 +72,7 @@ class _AddressEntry:
     versions: TileVersions
 
 
-Address = tuple[str, bytes]
+RequestAddress = tuple[str, bytes]
 """Path and query string of a request."""
 
 
@@ -84,10 +84,10 @@ class EncodedTiles:
 
     def __init__(self, limit_bytes: int) -> None:
         self._by_tag: Cache[EncodedTile] = Cache(
-            "skugga.api.http.state.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
+            "skugga.api.http.state.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + ENTRY_OVERHEAD_BYTES
         )
         self._by_address: Cache[_AddressEntry] = Cache(
-            "skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES
+            "skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: ENTRY_OVERHEAD_BYTES
         )
         self.hits, self.misses = 0, 0
 
@@ -114,7 +114,7 @@ class EncodedTiles:
         """
         tag = tile.headers["ETag"]
         self._by_tag.put(tag, value=tile)
-        if is_current(request):
+        if requests_current_time(request):
             return
         self._by_address.put(_address(request.scope), value=_AddressEntry(tag, level, versions))
 
@@ -131,5 +131,5 @@ class EncodedTiles:
         return tile
 
 
-def _address(scope: Scope) -> Address:
+def _address(scope: Scope) -> RequestAddress:
     return scope["path"], scope["query_string"]

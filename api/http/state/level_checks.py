@@ -33,7 +33,7 @@ log = logging.getLogger("skugga")
 
 @dataclass
 class _Check(Generic[Value]):
-    began_s: float
+    started_s: float
     future: Future[Value]
     is_logged: bool = False
 
@@ -93,17 +93,17 @@ class FileCheck(Generic[Value]):
         if not self._is_fresh():
             running = self._start_check()
             if running is not None:
-                await self._wait(running)
+                await self._wait_for_check(running)
         if self.error is not None:
             raise self.error
         return self.value
 
-    async def _wait(self, running: _Check[Value]) -> None:
-        left_s = running.began_s + self.max_wait_s - time.monotonic()
+    async def _wait_for_check(self, running_check: _Check[Value]) -> None:
+        left_s = running_check.started_s + self.max_wait_s - time.monotonic()
         if left_s > 0.0:
-            await asyncio.wait({asyncio.wrap_future(running.future)}, timeout=left_s)
-        if not running.future.done() and not running.is_logged:
-            running.is_logged = True
+            await asyncio.wait({asyncio.wrap_future(running_check.future)}, timeout=left_s)
+        if not running_check.future.done() and not running_check.is_logged:
+            running_check.is_logged = True
             log.error(
                 "%s %s: its files were not read within %g s. The last version is served.", self.kind, self.name, self.max_wait_s
             )
@@ -114,7 +114,7 @@ class FileCheck(Generic[Value]):
         running = self._running
         if running is not None and not running.future.done():
             self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.future.done()]
-            if now_s - running.began_s < CHECK_ABANDON_DELAY_S or len(self._abandoned) >= MAX_ABANDONED_CHECKS:
+            if now_s - running.started_s < CHECK_ABANDON_DELAY_S or len(self._abandoned) >= MAX_ABANDONED_CHECKS:
                 return running
         started: _Check[Value] = _Check(now_s, Future())
         self._running = started
@@ -174,4 +174,4 @@ class FileCheck(Generic[Value]):
 
     def _is_overdue(self) -> bool:
         running = self._running
-        return running is not None and not running.future.done() and time.monotonic() - running.began_s > self.max_wait_s
+        return running is not None and not running.future.done() and time.monotonic() - running.started_s > self.max_wait_s

@@ -45,7 +45,7 @@ class ServiceMetrics:
             "skugga_pass_seconds", "Time of a pass of a drawn block or snapshot.", ("algorithm", "stage"),
             registry=self.registry, buckets=PASS_BUCKETS_S,
         )  # fmt: skip
-        self.clipped = Counter(
+        self.clipped_reaches = Counter(
             "skugga_reach_clipped",
             "Drawn blocks and snapshots for which the data ended before the casters.",
             registry=self.registry,
@@ -62,13 +62,13 @@ class ServiceMetrics:
             self._known_passes.add(pair)
             self.pass_seconds.labels(*pair).observe(ms / 1000.0)
         if picture.reach_clipped:
-            self.clipped.inc()
+            self.clipped_reaches.inc()
 
     def text(self) -> bytes:
         """Return all metrics in Prometheus' text format."""
         return generate_latest(self.registry)
 
-    def names(self) -> set[str]:
+    def series_names(self) -> set[str]:
         """Return the names of all time series as Prometheus queries use them, with endings such as ``_total``."""
         sample_names = {sample.name for family in self.registry.collect() for sample in family.samples}
         return sample_names | {name for family in self.registry.collect() for name in _names_of(family)}
@@ -83,14 +83,14 @@ class _ServiceCollector(Collector):
     def collect(self) -> Iterable[Metric]:
         pool, counters, tiles = self._pool, self._pool.counters, self._tiles
         yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.is_ready))
-        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued)
-        yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running)
+        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued_count)
+        yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running_count)
         jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
         for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
-            jobs.add_metric([outcome], getattr(counters, outcome))
+            jobs.add_metric([outcome], getattr(counters, f"jobs_{outcome}"))
         yield jobs
         yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.ready_pids))
-        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.started)
+        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.processes_started)
         memory = GaugeMetricFamily("skugga_process_memory_bytes", "Resident memory.", labels=("process",))
         memory.add_metric(["service"], resident_bytes())
         for number, pid in enumerate(sorted(pool.ready_pids)):
@@ -107,7 +107,7 @@ class _ServiceCollector(Collector):
             animations.add_metric([status], count)
         yield animations
         ended = CounterMetricFamily("skugga_animations_ended", "Animations by how they ended.", labels=("status",))
-        for status, count in self._animations.ended.items():
+        for status, count in self._animations.ended_counts.items():
             ended.add_metric([status], count)
         yield ended
         lookups = CounterMetricFamily("skugga_cache_requests", "Lookups of tiles in the cache.", labels=("cache", "result"))

@@ -36,8 +36,8 @@ class RateLimiter:
     ``per_minute`` is the rate of new tokens and the size of a bucket; 0 means no limit. ``clock`` returns seconds.
     """
 
-    def __init__(self, per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._per_minute, self._clock = per_minute, clock
+    def __init__(self, suns_per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._suns_per_minute, self._clock = suns_per_minute, clock
         self._clients: Cache[_Client] = Cache("skugga.api.http.state.rate_limiter", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
     def acquire(self, address: str, sun: Hashable) -> None:
@@ -45,12 +45,14 @@ class RateLimiter:
 
         Raises ``RateLimitError`` if no token is left.
         """
-        if not self._per_minute:
+        if not self._suns_per_minute:
             return
         key, now_s = client_key(address), self._clock()
         cached = self._clients.get(key)
-        client = _Client(float(self._per_minute), now_s) if isinstance(cached, Missing) else cached
-        client.tokens = min(client.tokens + (now_s - client.refilled_s) * self._per_minute / 60.0, float(self._per_minute))
+        client = _Client(float(self._suns_per_minute), now_s) if isinstance(cached, Missing) else cached
+        client.tokens = min(
+            client.tokens + (now_s - client.refilled_s) * self._suns_per_minute / 60.0, float(self._suns_per_minute)
+        )
         client.refilled_s = now_s
         if isinstance(cached, Missing):
             self._clients.put(key, value=client)
@@ -58,8 +60,10 @@ class RateLimiter:
             client.recent_suns[sun] = client.recent_suns.pop(sun)
             return
         if client.tokens < 1.0:
-            wait_s = int((1.0 - client.tokens) * 60.0 / self._per_minute) + 1
-            raise RateLimitError(f"Too many new sun positions. The limit is {self._per_minute} per minute for each client.", wait_s)
+            wait_s = int((1.0 - client.tokens) * 60.0 / self._suns_per_minute) + 1
+            raise RateLimitError(
+                f"Too many new sun positions. The limit is {self._suns_per_minute} per minute for each client.", wait_s
+            )
         client.tokens -= 1.0
         client.recent_suns[sun] = None
         while len(client.recent_suns) > MAX_RECENT_SUNS:

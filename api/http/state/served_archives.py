@@ -90,32 +90,34 @@ class ServedArchives:
 
     def __init__(self, paths: Sequence[Path], ttl_s: float = 0.0, max_wait_s: float = 60.0) -> None:
         self._ttl_s, self._max_wait_s = ttl_s, max_wait_s
-        self._named: dict[str, FileCheck[ArchiveFile]] = {}
-        self._level_entries: dict[str, tuple[tuple[Path, ...], FileCheck[LevelArchives]]] = {}
+        self._named_checks: dict[str, FileCheck[ArchiveFile]] = {}
+        self._checks_by_level: dict[str, tuple[tuple[Path, ...], FileCheck[LevelArchives]]] = {}
         self._logged_errors: dict[Path, str] = {}
         for path in paths:
             name = printable(path.stem)
-            if name in self._named:
+            if name in self._named_checks:
                 raise InputError("LEVEL", Problem(f"'{path}' and another archive are both named '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
-            self._named[name] = FileCheck(name, archive, partial(self._check_file, name), ttl_s, max_wait_s, "archive")
+            self._named_checks[name] = FileCheck(name, archive, partial(self._check_file, name), ttl_s, max_wait_s, "archive")
 
     def names(self) -> list[str]:
         """Return the names of the archives with their own addresses."""
-        return list(self._named)
+        return list(self._named_checks)
 
     def cached_archives(self) -> dict[str, ArchiveFile]:
         """Return the archives with their own addresses by name, as they were last read. Reads no file."""
-        return {name: check.value for name, check in self._named.items()}
+        return {name: check.value for name, check in self._named_checks.items()}
 
     async def current(self, name: str) -> ArchiveFile:
         """Return the present version of an archive with its own address. Files are read in another thread.
 
         Raises ``NotServedError`` for an unknown name, and ``ArchiveError`` for an archive that can no longer be read.
         """
-        if name not in self._named:
-            raise NotServedError("archive", f"archive: {name[:60]!r} is not served. Archives: {', '.join(self._named) or 'none'}.")
-        return await self._named[name].current()
+        if name not in self._named_checks:
+            raise NotServedError(
+                "archive", f"archive: {name[:60]!r} is not served. Archives: {', '.join(self._named_checks) or 'none'}."
+            )
+        return await self._named_checks[name].current()
 
     async def archives_of_level(self, level: ServedLevel) -> LevelArchives:
         """Return the present version of a level's archives. Unreadable archives are logged and left out."""
@@ -132,39 +134,39 @@ class ServedArchives:
 
     def expire_all(self) -> None:
         """Make every archive be checked for changes at its next use."""
-        for archive_check in self._named.values():
+        for archive_check in self._named_checks.values():
             archive_check.expire()
-        for _, level_check in self._level_entries.values():
+        for _, level_check in self._checks_by_level.values():
             level_check.expire()
 
     def _check_of(self, level: ServedLevel) -> FileCheck[LevelArchives]:
         paths = level.loaded.archives
-        entry = self._level_entries.get(level.name)
+        entry = self._checks_by_level.get(level.name)
         if entry is None or entry[0] != paths:
             check = partial(self._check_level_archives, level.name)
             entry = paths, FileCheck(level.name, NO_ARCHIVES, check, self._ttl_s, self._max_wait_s, "archives of level")
-            self._level_entries[level.name] = entry
+            self._checks_by_level[level.name] = entry
         return entry[1]
 
     def _check_file(self, name: str) -> ArchiveFile:
-        check = self._named[name]
+        check = self._named_checks[name]
         try:
-            return self._reopened(check.value if check.error is None else None, check.value.path)
+            return self._reopen_if_changed(check.value if check.error is None else None, check.value.path)
         except ArchiveError as error:
             self._log_error(check.value.path, error)
             raise
 
     def _check_level_archives(self, name: str) -> LevelArchives:
-        paths, check = self._level_entries[name]
+        paths, check = self._checks_by_level[name]
         before, files = check.value.files, {}
         for path in paths:
             try:
-                files[path] = self._reopened(before.get(path), path)
+                files[path] = self._reopen_if_changed(before.get(path), path)
             except ArchiveError as error:
                 self._log_error(path, error, " Its tiles are rendered.")
         return check.value if files == before else LevelArchives.of(files)
 
-    def _reopened(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
+    def _reopen_if_changed(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
         if archive is not None and not has_changed(archive, path):
             return archive
         opened = ArchiveFile(path)

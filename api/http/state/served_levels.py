@@ -16,7 +16,7 @@ from pyproj import CRS
 from skugga.api.errors import NotServedError, with_option_names
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from skugga.api.http.state.level_checks import FileCheck
-from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
+from skugga.api.matrices import LonLatBounds, ZoomRange, finest_detail_m, matrix_set_of, served_matrix_sets, zoom_range
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS
 from skugga.api.workers.jobs import LevelKey
 from skugga.terrain.errors import InputError, LevelError, Problem, SkuggaError, UnsupportedError, printable
@@ -62,7 +62,7 @@ class ServedLevel:
         (width, height) in pixels by view; ``None`` for a view that cannot be rendered. ``map`` is always included.
     map_crs : CRS
         Default CRS of maps.
-    lowest_m : float
+    lowest_ground_m : float
         Lowest height of the ground in metres.
     style : str
         Name of the level's own style.
@@ -85,7 +85,7 @@ class ServedLevel:
     zooms: dict[str, ZoomRange]
     view_sizes: dict[str, tuple[int, int] | None]
     map_crs: CRS
-    lowest_m: float
+    lowest_ground_m: float
     style: str
     sun_is_default: bool = False
     warnings: tuple[str, ...] = ()
@@ -136,19 +136,18 @@ class ServedLevel:
             raise InputError("view", name, ", ".join(self.view_sizes))
         return name
 
-    def lights(self, spec: SunSpec | None) -> tuple[str, ...]:
-        """Return the names of the level's lights under the sun ``spec`` of a request (``None``: the level's own sun).
+    def lights(self, sun_spec: SunSpec | None) -> tuple[str, ...]:
+        """Return the names of the level's lights under the sun ``sun_spec`` of a request (``None``: the level's own sun).
 
         The sun comes first. It is left out if neither the request nor the level has a sun and the level has other lights."""
         names = self.loaded.level.light_names
-        sunless = spec is None and self.loaded.level.sun == "none"
+        sunless = sun_spec is None and self.loaded.level.sun == "none"
         return names[1:] if sunless and len(names) > 1 else names
 
-    def sun(self, spec: SunSpec | None) -> Sun | None:
-        """Return the sun of a request (``spec``), or else the level's own; ``None`` if there is neither. Raises ``InputError``."""
-        level_sun = self.loaded.level.sun
-        sun_spec = spec or level_sun
-        return None if sun_spec is None or sun_spec == "none" else sun_of(sun_spec, self.world)
+    def sun(self, sun_spec: SunSpec | None) -> Sun | None:
+        """Return the sun of a request (``sun_spec``), else the level's own; ``None`` without both. Raises ``InputError``."""
+        spec = sun_spec or self.loaded.level.sun
+        return None if spec is None or spec == "none" else sun_of(spec, self.world)
 
     def summary(self) -> dict[str, Any]:
         """Return the level's entry in ``/levels``. Its ``minzoom`` and ``maxzoom`` are those of tiles in ``DEFAULT_MATRIX_SET``."""
@@ -216,7 +215,7 @@ class ServedLevels:
         self._remote_sources, self._ttl_s, self._max_wait_s = remote_sources, ttl_s, max_wait_s
         self._folder, self._data_roots = folder, tuple(data_roots)
         self._checks: dict[str, FileCheck[ServedLevel]] = {}
-        self._reading = threading.Lock()
+        self._folder_lock = threading.Lock()
         for source in map(LevelSource.of, sources):
             check = self._make_check(source, [file.parent for file in _named_files(source)])
             if check.name in self._checks:
@@ -234,7 +233,7 @@ class ServedLevels:
         """
         if self._folder is None:
             return
-        with self._reading:
+        with self._folder_lock:
             before, checks = self._checks, dict(self._source_checks)
             for name, path in _level_files(self._folder, checks).items():
                 check = before.get(name)
@@ -261,12 +260,12 @@ class ServedLevels:
         except InputError as error:
             log.error("%s The levels are unchanged.", error)
 
-    def serves(self, path: Path) -> bool:
+    def is_served(self, path: Path) -> bool:
         """Return whether the level file at ``path`` is served. Reads no file."""
         return any(check.value.loaded.path == path for check in self._checks.values())
 
-    def _make_check(self, source: LevelSource, roots: Iterable[Path]) -> FileCheck[ServedLevel]:
-        level = self._read(source.model_copy(update={"roots": (*roots, *self._data_roots)}))
+    def _make_check(self, source: LevelSource, allowed_roots: Iterable[Path]) -> FileCheck[ServedLevel]:
+        level = self._read_level(source.model_copy(update={"roots": (*allowed_roots, *self._data_roots)}))
         return FileCheck(level.name, level, partial(self._check_files, level.name), self._ttl_s, self._max_wait_s)
 
     async def current(self, name: str) -> ServedLevel:
@@ -324,11 +323,11 @@ class ServedLevels:
         level = check.value
         if check.error is None and file_stamps(level.files) == level.stamps:
             return level
-        reloaded = self._read(level.origin)
+        reloaded = self._read_level(level.origin)
         log.info("level %s has changed and was reloaded", name)
         return reloaded
 
-    def _read(self, origin: LevelSource) -> ServedLevel:
+    def _read_level(self, origin: LevelSource) -> ServedLevel:
         loaded, path = load_level(origin), origin.path
         remote = [source for source in loaded.linked_sources if is_remote(source)]
         if remote and not self._remote_sources:
@@ -399,7 +398,7 @@ def _served_level_of(
             *scene.elevation.bounds, densify_pts=21
         )
         data_bounds = (west, south, east + 360.0 if east < west else east, north)
-        detail = detail_m(scene)
+        detail = finest_detail_m(scene)
         zooms_by_set = {name: zoom_range(matrix_set, world, bounds, detail) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
     sun_is_default = loaded.level.sun is None

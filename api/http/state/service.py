@@ -10,12 +10,12 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
+from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_job
-from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.request_times import freshness_s
+from skugga.api.http.responses import METADATA_MAX_AGE_S, ExpectedTime
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.http.state.rate_limiter import RateLimiter, client_key
@@ -54,18 +54,18 @@ class Service:
         """Whether the service has render processes. A service of archives alone has none."""
         return bool(self.levels.names()) or self.settings.levels is not None
 
-    def max_age_s(self, request: Request, default_s: int) -> int:
+    def max_age_s(self, request: Request, default_age_s: int) -> int:
         """Return the freshness lifetime of a picture in seconds.
 
-        It is ``default_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
+        It is ``default_age_s``, or a minute at most while a calibration of the device or a probe of a level is pending. These
         measurements may change plans (choices of algorithms), and clients must not combine pictures of different plans for long.
         """
         is_plan_pending = self.pool.idle_calibration.is_expected or self.pool.idle_probes.requested_count
-        return freshness_s(request, min(default_s, METADATA_MAX_AGE_S) if is_plan_pending else default_s)
+        return freshness_s(request, min(default_age_s, METADATA_MAX_AGE_S) if is_plan_pending else default_age_s)
 
-    def expected_frame_s(self, order: FilmOrder, check_result: FilmCheckResult) -> float:
+    def expected_frame_s(self, spec: AnimationSpec, check_result: FilmCheckResult) -> float:
         """Return the expected seconds of one frame of a film: the prediction of its plan, else that of ``ExpectedTimes``."""
-        return self.pool.expected_s(frame_job(order, 0)) if check_result.frame_ms is None else check_result.frame_ms / 1000.0
+        return self.pool.expected_s(frame_job(spec, 0)) if check_result.frame_ms is None else check_result.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
         """Return the present version of a level. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
@@ -107,7 +107,7 @@ class Service:
         try:
             return await cancel_on_disconnect(request, self.pool.run(job, client))
         except (LevelError, SourceError):
-            if isinstance(job, DescriptorPlanJob) or self.levels.serves(job.level.path):
+            if isinstance(job, DescriptorPlanJob) or self.levels.is_served(job.level.path):
                 raise
             raise NotServedError("level", "level: this level is no longer served.") from None
 
@@ -132,10 +132,10 @@ async def service_dependency(request: Request) -> Service:
 ServiceDep = Annotated[Service, Depends(service_dependency)]
 
 
-async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
+async def cancel_on_disconnect(request: Request, coroutine: Coroutine[Any, Any, T]) -> T:
     """Await a coroutine and return its result. If the client disconnects, cancel it and raise ``ClientDisconnectedError``."""
-    task = asyncio.ensure_future(work)
-    disconnect = asyncio.ensure_future(_disconnected(request))
+    task = asyncio.ensure_future(coroutine)
+    disconnect = asyncio.ensure_future(_wait_for_disconnect(request))
     try:
         await asyncio.wait({task, disconnect}, return_when=asyncio.FIRST_COMPLETED)
         if not task.done():
@@ -146,6 +146,6 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -
         disconnect.cancel()
 
 
-async def _disconnected(request: Request) -> None:
+async def _wait_for_disconnect(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass

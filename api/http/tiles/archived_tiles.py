@@ -8,7 +8,7 @@ import logging
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.errors import ArchiveError
-from skugga.api.http.answers import cache_headers, entity_tag
+from skugga.api.http.responses import cache_headers, entity_tag
 from skugga.api.http.state.archive_file import ArchiveFile
 from skugga.api.http.state.encoded_tiles import EncodedTile
 

@@ -24,9 +24,9 @@ DEFAULT_SIDE_PX = 1024
 
 CRS_DESCRIPTION = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
 
-_CODE = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
-_URN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
-_WMS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27"}
+_CODE_PATTERN = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
+_URN_PATTERN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
+_WMS_CRS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27"}
 """PROJ's codes of the CRSs of longitude and latitude that WMS 1.3.0 names in B.3 to B.5."""
 
 
@@ -36,11 +36,11 @@ def crs_code(text: str) -> str:
     ``text`` may be a code, an EPSG number, a URN (``urn:ogc:def:crs``), or a name that WMS defines, such as CRS:84. Raises
     ``InputError`` for other texts. PROJ would accept some of them as names of files.
     """
-    urn = _URN.fullmatch(text)
-    code = _WMS_CODES.get(
+    urn = _URN_PATTERN.fullmatch(text)
+    code = _WMS_CRS_CODES.get(
         text.upper(), f"{urn[1]}:{urn[2]}" if urn else f"EPSG:{text}" if text.isascii() and text.isdigit() else text
     )
-    if not _CODE.fullmatch(code):
+    if not _CODE_PATTERN.fullmatch(code):
         raise InputError("crs", text, CRS_DESCRIPTION)
     return code.upper()
 
@@ -58,22 +58,24 @@ def crs_of_code(code: str) -> CRS:
     return crs
 
 
-def north_first(crs: CRS) -> bool:
+def is_north_first(crs: CRS) -> bool:
     """Return whether a CRS's first axis is northing or latitude. WMS 1.3.0 orders extents by the axes of the CRS."""
     name = crs.axis_info[0].name.lower() if crs.axis_info else ""
     return "northing" in name or "latitude" in name
 
 
-def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBounds:
+def parse_bounds(text: str, name: str = "bbox", is_south_first: bool = False) -> MapBounds:
     """Return (west, south, east, north) from a text of four numbers with commas.
 
-    The text has the same order, or south, west, north, east if ``swapped`` is set. Raises ``InputError``, which names the parameter
-    ``name``.
+    The text has the same order, or south, west, north, east if ``is_south_first`` is set. Raises ``InputError``, which names the
+    parameter ``name``.
     """
     values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
     if len(values) != 4 or text.count(",") != 3:
-        raise InputError(name, text[:100], "four numbers: " + ("south,west,north,east" if swapped else "west,south,east,north"))
-    west, south, east, north = (values[i] for i in ((1, 0, 3, 2) if swapped else (0, 1, 2, 3)))
+        raise InputError(
+            name, text[:100], "four numbers: " + ("south,west,north,east" if is_south_first else "west,south,east,north")
+        )
+    west, south, east, north = (values[i] for i in ((1, 0, 3, 2) if is_south_first else (0, 1, 2, 3)))
     if not (west < east and south < north):
         raise InputError(name, text[:100], "west < east and south < north, in the order of the CRS's axes")
     if max(map(abs, values)) > 1e9:

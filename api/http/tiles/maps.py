@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 
 from skugga.api.encoding import check_format
-from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.parameters import check_pixels
-from skugga.api.http.state.job_answers import job_answer
+from skugga.api.http.responses import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
+from skugga.api.http.state.job_responses import job_response
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.map_extents import MapBounds
@@ -55,7 +55,7 @@ class MapQuery:
     background: str | None = None
 
 
-async def map_answer(request: Request, service: Service, level: ServedLevel, query: MapQuery) -> Response:
+async def map_response(request: Request, service: Service, level: ServedLevel, query: MapQuery) -> Response:
     """Return the map of a level, or 304 if the client's copy is current. Raises ``SkuggaError``."""
     product_request, product = query.product_request, query.product_request.product_record
     check_format(product, query.format)
@@ -68,7 +68,7 @@ async def map_answer(request: Request, service: Service, level: ServedLevel, que
         request=product_request,
     )  # fmt: skip
     max_age_s = DEFAULT_SUN_MAX_AGE_S if product.when == "sun" and product_request.sun is None else REQUESTED_SUN_MAX_AGE_S
-    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[query.format], max_age_s)
+    return await job_response(request, service, job, level.name, "map", MEDIA_TYPES[query.format], max_age_s)
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:

@@ -9,16 +9,18 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, JSON_MEDIA, base_url, cache_headers, entity_tag, json_answer
-from skugga.api.http.openapi_parts import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
-from skugga.api.http.parameters import allow_only
+from skugga.api.http.openapi_parts import LEVEL_ERROR_STATUSES, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
+from skugga.api.http.parameters import allow_only_parameters
+from skugga.api.http.responses import DEFAULT_SUN_MAX_AGE_S, JSON_MEDIA_TYPE, base_url, cache_headers, entity_tag, json_response
 from skugga.api.http.state.served_archives import archive_summary
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.http.tiles.tilejson import tilejson_answer
+from skugga.api.http.tiles.tilejson import tilejson_response
 from skugga.api.products import PRODUCTS
 
-router = APIRouter(tags=["archives"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS))
+router = APIRouter(
+    tags=["archives"], dependencies=[Depends(allow_only_parameters())], responses=problem_docs(*LEVEL_ERROR_STATUSES)
+)
 
 ArchivePath = Annotated[str, Path(description="An archive by its name, as `/archives` lists them.", examples=["shadows"])]
 TileFormatPath = Annotated[str, Path(description="The format that the archive's tiles have.", examples=["png"])]
@@ -28,7 +30,7 @@ TileFormatPath = Annotated[str, Path(description="The format that the archive's 
     "/archives",
     summary="The archives of tiles",
     response_model=list[dict[str, Any]],
-    responses=file_docs("All archives.", [JSON_MEDIA]),
+    responses=file_docs("All archives.", [JSON_MEDIA_TYPE]),
 )
 async def archives(request: Request, service: ServiceDep) -> Response:
     """Return every archive that the service was started with: name, title, attribution, bounds in degrees, zooms and format.
@@ -41,14 +43,14 @@ async def archives(request: Request, service: ServiceDep) -> Response:
             summaries.append(archive_summary(name, await service.archives.current(name)))
         except ArchiveError:  # already logged
             continue
-    return json_answer(request, summaries)
+    return json_response(request, summaries)
 
 
 @router.get(
     "/archives/{archive}/tilejson.json",
     summary="TileJSON of an archive",
     response_model=dict[str, Any],
-    responses=file_docs("TileJSON.", [JSON_MEDIA]),
+    responses=file_docs("TileJSON.", [JSON_MEDIA_TYPE]),
 )
 async def archive_tilejson(request: Request, service: ServiceDep, archive: ArchivePath) -> Response:
     """Return TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is that of the metadata."""
@@ -57,7 +59,7 @@ async def archive_tilejson(request: Request, service: ServiceDep, archive: Archi
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
     product = PRODUCTS.get(str(facts["layer"]))
     extra_entries = {} if product is None or product.encoding is None else {"encoding": product.encoding}
-    return tilejson_answer(
+    return tilejson_response(
         request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{archive_file.format}",
         (facts["minzoom"], facts["maxzoom"]), archive_file.bounds,
         extra_entries | ({"skugga": archive_file.skugga_metadata} if archive_file.skugga_metadata else {}),
@@ -92,4 +94,4 @@ async def archive_tile(
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
         return Response(status_code=204, headers=cache_headers(entity_tag(archive_file.version, z, x, y), DEFAULT_SUN_MAX_AGE_S))
-    return archived_tile(body, archive_file, DEFAULT_SUN_MAX_AGE_S).answer(request)
+    return archived_tile(body, archive_file, DEFAULT_SUN_MAX_AGE_S).response(request)

@@ -9,11 +9,11 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.http.numbers import PLAIN_INTEGER
 from skugga.api.http.openapi_parts import LevelPath, example_query
-from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, map_query
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only_parameters, map_query
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.map_extents import MapBounds, bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
-from skugga.api.http.tiles.maps import MapQuery, map_answer
+from skugga.api.http.tiles.maps import MapQuery, map_response
 from skugga.api.http.tiles.tile_docs import JPEG_LAYERS, PICTURE_DOCS
 from skugga.api.products.product import MapFormat
 from skugga.api.request import ProductRequest
@@ -25,7 +25,7 @@ router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class
 @router.get(
     "/levels/{level}/map.{format}",
     summary="A map of any extent",
-    dependencies=[Depends(allow_only("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
+    dependencies=[Depends(allow_only_parameters("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
     openapi_extra=example_query("bbox", "crs", "width"),
 )
 async def map_of_level(
@@ -62,7 +62,7 @@ async def map_of_level(
         query = _query_off_earth(served_level, bbox, crs, sides, product_request, format)
     else:
         query = await run_in_threadpool(_query_on_earth, served_level, bbox, crs, sides, product_request, format)
-    return await map_answer(request, service, served_level, query)
+    return await map_response(request, service, served_level, query)
 
 
 def _query_on_earth(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skugga.api.http.openapi_parts import WORK_ERRORS, ResponseDocs, file_docs, problem_docs
+from skugga.api.http.openapi_parts import WORK_ERROR_STATUSES, ResponseDocs, file_docs, problem_docs
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.selector.formatting import format_list
@@ -11,7 +11,7 @@ PICTURE_DOCS: ResponseDocs = {
     **file_docs(
         "The picture. `X-Skugga-Caster-Reach` is the distance towards the sun in which casters were searched.", MEDIA_TYPES.values()
     ),
-    **problem_docs(*WORK_ERRORS),
+    **problem_docs(*WORK_ERROR_STATUSES),
 }
 
 EMPTY_TILE_DOCS: ResponseDocs = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}

@@ -6,10 +6,10 @@ from typing import Any
 
 from fastapi import Request, Response
 
-from skugga.api.http.answers import json_answer
+from skugga.api.http.responses import json_response
 
 
-def tilejson_answer(
+def tilejson_response(
     request: Request,
     name: str,
     attribution: str | None,
@@ -24,7 +24,7 @@ def tilejson_answer(
     west, south, east and north in degrees. ``extra_entries`` are added to the document.
     """
     west, south, east, north = bounds
-    return json_answer(
+    return json_response(
         request,
         {
             "tilejson": "3.0.0",

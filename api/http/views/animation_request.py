@@ -1,4 +1,4 @@
-"""Parse the body of a request for an animation into a ``FilmOrder``."""
+"""Parse the body of a request for an animation into a ``AnimationSpec``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
-from skugga.api.animations.film_order import FilmFormat, FilmOrder
+from skugga.api.animations.animation_spec import AnimationSpec, FilmFormat
 from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.http.parameters import served_settings, style_named
 from skugga.api.http.state.served_levels import ServedLevel
@@ -25,11 +25,11 @@ from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
-MAX_TEXT_CHARACTERS = 60
+MAX_TIME_CHARACTERS = 60
 """Maximum number of characters of a time or a duration."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
-Text = Annotated[str, Field(max_length=MAX_TEXT_CHARACTERS)]
+TimeText = Annotated[str, Field(max_length=MAX_TIME_CHARACTERS)]
 
 
 _FROM_FIELD = Field(
@@ -37,15 +37,15 @@ _FROM_FIELD = Field(
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a time on the level's clock, as 0s: "
     "animated objects move, and the sun is fixed. Default: the path's.",
 )  # fmt: skip
-_FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
-_FromModel: Any = create_model("_Named", __base__=Model, **_FROM)
+_FROM_FIELDS: dict[str, Any] = {"from": (TimeText | None, _FROM_FIELD)}  # a keyword of Python, so no class body can declare it
+_FromModel: Any = create_model("_Named", __base__=Model, **_FROM_FIELDS)
 
 
 class _AnimationFields(_FromModel):
-    to: Text | None = Field(
+    to: TimeText | None = Field(
         default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, of the same kind."
     )
-    step: Text | None = Field(
+    step: TimeText | None = Field(
         default=None, examples=["10m"],
         description="Time between frames: a number and s, m, h or d. Default for times on the clock: 1 / `fps` seconds.",
     )  # fmt: skip
@@ -65,7 +65,7 @@ class _AnimationFields(_FromModel):
         default=False, strict=True, examples=[True], description="Compress `webp` without loss: about six times the size."
     )
     fps: float = Field(default=DEFAULT_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
-    time: Text | None = Field(default=None, description="Time of a fixed sun, ISO 8601 with an offset; default: the level's.")
+    time: TimeText | None = Field(default=None, description="Time of a fixed sun, ISO 8601 with an offset; default: the level's.")
     azimuth: float | None = Field(
         default=None, strict=True, examples=[235], description="With `altitude`: azimuth of a fixed sun, degrees from true north."
     )
@@ -76,11 +76,11 @@ class _AnimationFields(_FromModel):
     )
 
 
-_SETTINGS = settings_of(Shadows, "pictures")
+_SHADOW_SETTINGS = settings_of(Shadows, "pictures")
 
 _SHADOW_FIELDS: dict[str, Any] = {
     setting.name: (setting.type | None, Field(default=None, description=setting.description, examples=[setting.example]))
-    for setting in _SETTINGS
+    for setting in _SHADOW_SETTINGS
 }
 
 AnimationRequest: Any = create_model(
@@ -92,8 +92,8 @@ AnimationRequest: Any = create_model(
 """The pydantic model of the request's body. Its last fields are the shadow settings."""
 
 
-def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
-    """Return the order of a film from a body (an ``AnimationRequest``).
+def animation_spec_of(body: Any, level: ServedLevel, settings: Settings) -> AnimationSpec:
+    """Return the specification of an animation from a request's body (an ``AnimationRequest``).
 
     All checks that need no height of the level's ground are done here. Raises ``InputError``.
     """
@@ -114,15 +114,15 @@ def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
         sun=_fixed_sun(body, span),
         style=style_named(body.style),
         slope_exaggeration=body.slope_exaggeration,
-        overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SETTINGS}),
+        overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SHADOW_SETTINGS}),
     )
-    return FilmOrder(
+    return AnimationSpec(
         level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,
         format=body.format, lossless=body.lossless, fps=body.fps,
     )  # fmt: skip
 
 
-def error_in_body(error: InputError, order: FilmOrder) -> InputError:
+def error_with_body_key(error: InputError, spec: AnimationSpec) -> InputError:
     """Return an error from checking a film, renamed to the key of the request's body that is wrong.
 
     The engine's errors name a parameter of films, a key of camera files, or a frame.
@@ -135,7 +135,7 @@ def error_in_body(error: InputError, order: FilmOrder) -> InputError:
         if isinstance(error.value, Problem):
             return type(error)("path", Problem(f"{frame_location}: {error.value}"), error.allowed)
         return type(error)("path", f"{frame_location}: {error.value}", error.allowed)
-    if name == "time" and order.span.start is not None:
+    if name == "time" and spec.span.start is not None:
         return error.renamed("from")
     return error
 

@@ -20,16 +20,16 @@ from skugga.api.animations.animation import Animation, AnimationStatus
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.film_file import FilmReader
 from skugga.api.errors import NotServedError, UnfinishedError
-from skugga.api.http.answers import entity_tag, is_fresh
 from skugga.api.http.problems import Problem, error_response, public_problem
+from skugga.api.http.responses import entity_tag, has_current_copy
 from skugga.api.settings import Settings
 
-FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
+FILM_MEDIA_TYPES: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 
 RESULTS_RELATION = "http://www.opengis.net/def/rel/ogc/1.0/results"
 """Link relation from a job to its results (OGC API - Processes)."""
 
-_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+_BYTE_RANGE_PATTERN = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 
 
 class Link(BaseModel):
@@ -66,12 +66,12 @@ class AnimationState(BaseModel):
     links: list[Link]
 
 
-def state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
+def animation_state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
     """Return the state of an animation. ``address`` is the URL of the animation, for links."""
-    done, frames = animation.frames_done, animation.order.span.frames
+    done, frames = animation.frames_done, animation.spec.span.frames
     links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
-        media_type = FILM_MEDIA[animation.order.format]
+        media_type = FILM_MEDIA_TYPES[animation.spec.format]
         links.append(Link(href=f"{address}/result", rel=RESULTS_RELATION, type=media_type, title="The film"))
     problem = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
@@ -82,13 +82,13 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     return AnimationState(
         job_id=animation.id, status=animation.status, message=messages[animation.status], progress=100 * done // frames,
         frames=frames, frames_done=done,
-        seconds_left=None if animation.ended else round(animations.seconds_left(animation), 1),
+        seconds_left=None if animation.has_ended else round(animations.seconds_left(animation), 1),
         created=animation.created, started=animation.started, updated=animation.updated, finished=animation.finished,
         expires=animation.expires, problem=problem, links=links,
     )  # fmt: skip
 
 
-def state_answer(status: int, state: AnimationState, settings: Settings) -> Response:
+def state_response(status: int, state: AnimationState, settings: Settings) -> Response:
     """Return a state as JSON with an HTTP ``status``. Caches must not store it.
 
     ``Location`` is the animation's URL. ``Retry-After`` is present until the animation has ended.
@@ -108,7 +108,7 @@ def poll_after_s(seconds_left: float, settings: Settings) -> int:
     return max(math.ceil(min(seconds_left, settings.animation_abandoned_s / 3.0)), 1)
 
 
-def film_answer(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
+def film_response(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
     """Return the film, the bytes of it that ``Range`` asks for, or 304; for a failed animation return its problem.
 
     Raises ``UnfinishedError`` for an unfinished animation and ``NotServedError`` for a dismissed one.
@@ -118,30 +118,32 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
     if animation.status == "dismissed":
         raise NotServedError("animation", f"This animation was dismissed. {animation.message or ''}".strip())
     if animation.film is None:
-        message = f"{animation.frames_done} of {animation.order.span.frames} frames of this animation are drawn."
+        message = f"{animation.frames_done} of {animation.spec.span.frames} frames of this animation are drawn."
         raise UnfinishedError(message, poll_after_s(animations.seconds_left(animation), settings))
     nbytes = animation.film.nbytes
     headers = {
         "ETag": entity_tag("animation", animation.id), "Accept-Ranges": "bytes",
         "Cache-Control": f"private, max-age={int(settings.animation_age_s)}",
     }  # fmt: skip
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if_range = request.headers.get("if-range", headers["ETag"])
-    part = byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
+    part = parse_byte_range(request.headers.get("range", ""), nbytes) if if_range == headers["ETag"] else None
     first, end = part or (0, nbytes)
     headers |= {"Content-Length": str(end - first)} | ({"Content-Range": f"bytes {first}-{end - 1}/{nbytes}"} if part else {})
     reader = animation.film.open_reader(first, end)
-    return StreamingResponse(_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA[animation.order.format])
+    return StreamingResponse(
+        _read_chunks(reader), 206 if part else 200, headers=headers, media_type=FILM_MEDIA_TYPES[animation.spec.format]
+    )
 
 
-def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
+def parse_byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
     """Return the begin and the end of the bytes that a header ``Range`` asks for (RFC 9110, section 14).
 
     The end is the index after the last byte. ``nbytes`` is the size of the file. The result is ``None`` for an invalid text,
     several ranges, or a range outside the file. The service then sends the whole file, as the RFC allows.
     """
-    match = _RANGE.fullmatch(text.strip())
+    match = _BYTE_RANGE_PATTERN.fullmatch(text.strip())
     if match is None or not any(match.groups()):
         return None
     first, last = match.groups()
@@ -150,9 +152,9 @@ def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
     return (begin, end) if begin < end else None
 
 
-async def _chunks(reader: FilmReader) -> AsyncIterator[bytes]:
+async def _read_chunks(reader: FilmReader) -> AsyncIterator[bytes]:
     try:
-        while chunk := await asyncio.to_thread(reader.chunk):
+        while chunk := await asyncio.to_thread(reader.read_chunk):
             yield chunk
     finally:
         reader.close()

@@ -6,19 +6,19 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from skugga.api.http.answers import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.numbers import PLAIN_DECIMAL
 from skugga.api.http.openapi_parts import LevelPath, example_query, file_docs
 from skugga.api.http.parameters import (
     PICTURE_PARAMETERS,
     LayerQuery,
     ViewQuery,
-    allow_only,
+    allow_only_parameters,
     check_pixels,
     parse_size,
     picture_query,
 )
-from skugga.api.http.state.job_answers import job_answer
+from skugga.api.http.responses import DEFAULT_SUN_MAX_AGE_S, REQUESTED_SUN_MAX_AGE_S
+from skugga.api.http.state.job_responses import job_response
 from skugga.api.http.state.service import ServiceDep
 from skugga.api.http.tiles.tile_docs import JPEG_LAYERS, PICTURE_DOCS
 from skugga.api.http.views.cameras import CAMERA_PARAMETERS, camera_query
@@ -44,7 +44,9 @@ SINGLE_LIGHT_LAYERS = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not 
 @router.get(
     "/levels/{level}/snapshot.{format}",
     summary="A view of a level",
-    dependencies=[Depends(allow_only("view", *CAMERA_PARAMETERS, "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+    dependencies=[
+        Depends(allow_only_parameters("view", *CAMERA_PARAMETERS, "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))
+    ],
     openapi_extra=example_query("size"),
 )
 async def snapshot(
@@ -106,4 +108,4 @@ async def snapshot(
         request=ProductRequest(product=layer, **dict(picture_request)),
     )  # fmt: skip
     max_age_s = DEFAULT_SUN_MAX_AGE_S if picture_request.sun is None else REQUESTED_SUN_MAX_AGE_S
-    return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], max_age_s)
+    return await job_response(request, service, job, level, "snapshot", MEDIA_TYPES[format], max_age_s)

@@ -9,14 +9,14 @@ from math import floor, log10
 
 from skugga.api.report.page.marks import COLOURS, stage_colours
 from skugga.api.report.page.markup import tag
-from skugga.api.report.page.scales import round_time
+from skugga.api.report.page.scales import time_label
 from skugga.api.report.summary import RowFigures
 from skugga.selector.formatting import format_duration
 
-BARS_WIDTH, BAR_STEP, BARS_TOP, BAR_HEIGHT = 1180.0, 21.0, 26.0, 14.0
+BARS_WIDTH_PX, BAR_STEP_PX, BARS_TOP_PX, BAR_HEIGHT_PX = 1180.0, 21.0, 26.0, 14.0
 """Layout of the chart in pixels: its width, the distance of two bars, the top of the first bar, and the height of a bar."""
 
-NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
+NAME_WIDTH_PX, BAR_CHARACTER_PX, BOLD_CHARACTER_PX, TIME_WIDTH_PX = 130.0, 7.4, 8.3, 78.0
 """Widths in pixels: of the names at least, of a character of a name, of one in bold, and of a time."""
 
 REST_STAGE = "not in a stage"
@@ -30,32 +30,32 @@ class Axis:
 
     Attributes
     ----------
-    left
+    left_px
         Position of 0 ms, pixels.
     end_ms
         Time at the right end.
     """
 
-    left: float
+    left_px: float
     end_ms: float
 
-    def px(self, ms: float, total_ms: float) -> float:
+    def width_px(self, ms: float, total_ms: float) -> float:
         """Return the width in pixels of a segment of ``ms`` in a bar whose segments add up to ``total_ms``."""
-        return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, total_ms)
+        return ms * (BARS_WIDTH_PX - self.left_px - TIME_WIDTH_PX) / max(self.end_ms, total_ms)
 
 
 def bar_chart(figures: list[RowFigures]) -> str:
     """Return an SVG element, 1180 px wide: stacked bars with median times and names, which link to the table."""
     order = sorted(range(len(figures)), key=lambda k: (figures[k]["ms_median"], figures[k]["name"]))
-    names_px = [len(f["name"]) * (BOLD_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]
-    axis = Axis(max([NAME_PX, *names_px]), _end_ms(figures))
-    colours = _colours(figures)
-    bottom = BARS_TOP + BAR_STEP * len(figures)
+    names_px = [len(f["name"]) * (BOLD_CHARACTER_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]
+    axis = Axis(max([NAME_WIDTH_PX, *names_px]), _end_ms(figures))
+    colours = _stage_colours(figures)
+    bottom = BARS_TOP_PX + BAR_STEP_PX * len(figures)
     return tag(
         "svg",
-        *_grid(axis, bottom),
-        *(_bar(k, figures[k], BARS_TOP + BAR_STEP * place, axis, colours) for place, k in enumerate(order)),
-        viewBox=f"0 0 {BARS_WIDTH:g} {bottom + 6:g}",
+        *_grid_lines(axis, bottom),
+        *(_bar_elements(k, figures[k], BARS_TOP_PX + BAR_STEP_PX * place, axis, colours) for place, k in enumerate(order)),
+        viewBox=f"0 0 {BARS_WIDTH_PX:g} {bottom + 6:g}",
         role="group",
         aria_label="Time of every row by its stages",
         class_="bars",
@@ -69,10 +69,14 @@ def exceeds_axis(figures: list[RowFigures]) -> bool:
 
 def bars_legend(figures: list[RowFigures]) -> str:
     """Return the legend: a list of stages and their colours."""
-    return tag("ul", *(tag("li", _swatch(colour), escape(name)) for name, colour in _colours(figures).items()), class_="legend")
+    return tag(
+        "ul",
+        *(tag("li", _colour_swatch(colour), escape(name)) for name, colour in _stage_colours(figures).items()),
+        class_="legend",
+    )
 
 
-def _swatch(colour: str) -> str:
+def _colour_swatch(colour: str) -> str:
     return tag("svg", tag("path", d="M2 2H14V14H2Z", fill=colour), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
@@ -83,7 +87,7 @@ def stages_of(figures: RowFigures) -> dict[str, float]:
     return stages | ({REST_STAGE: rest} if rest > MIN_REST_SHARE * figures["ms_median"] else {})
 
 
-def _colours(figures: list[RowFigures]) -> dict[str, str]:
+def _stage_colours(figures: list[RowFigures]) -> dict[str, str]:
     stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in stages if name != REST_STAGE])
     return colours | ({REST_STAGE: COLOURS["gray"]} if REST_STAGE in stages else {})
@@ -103,35 +107,39 @@ def _end_ms(figures: list[RowFigures]) -> float:
     return max(1e-3, times[-1] if times[-1] <= common or common == 0.0 else common)
 
 
-def _grid(axis: Axis, bottom: float) -> Iterator[str]:
+def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
     power = 10.0 ** floor(log10(axis.end_ms / 4.0))
     step = next(f * power for f in (1, 2, 5, 10) if f * power >= axis.end_ms / 8.0)
     for k in range(floor(axis.end_ms / step) + 1):
-        x = f"{axis.left + axis.px(k * step, 0.0):.1f}"
-        yield tag("line", x1=x, x2=x, y1=BARS_TOP - 6, y2=bottom, class_="grid" if k else "axis")
-        yield tag("text", escape(round_time(k * step)), x=x, y=BARS_TOP - 11, text_anchor="middle")
+        x = f"{axis.left_px + axis.width_px(k * step, 0.0):.1f}"
+        yield tag("line", x1=x, x2=x, y1=BARS_TOP_PX - 6, y2=bottom, class_="grid" if k else "axis")
+        yield tag("text", escape(time_label(k * step)), x=x, y=BARS_TOP_PX - 11, text_anchor="middle")
 
 
-def _bar(k: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
-    stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT - 3.0
-    x, parts = axis.left, []
+def _bar_elements(row_index: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
+    stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT_PX - 3.0
+    x, parts = axis.left_px, []
     for name, ms in stages.items():
-        width = axis.px(ms, total_ms)
+        width = axis.width_px(ms, total_ms)
         title = tag("title", escape(f"{figures['name']}, {name}: {format_duration(ms)}"))
-        parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR_HEIGHT, fill=colours[name]))
+        parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR_HEIGHT_PX, fill=colours[name]))
         x += width
     if total_ms > axis.end_ms:
         parts.append(
-            tag("path", d=f"M{x - 17:.1f} {y + BAR_HEIGHT + 2:g}l6 {-BAR_HEIGHT - 4:g}m5 0l-6 {BAR_HEIGHT + 4:g}", class_="cut")
+            tag(
+                "path",
+                d=f"M{x - 17:.1f} {y + BAR_HEIGHT_PX + 2:g}l6 {-BAR_HEIGHT_PX - 4:g}m5 0l-6 {BAR_HEIGHT_PX + 4:g}",
+                class_="cut",
+            )
         )
     time = format_duration(figures["ms_median"])
     return tag(
         "a",
-        tag("text", escape(figures["name"]), x=f"{axis.left - 10:.1f}", y=line, text_anchor="end", class_="name"),
+        tag("text", escape(figures["name"]), x=f"{axis.left_px - 10:.1f}", y=line, text_anchor="end", class_="name"),
         *parts,
         tag("text", escape(time), x=f"{x + 7:.1f}", y=line),
-        href=f"#row-{k}",
-        data_row=k,
+        href=f"#row-{row_index}",
+        data_row=row_index,
         aria_label=f"{figures['name']}: {time}; " + ", ".join(f"{name} {format_duration(ms)}" for name, ms in stages.items()),
         class_="bar front" if figures["pareto"] else "bar",
     )

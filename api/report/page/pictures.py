@@ -23,7 +23,7 @@ MAX_SIDE_PX = 4096
 
 
 @dataclass(frozen=True)
-class Pictures:
+class ReportPictures:
     """The encoded pictures of a report.
 
     Attributes
@@ -34,9 +34,9 @@ class Pictures:
         ``data:`` URI of each row.
     rows, cols
         Size of the pictures, pixels.
-    factor
+    shrink_factor
         Number of view pixels along each side of a picture pixel.
-    levels
+    gray_levels
         Number of steps of visibility from dark to lit.
     """
 
@@ -44,8 +44,8 @@ class Pictures:
     row_uris: list[str]
     rows: int
     cols: int
-    factor: int
-    levels: int
+    shrink_factor: int
+    gray_levels: int
 
     @property
     def character_count(self) -> int:
@@ -70,60 +70,66 @@ class ErrorPicture:
     missed_shadow: np.ndarray
 
 
-def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters: int) -> Pictures:
+def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters: int) -> ReportPictures:
     """Return pictures of at most ``max_characters`` characters, shrunk by the smallest sufficient integer factor.
 
     ``ground`` is uint8 (rows, cols, 3). At each factor, many steps of gray are tried first, then few. Visibility is averaged over a
     block of pixels. A block with any wrong pixel is wrong, so that no error disappears.
     """
-    factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
+    shrink_factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
     while True:
-        for levels in (GRAY_LEVELS, FEW_GRAY_LEVELS):
-            result = _encoded_pictures(ground, rows, factor, levels, max_characters)
-            if result.character_count <= max_characters or factor >= max(ground.shape[:2]):
+        for gray_levels in (GRAY_LEVELS, FEW_GRAY_LEVELS):
+            result = _encoded_pictures(ground, rows, shrink_factor, gray_levels, max_characters)
+            if result.character_count <= max_characters or shrink_factor >= max(ground.shape[:2]):
                 return result
-        factor += 1
+        shrink_factor += 1
 
 
-def palette_indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
+def palette_indexes(row: ErrorPicture, shrink_factor: int = 1, gray_levels: int = GRAY_LEVELS) -> np.ndarray:
     """Return the palette indexes, uint8 (rows, cols), of a row's picture that is shrunk by an integer factor."""
-    level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
-    false, missed = (_blocks(errors, factor).sum(axis=(1, 3)) for errors in (row.false_shadow, row.missed_shadow))
+    level = np.rint(_pixel_blocks(row.visibility, shrink_factor).mean(axis=(1, 3)) * ((gray_levels - 1) / 255.0))
+    false, missed = (_pixel_blocks(errors, shrink_factor).sum(axis=(1, 3)) for errors in (row.false_shadow, row.missed_shadow))
     errors = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
-    return (level + levels * errors).astype(np.uint8)
+    return (level + gray_levels * errors).astype(np.uint8)
 
 
-def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
-    """Return colours, uint8 (3 * levels, 3): ``levels`` grays of visibility, then as many reds, then as many blues.
+def palette(gray_levels: int = GRAY_LEVELS) -> np.ndarray:
+    """Return colours, uint8 (3 * gray_levels, 3): ``gray_levels`` grays of visibility, then as many reds, then as many blues.
 
     The eye cannot distinguish the reds, nor the blues. Their small differences encode the visibility of wrong pixels.
     """
-    level = np.arange(levels)
-    grays = np.repeat(np.rint(160 + level * (85 / (levels - 1)))[:, None], 3, axis=1)
+    level = np.arange(gray_levels)
+    grays = np.repeat(np.rint(160 + level * (85 / (gray_levels - 1)))[:, None], 3, axis=1)
     reds, blues = (np.array(colour) + level[:, None] * (0, 1, 0) for colour in ((214, 30, 30), (30, 70, 214)))
     return np.concatenate([grays, reds, blues]).astype(np.uint8)
 
 
-def _encoded_pictures(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, max_characters: int) -> Pictures:
+def _encoded_pictures(
+    ground: np.ndarray, rows: list[ErrorPicture], shrink_factor: int, gray_levels: int, max_characters: int
+) -> ReportPictures:
     """Return the pictures at a factor and a number of gray steps. Encoding stops once they exceed ``max_characters`` characters."""
-    small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
+    small = np.rint(_pixel_blocks(ground, shrink_factor).mean(axis=(1, 3))).astype(np.uint8)
     ground_uri, row_uris = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
     for row in rows:
-        row_uris.append(_webp(palette(levels)[palette_indexes(row, factor, levels)], lossless=True, quality=25, method=3))
+        row_uris.append(
+            _webp(palette(gray_levels)[palette_indexes(row, shrink_factor, gray_levels)], lossless=True, quality=25, method=3)
+        )
         size += len(row_uris[-1])
         if size > max_characters:
             break
     height, width = small.shape[:2]
-    return Pictures(ground_uri, row_uris, height, width, factor, levels)
+    return ReportPictures(ground_uri, row_uris, height, width, shrink_factor, gray_levels)
 
 
-def _blocks(values: np.ndarray, factor: int) -> np.ndarray:
-    """Return pixels grouped into blocks: (rows, factor, cols, factor, ...), padded by repeating the edge."""
+def _pixel_blocks(values: np.ndarray, shrink_factor: int) -> np.ndarray:
+    """Return pixels grouped into blocks: (rows, shrink_factor, cols, shrink_factor, ...), padded by repeating the edge."""
     rows, cols = values.shape[:2]
-    margins = [(0, -rows % factor), (0, -cols % factor), *[(0, 0)] * (values.ndim - 2)]
+    margins = [(0, -rows % shrink_factor), (0, -cols % shrink_factor), *[(0, 0)] * (values.ndim - 2)]
     filled = np.pad(values, margins, mode="edge")
-    return filled.reshape(filled.shape[0] // factor, factor, filled.shape[1] // factor, factor, *values.shape[2:])
+    return filled.reshape(
+        filled.shape[0] // shrink_factor, shrink_factor, filled.shape[1] // shrink_factor, shrink_factor, *values.shape[2:]
+    )
 
 
 def _webp(picture: np.ndarray, **options: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-ZERO_PX = 46.0
+ZERO_WIDTH_PX = 46.0
 """Width reserved for zero at the start of a logarithmic axis."""
 
 
@@ -46,7 +46,7 @@ class Scale:
         return ticks
 
 
-def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
+def log_scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
     """Return a logarithmic scale for some values.
 
     ``margin`` is a ratio that extends the scale at both ends. The scale has a position for zero if a value is zero. It spans at
@@ -58,10 +58,10 @@ def scale_of(values: list[float], start_px: float, end_px: float, margin: float 
         low, high = (low * high) ** 0.5 / 10.0**0.5, (low * high) ** 0.5 * 10.0**0.5
     if all(value > 0.0 for value in values):
         return Scale(low, high, start_px, end_px, None)
-    step = ZERO_PX if end_px > start_px else -ZERO_PX
+    step = ZERO_WIDTH_PX if end_px > start_px else -ZERO_WIDTH_PX
     return Scale(low, high, start_px + step, end_px, start_px + step / 2.0)
 
 
-def round_time(ms: float) -> str:
+def time_label(ms: float) -> str:
     """Return the tick label of a time: ``0 ms``, ``0.5 ms``, ``20 ms``, ``2 s``."""
     return f"{ms / 1000.0:g} s" if ms >= 1000.0 else f"{ms:g} ms"

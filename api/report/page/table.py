@@ -9,7 +9,7 @@ from typing import Any
 
 from skugga.api.report.page.bars import stages_of
 from skugga.api.report.page.markup import breakable_text, definition_list, tag
-from skugga.api.report.page.scatter import swatch
+from skugga.api.report.page.scatter import mark_swatch
 from skugga.api.report.summary import RowFigures, algorithm_family
 from skugga.selector.formatting import format_duration
 from skugga.selector.measure.compare import Comparison
@@ -40,15 +40,15 @@ class Column:
     meaning: str = ""
 
 
-def decimals_formatter(digits: int, scale: float = 1.0) -> Callable[[float], str]:
+def decimals_formatter(decimals: int, scale: float = 1.0) -> Callable[[float], str]:
     """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
-    smallest = 10.0**-digits
+    smallest = 10.0**-decimals
 
     def format_value(value: float) -> str:
         scaled = value * scale
         if scaled == 0.0:
             return "0"
-        return f"{scaled:.{digits}f}" if scaled >= smallest / 2.0 else f"<{smallest:.{digits}f}"
+        return f"{scaled:.{decimals}f}" if scaled >= smallest / 2.0 else f"<{smallest:.{decimals}f}"
 
     return format_value
 
@@ -145,7 +145,7 @@ def _short_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _heading(column: Column, sorted_by: bool) -> str:
+def _heading(column: Column, is_sort_column: bool) -> str:
     unit = tag("span", escape(column.unit), class_="unit") if column.unit else ""
     return tag(
         "th",
@@ -154,13 +154,13 @@ def _heading(column: Column, sorted_by: bool) -> str:
         scope="col",
         title=column.meaning,
         class_="number",
-        aria_sort="ascending" if sorted_by else None,
+        aria_sort="ascending" if is_sort_column else None,
     )
 
 
-def _table_row(k: int, figures: RowFigures, light: str) -> str:
+def _table_row(row_index: int, figures: RowFigures, light: str) -> str:
     front, name = figures["pareto"], figures["name"]
-    title = tag("summary", swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
+    title = tag("summary", mark_swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
     cells = [
         tag(
             "td",
@@ -171,7 +171,7 @@ def _table_row(k: int, figures: RowFigures, light: str) -> str:
         tag("th", tag("details", title, row_details(figures, light)), scope="row", data_value=name),
         *(tag("td", _figure(column, figures), data_value=f"{figures[column.key]:.9g}", class_="number") for column in COLUMNS),
     ]
-    return tag("tr", *cells, id=f"row-{k}", data_row=k, class_="front" if front else None)
+    return tag("tr", *cells, id=f"row-{row_index}", data_row=row_index, class_="front" if front else None)
 
 
 def _figure(column: Column, figures: RowFigures) -> str:

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from skugga.api.animations.animation import Animation
+from skugga.api.animations.animation_spec import AnimationSpec
 from skugga.api.animations.animations import Animations
-from skugga.api.animations.drawing import FRAME_TRIES, frame_renderer
-from skugga.api.animations.film_order import FilmOrder
+from skugga.api.animations.drawing import MAX_FRAME_ATTEMPTS, frame_renderer
 from skugga.api.errors import NotServedError, RetryLaterError, StorageError, WorkerStartError, error_report_of
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob, LevelKey
@@ -28,15 +28,15 @@ FRAME_COUNT = 4
 """Frames of a film by default."""
 
 
-def film_order(number: int = 0, frames: int = FRAME_COUNT) -> FilmOrder:
-    """Return the order of a film. Orders with different numbers are different films."""
+def animation_spec(number: int = 0, frames: int = FRAME_COUNT) -> AnimationSpec:
+    """Return the order of a film. Specs with different numbers are different films."""
     level = LevelKey(path=Path("level.yaml"), version="1")
-    return FilmOrder(level=level, level_name="level", span=FilmSpan(frames, 60.0 + number))
+    return AnimationSpec(level=level, level_name="level", span=FilmSpan(frames, 60.0 + number))
 
 
-def request_animation(animations: Animations, order: FilmOrder) -> Animation:
+def request_animation(animations: Animations, order: AnimationSpec) -> Animation:
     """Request a film whose frames are expected to take 2 s each."""
-    return animations.request(order, frame_s=2.0)
+    return animations.request(order, expected_frame_s=2.0)
 
 
 class FakeBackend:
@@ -49,9 +49,9 @@ class FakeBackend:
         self.encoding = threading.Event()
         self.folders: list[Path] = []
 
-    async def draw(self, order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
+    async def draw(self, spec: AnimationSpec) -> AsyncGenerator[np.ndarray, None]:
         try:
-            for number in range(order.span.frames):
+            for number in range(spec.span.frames):
                 self.drawing += 1
                 try:
                     await self.frame_permits.acquire()
@@ -63,7 +63,7 @@ class FakeBackend:
         finally:
             self.closed += 1
 
-    def encode(self, path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+    def encode(self, path: Path, frames: Iterable[np.ndarray], spec: AnimationSpec) -> None:
         self.folders.append(path.parent)
         with path.open("w") as file:
             for frame in frames:
@@ -102,20 +102,20 @@ def run_with_animations(scenario: Scenario, **settings) -> None:
 def film_content(animation: Animation) -> bytes:
     assert animation.film is not None
     reader = animation.film.open_reader(0, animation.film.nbytes)
-    content = b"".join(iter(reader.chunk, b""))
+    content = b"".join(iter(reader.read_chunk, b""))
     reader.close()
     return content
 
 
 def test_animation_goes_from_accepted_to_successful():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request_animation(animations, film_order())
+        animation = request_animation(animations, animation_spec())
         assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
         backend.release(2)
         await wait_until(lambda: animation.frames_done == 2)
         assert (animation.status, animation.film) == ("running", None)
         backend.release(FRAME_COUNT - 2)
-        await wait_until(lambda: animation.ended)
+        await wait_until(lambda: animation.has_ended)
         assert (animation.status, animation.frames_done) == ("successful", FRAME_COUNT)
         assert film_content(animation) == b"0,1,2,3,"
         assert animation.film_bytes == animations.cached_bytes == len(b"0,1,2,3,")
@@ -130,11 +130,11 @@ def test_at_most_one_frame_is_drawn_ahead():
         release_event = threading.Event()
         original_encode = backend.encode
 
-        def encode_on_release(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
-            original_encode(path, (frame for frame in frames if release_event.wait()), order)
+        def encode_on_release(path: Path, frames: Iterable[np.ndarray], spec: AnimationSpec) -> None:
+            original_encode(path, (frame for frame in frames if release_event.wait()), spec)
 
-        animations._encode = encode_on_release
-        animation = request_animation(animations, film_order(frames=10))
+        animations._encode_film = encode_on_release
+        animation = request_animation(animations, animation_spec(frames=10))
         backend.release(10)
         await wait_until(lambda: animation.frames_done == 2)
         for _ in range(20):
@@ -148,20 +148,23 @@ def test_at_most_one_frame_is_drawn_ahead():
 
 def test_equal_requests_share_an_animation_while_it_exists():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first = request_animation(animations, film_order())
-        assert request_animation(animations, film_order()) is first and request_animation(animations, film_order(1)) is not first
+        first = request_animation(animations, animation_spec())
+        assert (
+            request_animation(animations, animation_spec()) is first
+            and request_animation(animations, animation_spec(1)) is not first
+        )
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: first.ended)
-        assert request_animation(animations, film_order()) is first
+        await wait_until(lambda: first.has_ended)
+        assert request_animation(animations, animation_spec()) is first
         animations.dismiss(first, "enough")
-        assert request_animation(animations, film_order()) is not first
+        assert request_animation(animations, animation_spec()) is not first
 
     run_with_animations(scenario)
 
 
 def test_animations_are_drawn_in_order_of_arrival():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second, third = (request_animation(animations, film_order(number)) for number in range(3))
+        first, second, third = (request_animation(animations, animation_spec(number)) for number in range(3))
         for done in range(1, 3 * FRAME_COUNT + 1):
             backend.release(1)
             await wait_until(lambda done=done: sum(animation.frames_done for animation in (first, second, third)) == done)
@@ -169,19 +172,19 @@ def test_animations_are_drawn_in_order_of_arrival():
                 assert [animation.status for animation in (first, second, third)] == ["running", "accepted", "accepted"]
             if done > FRAME_COUNT:
                 assert first.frames_done == FRAME_COUNT
-        await wait_until(lambda: third.ended)
+        await wait_until(lambda: third.has_ended)
 
     run_with_animations(scenario)
 
 
 def test_seconds_left_include_earlier_animations():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1, frames=2))
+        first, second = request_animation(animations, animation_spec(0)), request_animation(animations, animation_spec(1, frames=2))
         # A frame takes 2 s. The first animation has 4 frames, and the second has 2 and waits for the first.
         assert animations.seconds_left(first) == 8.0
         assert animations.seconds_left(second) == 12.0
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: first.ended)
+        await wait_until(lambda: first.has_ended)
         assert animations.seconds_left(first) == 0.0
 
     run_with_animations(scenario)
@@ -189,53 +192,53 @@ def test_seconds_left_include_earlier_animations():
 
 def test_full_queue_rejects_animations_with_retry_after():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
+        first, second = request_animation(animations, animation_spec(0)), request_animation(animations, animation_spec(1))
         with pytest.raises(RetryLaterError) as error_info:
-            request_animation(animations, film_order(2))
+            request_animation(animations, animation_spec(2))
         assert error_info.value.retry_after_s == 8, "the first animation takes 8 s: 4 frames of 2 s"
-        assert request_animation(animations, film_order(1)) is second, "a request for a waiting animation takes no slot"
+        assert request_animation(animations, animation_spec(1)) is second, "a request for a waiting animation takes no slot"
         animations.dismiss(first, "enough")
-        assert request_animation(animations, film_order(2)).status == "accepted"
+        assert request_animation(animations, animation_spec(2)).status == "accepted"
 
     run_with_animations(scenario, animations_waiting=1)
 
 
 def test_dismissed_animation_stops_and_frees_its_slot():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
+        first, second = request_animation(animations, animation_spec(0)), request_animation(animations, animation_spec(1))
         backend.release(1)
         await wait_until(lambda: first.frames_done == 1 and backend.drawing == 1)
         animations.dismiss(first, "enough")
         assert (first.status, first.message) == ("dismissed", "enough")
         await wait_until(lambda: second.status == "running")
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: second.ended)
+        await wait_until(lambda: second.has_ended)
         assert film_content(second) == b"0,1,2,3,"
         assert first.frames_done == 1
         assert animations.get(first.id).status == "dismissed", "clients can still read the state"
         animations.dismiss(first, "again")
         assert first.message == "enough"
-        assert animations.ended == {"successful": 1, "failed": 0, "dismissed": 1}
+        assert animations.ended_counts == {"successful": 1, "failed": 0, "dismissed": 1}
 
     run_with_animations(scenario)
 
 
 def test_dismissed_film_stays_readable_by_open_readers():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request_animation(animations, film_order())
+        animation = request_animation(animations, animation_spec())
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: animation.ended)
+        await wait_until(lambda: animation.has_ended)
         assert animation.film is not None
         film = animation.film
         reader = film.open_reader(2, 6)
         animations.dismiss(animation, "enough")
         assert (animation.film, animations.cached_bytes) == (None, 0)
-        assert reader.chunk() + reader.chunk() == b"1,2,"
-        assert film.closed and not film.is_file_closed
+        assert reader.read_chunk() + reader.read_chunk() == b"1,2,"
+        assert film.is_closed and not film.is_file_closed
         for _ in range(2):
             reader.close()
-        assert film.is_file_closed and reader.chunk() == b""
-        assert animations.ended["successful"] == 1 and animations.ended["dismissed"] == 0, (
+        assert film.is_file_closed and reader.read_chunk() == b""
+        assert animations.ended_counts["successful"] == 1 and animations.ended_counts["dismissed"] == 0, (
             "an animation that had ended stays counted as successful"
         )
 
@@ -244,8 +247,8 @@ def test_dismissed_film_stays_readable_by_open_readers():
 
 def test_unpolled_animation_is_abandoned():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request_animation(animations, film_order())
-        await wait_until(lambda: animation.ended)
+        animation = request_animation(animations, animation_spec())
+        await wait_until(lambda: animation.has_ended)
         assert animation.status == "dismissed"
         assert animation.message is not None and "SKUGGA_ANIMATION_ABANDONED_S" in animation.message
         await wait_until(lambda: backend.drawing == 0)
@@ -257,13 +260,13 @@ def test_polled_animation_is_kept():
     """Each poll restarts the timer that abandons the animation."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request_animation(animations, film_order())
-        for poll in (lambda: animations.get(animation.id), lambda: request_animation(animations, film_order())):
-            timer_before = animation.timer
+        animation = request_animation(animations, animation_spec())
+        for poll in (lambda: animations.get(animation.id), lambda: request_animation(animations, animation_spec())):
+            timer_before = animation.expiry_timer
             assert poll() is animation
-            assert timer_before is not None and timer_before.cancelled() and animation.timer is not timer_before
+            assert timer_before is not None and timer_before.cancelled() and animation.expiry_timer is not timer_before
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: animation.ended)
+        await wait_until(lambda: animation.has_ended)
         assert animation.status == "successful"
 
     run_with_animations(scenario)
@@ -271,13 +274,13 @@ def test_polled_animation_is_kept():
 
 def test_films_expire():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animation = request_animation(animations, film_order())
+        animation = request_animation(animations, animation_spec())
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: animation.ended)
+        await wait_until(lambda: animation.has_ended)
         await wait_until(lambda: not animations.counts["successful"])
         with pytest.raises(NotServedError):
             animations.get(animation.id)
-        assert request_animation(animations, film_order()) is not animation
+        assert request_animation(animations, animation_spec()) is not animation
 
     run_with_animations(scenario, animation_age_s=0.05)
 
@@ -286,14 +289,14 @@ def test_film_over_the_byte_limit_is_not_kept():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
-        def encode_over_limit(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
-            original_encode(path, frames, order)
+        def encode_over_limit(path: Path, frames: Iterable[np.ndarray], spec: AnimationSpec) -> None:
+            original_encode(path, frames, spec)
             os.truncate(path, 2**20 + 1)
 
-        animations._encode = encode_over_limit
-        animation = request_animation(animations, film_order())
+        animations._encode_film = encode_over_limit
+        animation = request_animation(animations, animation_spec())
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: animation.ended)
+        await wait_until(lambda: animation.has_ended)
         assert animation.status == "failed"
         assert "1048577 bytes" in str(animation.error) and "SKUGGA_ANIMATION_BYTES" in str(animation.error)
 
@@ -304,9 +307,9 @@ def test_oldest_films_are_evicted_above_the_count_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         film_jobs, films = [], []
         for number in range(3):
-            film_jobs.append(request_animation(animations, film_order(number)))
+            film_jobs.append(request_animation(animations, animation_spec(number)))
             backend.release(FRAME_COUNT)
-            await wait_until(lambda: film_jobs[-1].ended)
+            await wait_until(lambda: film_jobs[-1].has_ended)
             films.append(film_jobs[-1].film)
         assert [film.is_file_closed for film in films] == [True, False, False]
         with pytest.raises(NotServedError):
@@ -320,16 +323,16 @@ def test_oldest_films_are_evicted_above_the_byte_limit():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
         original_encode = backend.encode
 
-        def encode_large_film(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
-            original_encode(path, frames, order)
+        def encode_large_film(path: Path, frames: Iterable[np.ndarray], spec: AnimationSpec) -> None:
+            original_encode(path, frames, spec)
             os.truncate(path, 600_000)
 
-        animations._encode = encode_large_film
+        animations._encode_film = encode_large_film
         films = []
         for number in range(2):
-            last = request_animation(animations, film_order(number))
+            last = request_animation(animations, animation_spec(number))
             backend.release(FRAME_COUNT)
-            await wait_until(lambda last=last: last.ended)
+            await wait_until(lambda last=last: last.has_ended)
             films.append(last.film)
         assert [film.is_file_closed for film in films] == [True, False]
         assert animations.cached_bytes == 600_000
@@ -353,24 +356,24 @@ def test_failed_animation_has_a_reason_and_the_next_is_drawn(error: Exception, e
             backend.frame_errors[1] = error
         else:
             backend.encoder_error = error
-        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
+        first, second = request_animation(animations, animation_spec(0)), request_animation(animations, animation_spec(1))
         backend.release(2)
-        await wait_until(lambda: first.ended)
+        await wait_until(lambda: first.has_ended)
         assert (first.status, type(first.error), first.film) == ("failed", expected_error, None)
         backend.frame_errors, backend.encoder_error = {}, None
         backend.release(FRAME_COUNT)
-        await wait_until(lambda: second.ended)
+        await wait_until(lambda: second.has_ended)
         assert second.status == "successful"
-        assert request_animation(animations, film_order(0)) is not first, "a new request draws a failed film again"
+        assert request_animation(animations, animation_spec(0)) is not first, "a new request draws a failed film again"
 
     run_with_animations(scenario)
 
 
 def test_failed_encoder_leaves_no_task_running():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        animations._encode = lambda path, frames, order: path.touch()
-        animation = request_animation(animations, film_order())
-        await wait_until(lambda: animation.ended)
+        animations._encode_film = lambda path, frames, order: path.touch()
+        animation = request_animation(animations, animation_spec())
+        await wait_until(lambda: animation.has_ended)
         assert backend.drawing == 0
 
     run_with_animations(scenario)
@@ -380,20 +383,20 @@ def test_shutdown_ends_all_animations():
     """One animation is being encoded, and one waits in the queue."""
 
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        first, second = request_animation(animations, film_order(0)), request_animation(animations, film_order(1))
+        first, second = request_animation(animations, animation_spec(0)), request_animation(animations, animation_spec(1))
         backend.release(1)
         await asyncio.to_thread(backend.encoding.wait, TIMEOUT_S)
         await animations.close()
         assert (first.status, second.status) == ("dismissed", "dismissed")
         with pytest.raises(BusyError):
-            request_animation(animations, film_order(2))
+            request_animation(animations, animation_spec(2))
 
     run_with_animations(scenario)
 
 
 def test_animation_ids_are_long_and_unique():
     async def scenario(animations: Animations, backend: FakeBackend) -> None:
-        names = {request_animation(animations, film_order(number)).id for number in range(4)}
+        names = {request_animation(animations, animation_spec(number)).id for number in range(4)}
         assert len(names) == 4 and all(len(name) == 32 for name in names)
         with pytest.raises(NotServedError):
             animations.get("0" * 32)
@@ -408,13 +411,15 @@ class FlakyPool:
         self.failures, self.jobs = failures, []
 
     async def run(self, job: FrameJob) -> FilmPicture:
-        self.jobs.append(job.number)
+        self.jobs.append(job.frame_number)
         if len(self.jobs) <= self.failures:
             raise WorkerStartError("a render process ended while it warmed up")
-        return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), FilmPlanState(None))
+        return FilmPicture(np.full((2, 3, 3), job.frame_number, np.uint8), FilmPlanState(None))
 
 
-@pytest.mark.parametrize(("failed_starts", "drawn_frames"), [(0, FRAME_COUNT), (FRAME_TRIES - 1, FRAME_COUNT), (FRAME_TRIES, 0)])
+@pytest.mark.parametrize(
+    ("failed_starts", "drawn_frames"), [(0, FRAME_COUNT), (MAX_FRAME_ATTEMPTS - 1, FRAME_COUNT), (MAX_FRAME_ATTEMPTS, 0)]
+)
 def test_frame_is_retried_until_a_process_starts(monkeypatch, failed_starts, drawn_frames):
     """The frame is retried a few times, with pauses. Then the animation fails."""
     pauses = []
@@ -423,10 +428,10 @@ def test_frame_is_retried_until_a_process_starts(monkeypatch, failed_starts, dra
         pauses.append(seconds)
 
     async def level_now(name: str) -> LevelKey:
-        return film_order().level
+        return animation_spec().level
 
     async def frame_numbers(pool: FlakyPool) -> list[int]:
-        return [int(frame[0, 0, 0]) async for frame in frame_renderer(pool, level_now)(film_order())]  # type: ignore[arg-type]
+        return [int(frame[0, 0, 0]) async for frame in frame_renderer(pool, level_now)(animation_spec())]  # type: ignore[arg-type]
 
     monkeypatch.setattr("skugga.api.animations.drawing.asyncio.sleep", pause)
     pool = FlakyPool(failed_starts)
@@ -436,4 +441,4 @@ def test_frame_is_retried_until_a_process_starts(monkeypatch, failed_starts, dra
     else:
         with pytest.raises(WorkerStartError):
             asyncio.run(frame_numbers(pool))
-    assert pauses == [error_report_of(WorkerStartError("")).retry_after_s] * min(failed_starts, FRAME_TRIES - 1)
+    assert pauses == [error_report_of(WorkerStartError("")).retry_after_s] * min(failed_starts, MAX_FRAME_ATTEMPTS - 1)

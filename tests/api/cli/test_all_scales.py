@@ -12,7 +12,7 @@ from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.map_probing import map_block, probe_blocks, probed_scales
 from skugga.api.workers.jobs import ZoomTiles
 from skugga.api.workers.map_plans import select_view_plan, unprobed_class
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.worker_state import representative_block
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.typical_device import typical_device
@@ -54,8 +54,8 @@ def test_a_service_plans_by_the_saved_probes(probe_rows: list[dict], hills_level
     for row in probe_rows:
         view = map_block(scene, row["pixel_m"])
 
-        def reasons(overrides: dict, plan_basis: PlanMeasurements = measurements, view=view) -> dict[str, str]:
-            plan = select_view_plan(scene, view, "map", overrides, served_level.key, plan_basis)
+        def reasons(overrides: dict, plan_measurements: PlanMeasurements = measurements, view=view) -> dict[str, str]:
+            plan = select_view_plan(scene, view, "map", overrides, served_level.key, plan_measurements)
             return {entry.name: entry.reason for entry in plan.reasons}
 
         assert reasons({})["sun: probe"].startswith("maps like this one were probed: ")
@@ -110,8 +110,8 @@ def test_a_probe_of_a_slow_choice_changes_the_plan(probe_rows: list[dict], hills
     )
     slower_probes = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow_observations}}),)))
 
-    def probe_outcome(plan_basis: PlanMeasurements) -> str:
-        plan = select_view_plan(scene, view, "map", {}, served_level.key, plan_basis)
+    def probe_outcome(plan_measurements: PlanMeasurements) -> str:
+        plan = select_view_plan(scene, view, "map", {}, served_level.key, plan_measurements)
         return next(observation.reason for observation in plan.reasons if observation.name == "sun: probe").rsplit("; ", 1)[1]
 
     assert probe_outcome(_measurements(profile, served_level.version, probes)) == f"the choice remains {choice_name}"

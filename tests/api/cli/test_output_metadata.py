@@ -13,7 +13,7 @@ from rasterio.enums import ColorInterp
 from rich.console import Console
 
 from skugga.api.catalogue import bundled_levels
-from skugga.api.cli.tables import named_table
+from skugga.api.cli.tables import table_with_names
 from tests.rasters import write_geotiff
 
 SUN = ("--azimuth", "250", "--altitude", "12")
@@ -139,7 +139,7 @@ def test_names_of_levels_are_never_truncated(run, monkeypatch):
 
 
 def test_the_first_column_of_a_narrow_table_is_whole(capsys):
-    table = named_table("name", "title", "views", box=None)
+    table = table_with_names("name", "title", "views", box=None)
     table.add_row("a_name_that_somebody_has_to_type", "a long title of some words " * 3, "map, ridge")
     Console(width=60).print(table)
     assert "a_name_that_somebody_has_to_type" in capsys.readouterr().out

@@ -182,7 +182,7 @@ def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, mon
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(module, "_build_coarser", fail_on_full_disk)
+        patched.setattr(module, "_build_coarser_overviews", fail_on_full_disk)
         status, _, err = run("overviews", str(path))
     assert status == 1 and "No space left" in err
     assert Path(f"{path}.ovr").read_bytes() == old_overview and len(list(tmp_path.iterdir())) == 2

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.write_schemas import DOCS, MODELS, schema_text
+from scripts.write_schemas import DOCS_FOLDER, MODEL_BY_SCHEMA_FILE, schema_text
 from skugga.api import device_calibration
 from skugga.api.catalogue import bundled_levels
 from skugga.api.report.plan_text import format_expectation, format_overshoot, format_plan
@@ -27,17 +27,17 @@ def level(tmp_path: Path) -> Path:
     return Path(shutil.copy("configs/jacksboro.yaml", tmp_path / "mine.yaml"))
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", MODEL_BY_SCHEMA_FILE)
 def test_the_published_schemas_match_the_models(model):
-    text = (DOCS / model).read_text(encoding="utf-8")
-    assert text == schema_text(MODELS[model]), "python scripts/write_schemas.py writes them anew"
+    text = (DOCS_FOLDER / model).read_text(encoding="utf-8")
+    assert text == schema_text(MODEL_BY_SCHEMA_FILE[model]), "python scripts/write_schemas.py writes them anew"
 
 
 def test_json_is_a_plan_of_the_published_schema(gl, run):
     status, out, err = run("select", "jacksboro", "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
     assert (status, err) == (0, "") and plan.policy == "rules" and plan.predicted is None
-    assert set(json.loads(out)) == set(json.loads((DOCS / "plan.schema.json").read_text())["properties"])
+    assert set(json.loads(out)) == set(json.loads((DOCS_FOLDER / "plan.schema.json").read_text())["properties"])
 
 
 def test_an_uncalibrated_software_rasteriser_is_estimated(gl, run):

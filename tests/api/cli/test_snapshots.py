@@ -133,10 +133,10 @@ def test_the_light_of_the_query_selects_the_shadow(yard_client: Client):
     assert np.array_equal(default_mask, sun)
     assert (sun != lamp).mean() > 0.01
     assert np.array_equal(lamp == MASK_NO_SURFACE, sun == MASK_NO_SURFACE)
-    before = yard_client.service.pool.counters.answered
+    before = yard_client.service.pool.counters.jobs_answered
     sunlit, lamplit = (yard_client.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
     assert sunlit.content == lamplit.content  # light applies to shadow and mask: colour shows all lights
-    assert yard_client.service.pool.counters.answered - before <= 1
+    assert yard_client.service.pool.counters.jobs_answered - before <= 1
 
 
 def test_a_level_without_a_sun_shows_its_lamp(yard_client: Client):
@@ -205,7 +205,7 @@ def test_variants_of_volumes_draw_the_same_shadow(yard_client: Client):
 def test_a_cached_picture_costs_no_rendering(yard_client: Client):
     query = {"view": "across", "size": "40x30", "seconds": 0.25}
     tag = yard_client.get(f"{YARD}.png", params=query).headers["etag"]
-    before = yard_client.service.pool.counters.answered
+    before = yard_client.service.pool.counters.jobs_answered
     for if_none_match in (tag, f'"other", W/{tag}', "*"):
         answer = yard_client.get(f"{YARD}.png", params=query, headers={"If-None-Match": if_none_match})
         assert (answer.status_code, answer.content, answer.headers["etag"]) == (304, b"", tag)
@@ -215,7 +215,7 @@ def test_a_cached_picture_costs_no_rendering(yard_client: Client):
     assert (head.status_code, head.content) == (200, b"")
     for name in ("etag", "content-length", "content-type", "cache-control"):
         assert head.headers[name] == cached_response.headers[name]
-    assert yard_client.service.pool.counters.answered == before
+    assert yard_client.service.pool.counters.jobs_answered == before
 
 
 def test_different_queries_have_different_entity_tags(yard_client: Client):
@@ -237,13 +237,13 @@ def entity_tag(client: Client, address: str) -> str:
 
 
 def test_equal_snapshots_at_once_are_one_render(yard_client: Client):
-    before = yard_client.service.pool.counters.answered
+    before = yard_client.service.pool.counters.jobs_answered
     query = {"view": "across", "azimuth": 33, "altitude": 44}  # not requested before
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda _: yard_client.get(f"{YARD}.png", params=query), range(4)))
     assert len({answer.content for answer in answers}) == 1
     assert [answer.status_code for answer in answers] == [200] * 4
-    assert yard_client.service.pool.counters.answered - before == 1
+    assert yard_client.service.pool.counters.jobs_answered - before == 1
 
 
 @pytest.mark.parametrize(
@@ -329,14 +329,14 @@ def test_a_full_queue_refuses_until_a_client_leaves(serve_with):
     pool = client.service.pool
     with socket.create_connection((client.base_url.host, client.base_url.port)) as connection:
         connection.sendall(b"GET /levels/hills/snapshot.png HTTP/1.1\r\nHost: x\r\n\r\n")
-        while pool.queued < 1:
+        while pool.queued_count < 1:
             client.get("/healthz")
         refusal = client.get("/levels/hills/snapshot.png?size=64x64")
         check_problem(refusal, 503, "busy", None)
         assert int(refusal.headers["retry-after"]) >= 1
-    while pool.queued:
+    while pool.queued_count:
         client.get("/healthz")
-    assert pool.counters.abandoned == 1
+    assert pool.counters.jobs_abandoned == 1
 
 
 def test_a_view_that_cannot_be_drawn_is_logged_at_start(tmp_path: Path, caplog: pytest.LogCaptureFixture):

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 
 from skugga.api.cli.level_argument import _named_level_source
-from skugga.api.http import answers
+from skugga.api.http import responses
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
@@ -50,7 +50,7 @@ def test_redirects_use_the_request_host_by_default(serve_with):
 def test_long_documents_are_gzipped_if_accepted(
     serve_with, monkeypatch: pytest.MonkeyPatch, accept_encoding: str, is_gzipped: bool
 ):
-    monkeypatch.setattr(answers, "MIN_GZIP_BYTES", 1000)
+    monkeypatch.setattr(responses, "MIN_GZIP_BYTES", 1000)
     client = serve_with(fake_workers.scripted)
     for path in ("/wms?REQUEST=GetCapabilities", "/wmts/1.0.0/WMTSCapabilities.xml"):
         with client.stream("GET", path, headers={"Accept-Encoding": accept_encoding}) as answer:

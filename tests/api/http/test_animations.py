@@ -21,7 +21,7 @@ from PIL import Image
 
 from skugga.api.cli import main as cli
 from skugga.api.http.server.app import create_app
-from skugga.api.http.views.animation_states import RESULTS_RELATION, byte_range
+from skugga.api.http.views.animation_states import RESULTS_RELATION, parse_byte_range
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
@@ -155,9 +155,9 @@ def test_result_supports_etags_and_byte_ranges(filming_client: Client):
 
 
 def test_byte_range_parses_single_ranges_only():
-    assert byte_range("bytes=0-0", 10) == (0, 1)
-    assert byte_range("bytes=-20", 10) == (0, 10), "a suffix longer than the file is the whole file"
-    assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
+    assert parse_byte_range("bytes=0-0", 10) == (0, 1)
+    assert parse_byte_range("bytes=-20", 10) == (0, 10), "a suffix longer than the file is the whole file"
+    assert parse_byte_range("", 10) is parse_byte_range("bytes=1-x", 10) is parse_byte_range("bytes=0-0", 0) is None
 
 
 def test_equal_requests_share_one_animation(gated_service):
@@ -220,9 +220,9 @@ def test_animation_without_polls_is_dismissed(gated_service):
     state = client.get(address).json()
     assert state["status"] == "dismissed" and "No client requested its state" in state["message"]
     assert state["frames_done"] == 0
-    while client.service.pool.running:
+    while client.service.pool.running_count:
         client.get("/healthz")
-    assert client.service.pool.queued == 0, "no further frame of the dismissed animation is drawn"
+    assert client.service.pool.queued_count == 0, "no further frame of the dismissed animation is drawn"
 
 
 def test_results_expire_after_their_maximum_age(serve_with):
@@ -254,7 +254,7 @@ def test_tile_request_precedes_the_next_frame(gated_service):
     x, y = CORNER
     with ThreadPoolExecutor(1) as thread:
         tile = thread.submit(client.get, f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png")
-        while client.service.pool.queued < 1:
+        while client.service.pool.queued_count < 1:
             client.get("/healthz")
         service.open()
         service.job_started()

@@ -64,7 +64,7 @@ def serve(tmp_path: Path) -> Callable[..., object]:
 
 def drawn_block_count(client: Client) -> int:
     """Return how many blocks the render workers have drawn."""
-    return client.service.pool.counters.answered
+    return client.service.pool.counters.jobs_answered
 
 
 def test_archived_tile_equals_the_rendered_tile(client: Client, serve, tmp_path: Path):

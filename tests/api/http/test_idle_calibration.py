@@ -150,7 +150,7 @@ def test_file_watch_survives_a_lack_of_threads(
 ):
     """A calibration that is saved afterwards is loaded."""
     client = serve(functools.partial(fake_calibrations.run_endlessly, tmp_path / "begun"))
-    stamp, failures = idle_calibration._stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
+    stamp, failures = idle_calibration._file_stamp, [RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 
     def failing_stamp(path: Path) -> tuple[int, int, int] | None:
         if failures:
@@ -158,7 +158,7 @@ def test_file_watch_survives_a_lack_of_threads(
         return stamp(path)
 
     wait_until(lambda: calibration_state(client) == "running")
-    monkeypatch.setattr(idle_calibration, "_stamp", failing_stamp)
+    monkeypatch.setattr(idle_calibration, "_file_stamp", failing_stamp)
     wait_until(lambda: log_count(caplog, "is read again later") == 2)
     save_profile(fake_calibrations.profile())
     wait_until(lambda: calibration_state(client) == "calibrated")
@@ -176,7 +176,7 @@ def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog
     assert version and calibration_state(client) == "calibrated"
     for place in (TILE, PLAN, OTHER_TILE):  # also in processes that are started later
         assert client.get(place).text in (version, '{"policy":"predict"}')
-    assert client.service.pool.counters.started > 1
+    assert client.service.pool.counters.processes_started > 1
     assert log_count(caplog, "cannot be written") == 1
 
 
@@ -221,10 +221,10 @@ def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path)
 def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     client = serve(functools.partial(fake_calibrations.return_when_file_exists, tmp_path / "go"))
     idle = client.service.pool.idle_work
-    wait_until(lambda: idle.pid is not None and not idle.paused)
+    wait_until(lambda: idle.pid is not None and not idle.is_paused)
     monkeypatch.setattr(idle_work, "IDLE_DELAY_S", TIMEOUT_S)
     answer = client.get(TILE)
-    assert (answer.status_code, idle.paused, calibration_state(client)) == (200, True, "paused")
+    assert (answer.status_code, idle.is_paused, calibration_state(client)) == (200, True, "paused")
     pid = idle.pid
     assert pid is not None
     wait_until(lambda: is_stopped(pid))  # the signal takes effect when its process is scheduled, late on a busy machine

@@ -20,7 +20,7 @@ from skugga.api.errors import exit_status
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import Failure, HeartbeatAnswer, HeartbeatRequest, WorkerReady
+from skugga.api.workers.jobs import Failure, HeartbeatRequest, HeartbeatResponse, WorkerReady
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
@@ -138,7 +138,7 @@ def worker_missing_level_file(pipe: Connection, config: WorkerConfig, job_starte
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         job_started.release()
         may_finish.acquire()

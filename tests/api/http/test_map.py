@@ -15,7 +15,7 @@ from pyproj import Transformer
 from rasterio.io import MemoryFile
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.http.tiles.map_extents import crs_code, crs_of_code, map_size, north_first, parse_bounds
+from skugga.api.http.tiles.map_extents import crs_code, crs_of_code, is_north_first, map_size, parse_bounds
 from skugga.terrain.errors import InputError
 from tests.api.conftest import CELL_M, CELLS, CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
@@ -47,9 +47,9 @@ def test_map_of_a_tile_extent_equals_the_tile(client: Client, layer: str):
 def test_map_has_an_etag_before_it_is_drawn(client: Client):
     query = {"bbox": TILE_BBOX, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
     answer = client.get(f"{MAP}.png", params=query)
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     not_modified = client.get(f"{MAP}.png", params=query, headers={"If-None-Match": answer.headers["etag"]})
-    assert (not_modified.status_code, not_modified.content, client.service.pool.counters.answered) == (304, b"", before)
+    assert (not_modified.status_code, not_modified.content, client.service.pool.counters.jobs_answered) == (304, b"", before)
     tags = {
         client.get(f"{MAP}.png", params={**query, **changes}).headers["etag"]
         for changes in ({}, {"width": 65}, {"time": "2024-06-21T18:00:00Z"})
@@ -184,13 +184,13 @@ def test_crs_codes_and_axis_order():
     spellings = ("epsg:3857", "3857", "CRS:84", "urn:ogc:def:crs:EPSG::2193", "urn:ogc:def:crs:OGC:1.3:CRS84")
     assert [crs_code(text) for text in spellings] == ["EPSG:3857", "EPSG:3857", "OGC:CRS84", "EPSG:2193", "OGC:CRS84"]
     codes = ("EPSG:4326", "OGC:CRS84", "EPSG:3857", "EPSG:2193", "EPSG:3035", "EPSG:32661", "EPSG:5041", "EPSG:3031")
-    assert [code for code in codes if north_first(crs_of_code(code))] == ["EPSG:4326", "EPSG:2193", "EPSG:3035", "EPSG:32661"]
+    assert [code for code in codes if is_north_first(crs_of_code(code))] == ["EPSG:4326", "EPSG:2193", "EPSG:3035", "EPSG:32661"]
     with pytest.raises(InputError, match="by its code"):
         crs_code("EPSG:3857 +type=crs")
 
 
 def test_parse_bounds_and_map_size():
     assert parse_bounds("1,2,3,4") == (1, 2, 3, 4)
-    assert parse_bounds("47,8,48,10", swapped=True) == (8, 47, 10, 48)
+    assert parse_bounds("47,8,48,10", is_south_first=True) == (8, 47, 10, 48)
     assert map_size(None, None, 2.0) == (1024, 512) and map_size(None, None, 0.5) == (512, 1024)
     assert map_size(300, None, 2.0) == (300, 150) and map_size(None, 300, 2.0) == (600, 300) and map_size(30, 20, 9.0) == (30, 20)

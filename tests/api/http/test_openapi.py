@@ -28,7 +28,7 @@ from schemathesis.specs.openapi.checks import (
 from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point
-from skugga.api.http.problems import MEDIA_TYPE, problem_kinds
+from skugga.api.http.problems import PROBLEM_MEDIA_TYPE, problem_kinds
 from skugga.api.http.server import routes_health
 from skugga.api.http.server.app import create_app
 from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
@@ -46,7 +46,7 @@ ROUTERS: list[APIRouter] = [
         routes_snapshot, routes_animations, routes_archives, routes_health,
     )
 ]  # fmt: skip
-OPERATIONS = [
+WMS_OPERATIONS = [
     (method, route.path) for router in ROUTERS for route in router.routes if isinstance(route, APIRoute) for method in route.methods
 ]
 
@@ -76,10 +76,12 @@ def address_of(operation: dict[str, Any]) -> str:
 
 
 def test_document_lists_every_route(document: dict[str, Any]):
-    assert {(method.upper(), path) for path, operations in document["paths"].items() for method in operations} == set(OPERATIONS)
+    assert {(method.upper(), path) for path, operations in document["paths"].items() for method in operations} == set(
+        WMS_OPERATIONS
+    )
 
 
-@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+@pytest.mark.parametrize(("method", "path"), WMS_OPERATIONS)
 def test_operation_is_described_with_examples(document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     assert operation["summary"] and len(operation["description"].split("For example")[0]) > 20
@@ -94,7 +96,7 @@ def test_operation_is_described_with_examples(document: dict[str, Any], method: 
     assert not {"HTTPValidationError", "Infinity", "NaN"} & set(json.dumps(operation).split())
 
 
-@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+@pytest.mark.parametrize(("method", "path"), WMS_OPERATIONS)
 def test_operation_example_is_answered(client: Client, document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
@@ -121,7 +123,7 @@ def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -
     return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if has_sun_hours or name == "tms" else {}
 
 
-@pytest.mark.parametrize(("method", "path"), [method_path for method_path in OPERATIONS if "legend" not in method_path[1]])
+@pytest.mark.parametrize(("method", "path"), [method_path for method_path in WMS_OPERATIONS if "legend" not in method_path[1]])
 def test_parameter_examples_are_valid(client: Client, document: dict[str, Any], method: str, path: str):
     """Each example is requested alone, or with the parameters that it needs. Legends exist for hours of sun only."""
     operation = document["paths"][path][method.lower()]
@@ -143,7 +145,7 @@ def test_document_lists_every_kind_of_problem(document: dict[str, Any]):
     for operations in document["paths"].values():
         for operation in operations.values():
             for status, answer in operation["responses"].items():
-                content = answer.get("content", {}).get(MEDIA_TYPE)
+                content = answer.get("content", {}).get(PROBLEM_MEDIA_TYPE)
                 if content is not None:
                     assert content["schema"] == {"$ref": "#/components/schemas/Problem"}
                     documented_codes.setdefault(status, set()).update(content["examples"])
@@ -200,7 +202,7 @@ def full_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
     return schemathesis.openapi.from_dict(document)
 
 
-@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+@pytest.mark.parametrize(("method", "path"), WMS_OPERATIONS)
 def test_answers_conform_to_the_document(
     client: Client, narrow_schema: schemathesis.BaseSchema, full_schema: schemathesis.BaseSchema, method: str, path: str
 ):
@@ -256,7 +258,7 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
         ]  # fmt: skip
         process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
         assert process.returncode == 0, process.stdout
-        assert client.service.pool.counters.failed == 0 and client.service.pool.counters.answered > 100
+        assert client.service.pool.counters.jobs_failed == 0 and client.service.pool.counters.jobs_answered > 100
 
 
 def test_unsupported_method_is_405_with_allow(client: Client):
@@ -271,7 +273,7 @@ def test_unsupported_method_is_405_with_allow(client: Client):
         assert answer.headers["allow"] == allowed
 
 
-@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+@pytest.mark.parametrize(("method", "path"), WMS_OPERATIONS)
 def test_cors_preflight_allows_any_headers(client: Client, document: dict[str, Any], method: str, path: str):
     """Any header is safe on every route, because no request of a page carries cookies."""
     names = "authorization, cache-control, if-none-match, traceparent, x-request-id"
@@ -306,7 +308,7 @@ def test_head_of_health_has_no_body(client: Client, path: str):
     )
 
 
-@pytest.mark.parametrize(("method", "path"), [method_path for method_path in OPERATIONS if "{level}" in method_path[1]])
+@pytest.mark.parametrize(("method", "path"), [method_path for method_path in WMS_OPERATIONS if "{level}" in method_path[1]])
 def test_unknown_level_is_a_documented_404(client: Client, document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     address = address_of(operation).replace("/levels/hills", "/levels/nowhere").replace("LAYERS=hills", "LAYERS=nowhere")

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from skugga.api.http.levels.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import DescriptorPlanJob, ZoomTiles
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, representative_block
 from skugga.selector.cost.device_profile import DeviceProfile, profile_digest
@@ -160,10 +160,10 @@ LAMP = {"kind": "omni", "cutoff_deg": 180, "reference_m": 10}
 def test_lamps_are_bounded_and_planned_by_a_worker(client: Client, facts: dict):
     lamps = [{"name": f"lamp {n}", **LAMP} for n in range(5000)]
     check_problem(client.post("/plan", json={**facts, "lamps": lamps}), 422, "invalid_parameter", "lamps")
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     answer = client.post("/plan", json={**facts, "lamps": lamps[:MAX_LAMPS]})
     assert answer.status_code == 200, answer.text
-    assert client.service.pool.counters.answered == before + 1
+    assert client.service.pool.counters.jobs_answered == before + 1
 
 
 GENERATED_VALUES = {

@@ -10,7 +10,7 @@ import pytest
 from starlette.requests import Request
 
 from skugga.api.errors import ERROR_REPORTS
-from skugga.api.http.problems import domain_problem
+from skugga.api.http.problems import logged_error_response
 from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.terrain.errors import BusyError, InputError, RenderTimeoutError, SkuggaError
@@ -158,7 +158,7 @@ def test_problems_leak_no_internal_details(error_class: type[SkuggaError]):
     text = " ".join(SECRETS)
     error = error_class(text, text, text) if issubclass(error_class, InputError) else error_class(text)
     request = Request({"type": "http", "method": "GET", "path": "/levels", "headers": [], "query_string": b""})
-    answer = domain_problem(request, error)
+    answer = logged_error_response(request, error)
     assert answer.status_code == report.status
     response_text = answer.body.decode() + str(answer.headers)
     assert not [secret for secret in SECRETS if secret in response_text]

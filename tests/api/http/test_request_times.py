@@ -46,7 +46,7 @@ def test_times_within_a_grain_share_one_tile(serve_with):
     first, second = (client.get(TILE, params={"time": f"{DAY}12:00:{s}+02:00"}) for s in ("05", "20"))
     assert first.status_code == 200
     assert first.headers["etag"] == second.headers["etag"]
-    assert client.service.pool.counters.answered == 1
+    assert client.service.pool.counters.jobs_answered == 1
     for answer in (first, second, client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"})):
         assert answer.headers["x-skugga-time"] == f"{DAY}12:00:00+02:00"
         assert "x-skugga-time" in answer.headers["access-control-expose-headers"].lower() if "origin" in answer.headers else True
@@ -157,10 +157,10 @@ def test_expected_times_are_headers_of_drawn_pictures_and_refusals(serve_with):
     snapshots = [f"/levels/hills/snapshot.png?size=1280x1024&azimuth={azimuth}&altitude=30" for azimuth in (10, 20, 30)]
     with ThreadPoolExecutor() as threads:
         answers = [threads.submit(client.get, snapshots[0])]
-        while client.service.pool.running < 1:
+        while client.service.pool.running_count < 1:
             time.sleep(0.01)
         answers.append(threads.submit(client.get, snapshots[1]))
-        while client.service.pool.queued < 1:
+        while client.service.pool.queued_count < 1:
             time.sleep(0.01)
         refused = client.get(snapshots[2])
         gate.open(2)

@@ -216,7 +216,7 @@ def test_scene_cache_keeps_a_scene_of_a_version(path: Path):
 
 
 def test_scene_cache_is_bounded(tmp_path: Path):
-    scenes = SceneCache(limit=2, process_bytes=lambda: 0)  # the tests' own process may hold more than a render process
+    scenes = SceneCache(max_scenes=2, process_bytes=lambda: 0)  # the tests' own process may hold more than a render process
     keys = [LevelKey(path=write_level(tmp_path, name), version="1") for name in ("a", "b", "c")]
     first, second, _ = (scenes.get(key) for key in keys)
     assert len(scenes) == 2

@@ -130,7 +130,7 @@ def test_another_matrix_set_is_served(client: Client):
 
 
 def test_tile_off_the_data_is_empty_and_not_rendered(client: Client):
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     far = f"{TILES}/{ZOOM}/{X + 50}/{Y}"
     assert not pixels(client.get(f"{far}.png")).any()
     assert pixels(client.get(f"{far}@2x.png", params={"layer": "shadow"})).shape == (512, 512, 4)
@@ -139,7 +139,7 @@ def test_tile_off_the_data_is_empty_and_not_rendered(client: Client):
     answer = client.get(f"{far}.png")
     assert answer.headers["etag"] and "max-age" in answer.headers["cache-control"]
     assert answer.headers["x-skugga-algorithm"] == "none"
-    assert client.service.pool.counters.answered == before
+    assert client.service.pool.counters.jobs_answered == before
 
 
 def test_empty_tile_equals_a_rendered_one(client: Client):
@@ -246,13 +246,13 @@ def test_cors_headers_are_sent_with_every_tile(client: Client):
 
 
 def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     places = [(X + i, Y + j) for i in range(2) for j in range(2)]
     query = {"azimuth": 245, "altitude": 19}  # not requested before
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda xy: client.get(f"{TILES}/{ZOOM}/{xy[0]}/{xy[1]}.png", params=query), places))
     assert [answer.status_code for answer in answers] == [200] * 4
-    rendered_count = client.service.pool.counters.answered - before
+    rendered_count = client.service.pool.counters.jobs_answered - before
     assert rendered_count == 1
 
 
@@ -315,7 +315,7 @@ def test_changed_level_invalidates_its_tiles(tmp_path):
         level.write_text(level.read_text(encoding="utf-8").replace("The hills", "Other hills"), encoding="utf-8")
         after = client.get(TILE)
         assert before.headers["etag"] == repeated.headers["etag"] != after.headers["etag"]
-        assert client.service.pool.counters.answered == 2
+        assert client.service.pool.counters.jobs_answered == 2
 
 
 def test_layers_and_formats_share_a_cached_block(client: Client):

@@ -66,10 +66,10 @@ def test_webp_and_2x_height_tiles_are_exact(client: Client):
 
 
 def test_height_tiles_ignore_the_sun(client: Client):
-    before = client.service.pool.counters.answered
+    before = client.service.pool.counters.jobs_answered
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=12.5&altitude=34")
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=13.5&altitude=34")
-    assert client.service.pool.counters.answered <= before + 1
+    assert client.service.pool.counters.jobs_answered <= before + 1
     check_problem(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.jpg?layer=terrain-rgb"), 422, "invalid_parameter", "format")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from skugga.api.http.server import watchdog
-from skugga.api.http.server.watchdog import EXIT_STATUS, MESSAGE, watch_event_loop
+from skugga.api.http.server.watchdog import STUCK_EXIT_STATUS, STUCK_MESSAGE, watch_event_loop
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -21,7 +21,7 @@ import asyncio, threading
 from skugga.api.http.server import watchdog
 
 async def hang():
-    watchdog.watch_event_loop(asyncio.get_running_loop(), tick_s=0.01)
+    watchdog.watch_event_loop(asyncio.get_running_loop(), check_interval_s=0.01)
     threading.Event().wait()  # as Thread.start waits for a thread that has ended already
 
 asyncio.run(hang())
@@ -30,15 +30,15 @@ asyncio.run(hang())
 
 def test_a_stuck_process_ends_with_a_message():
     run = subprocess.run([sys.executable, "-c", STUCK_SCRIPT], cwd=ROOT, capture_output=True, timeout=60, check=False)
-    assert (run.returncode, run.stderr) == (EXIT_STATUS, MESSAGE)
+    assert (run.returncode, run.stderr) == (STUCK_EXIT_STATUS, STUCK_MESSAGE)
 
 
 def test_a_loop_that_runs_or_stops_briefly_is_left_alone(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(watchdog, "MAX_MISSED_TICKS", 40)
+    monkeypatch.setattr(watchdog, "MAX_MISSED_CHECKS", 40)
     stuck = threading.Event()
 
     async def scenario() -> None:
-        watch_event_loop(asyncio.get_running_loop(), stuck.set, tick_s=0.01)
+        watch_event_loop(asyncio.get_running_loop(), stuck.set, check_interval_s=0.01)
         for _ in range(3):
             time.sleep(0.1)  # the loop stands still for ten ticks
             await asyncio.sleep(0.1)
@@ -50,11 +50,11 @@ def test_a_loop_that_runs_or_stops_briefly_is_left_alone(monkeypatch: pytest.Mon
 
 
 def test_a_loop_that_stays_stuck_is_reported_once(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(watchdog, "MAX_MISSED_TICKS", 5)
+    monkeypatch.setattr(watchdog, "MAX_MISSED_CHECKS", 5)
     reports: list[float] = []
 
     async def scenario() -> None:
-        watch_event_loop(asyncio.get_running_loop(), lambda: reports.append(time.monotonic()), tick_s=0.01)
+        watch_event_loop(asyncio.get_running_loop(), lambda: reports.append(time.monotonic()), check_interval_s=0.01)
         time.sleep(1.0)
 
     asyncio.run(scenario())

@@ -248,8 +248,8 @@ def test_a_raster_too_large_for_an_array_is_refused(level):
 def test_free_memory_respects_system_and_container(tmp_path, monkeypatch):
     """Free memory is the minimum of both. Pages of files that the kernel may drop count as free."""
     (tmp_path / "meminfo").write_text("MemTotal: 64 kB\nMemAvailable: 32 kB\n")
-    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
-    monkeypatch.setattr(memory, "CGROUPS", [(tmp_path, "memory.max", "memory.current", "inactive_file")])
+    monkeypatch.setattr(memory, "MEMINFO_PATH", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "CGROUP_FILES", [(tmp_path, "memory.max", "memory.current", "inactive_file")])
     assert memory.free_bytes() == 32 * 1024
     for name, text in (("memory.max", "20000"), ("memory.current", "15000"), ("memory.stat", "anon 9000\ninactive_file 4000\n")):
         (tmp_path / name).write_text(text)

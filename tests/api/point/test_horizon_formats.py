@@ -9,7 +9,7 @@ import numpy as np
 import pandas
 import pytest
 
-from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
+from skugga.api.point.horizon_formats import HORIZON_FORMATS, azimuths_of_format, horizon_file
 from skugga.shadows.point.horizon import PointHorizon
 from skugga.shadows.point.place import PointPlace
 from skugga.terrain.errors import InputError
@@ -26,7 +26,7 @@ def point_horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
 
 
 def file_text(name: str) -> str:
-    return horizon_file(name, point_horizon(directions_for(name)), PLACE)
+    return horizon_file(name, point_horizon(azimuths_of_format(name)), PLACE)
 
 
 def expected_horizon_deg(azimuth_deg: np.ndarray) -> np.ndarray:

@@ -33,8 +33,8 @@ from skugga.api.report.page.pictures import (
     palette_indexes,
     report_pictures,
 )
-from skugga.api.report.page.scales import scale_of
-from skugga.api.report.page.scatter import SCATTER_HEIGHT, SCATTER_WIDTH, scatter_plot
+from skugga.api.report.page.scales import log_scale_of
+from skugga.api.report.page.scatter import SCATTER_HEIGHT_PX, SCATTER_WIDTH_PX, scatter_plot
 from skugga.api.report.report import MAX_PAGE_BYTES, report_html, write_report, write_scatter
 from skugga.api.report.summary import algorithm_family, casts_shadow
 from skugga.selector.measure.compare import Comparison, ComparisonRow, false_colours
@@ -248,14 +248,14 @@ def test_forty_noisy_pictures_fit_the_size_limit() -> None:
     noise = [rng.integers(0, 256, (side, side), dtype=np.uint8) for _ in range(8)]
     rows = [ErrorPicture(visibility, rng.random((side, side)) < 0.1, visibility > 250) for visibility in noise] * 5
     full_pictures = report_pictures(ground, rows, 10**9)
-    assert full_pictures.factor == 1 and len(full_pictures.row_uris) == 40
+    assert full_pictures.shrink_factor == 1 and len(full_pictures.row_uris) == 40
     small_pictures = report_pictures(ground, rows, 400_000)
-    assert small_pictures.character_count <= 400_000 < full_pictures.character_count and 1 < small_pictures.factor < 8
+    assert small_pictures.character_count <= 400_000 < full_pictures.character_count and 1 < small_pictures.shrink_factor < 8
     fewer_grays = report_pictures(ground, rows, full_pictures.character_count - 1)
-    assert (fewer_grays.factor, full_pictures.levels, fewer_grays.levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), (
+    assert (fewer_grays.shrink_factor, full_pictures.gray_levels, fewer_grays.gray_levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), (
         "pictures that are too large lose grays before they lose pixels"
     )
-    levels = palette_indexes(rows[0], levels=FEW_GRAY_LEVELS)
+    levels = palette_indexes(rows[0], gray_levels=FEW_GRAY_LEVELS)
     assert np.array_equal(decoded(fewer_grays.row_uris[0]), palette(FEW_GRAY_LEVELS)[levels])
     assert (
         len(small_pictures.row_uris) == 40
@@ -317,7 +317,7 @@ def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
     assert indexes_by_time == sorted(places, key=lambda k: places[k][0]), "slower rows are plotted further right"
     indexes_by_time = sorted(places, key=lambda k: rows.rows[k].figures["wrong_cast"])
     assert indexes_by_time == sorted(places, key=lambda k: -places[k][1]), "more accurate rows are plotted lower"
-    assert all(0 < x < SCATTER_WIDTH and 0 < y < SCATTER_HEIGHT for x, y in places.values())
+    assert all(0 < x < SCATTER_WIDTH_PX and 0 < y < SCATTER_HEIGHT_PX for x, y in places.values())
     for k, attributes in points.items():
         assert attributes["aria-label"].startswith(rows.rows[k].figures["name"] + ":")
         assert attributes["aria-label"].endswith("on the front") == rows.rows[k].figures["pareto"]
@@ -334,7 +334,7 @@ def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
 @given(st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1e6)), min_size=1, max_size=8), st.booleans())
 def test_scales_keep_order_and_bounds(values: list[float], downwards: bool) -> None:
     start, end = (500.0, 0.0) if downwards else (0.0, 500.0)
-    scale = scale_of(values, start, end)
+    scale = log_scale_of(values, start, end)
     positions = [scale(value) for value in sorted(values)]
     assert all(0.0 < x < 500.0 for x in positions)
     assert positions == sorted(positions, reverse=downwards)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "jpg": b"\xff\xd8\xff", "webp": b"RIFF"}
-TILE_TYPES = {2: "png", 3: "jpg", 4: "webp"}
+TILE_TYPE_BY_FORMAT = {2: "png", 3: "jpg", 4: "webp"}
 """Codes of the supported tile types."""
 
 HEADER = struct.Struct("<7sB 11Q 6B 4i B 2i")
@@ -59,7 +59,7 @@ def check_archive(path: Path, any_content: bool = False) -> Archive:
     assert header["clustered"] in (0, 1)
     assert header["internal"] in (1, 2), "directories are plain or gzipped"
     assert header["compression"] == 1, "tiles are plain"
-    assert header["type"] in TILE_TYPES
+    assert header["type"] in TILE_TYPE_BY_FORMAT
 
     parts = sorted((header[f"{part}_at"], header[f"{part}_bytes"], part) for part in ("root", "metadata", "leaves", "data"))
     end = 127
@@ -93,7 +93,7 @@ def check_archive(path: Path, any_content: bool = False) -> Archive:
         next_id = tile_id + run
         addressed, entries = addressed + run, entries + 1
         content = data[header["data_at"] + offset : header["data_at"] + offset + length]
-        assert any_content or content.startswith(MAGIC[TILE_TYPES[header["type"]]]), f"tile {tile_id} is of another type"
+        assert any_content or content.startswith(MAGIC[TILE_TYPE_BY_FORMAT[header["type"]]]), f"tile {tile_id} is of another type"
         for run_id in range(tile_id, next_id):
             archive.tiles[tile_id_to_zxy(run_id)] = content
     archive.leaves = len(leaves_read)

@@ -48,10 +48,10 @@ class InProcessRunner:
         self._queue: deque[Task] = deque()
         self.drawn: list[Task] = []
 
-    def free_lanes(self) -> Sequence[int]:
+    def free_worker_queues(self) -> Sequence[int]:
         return [0] * (2 - len(self._queue))
 
-    def submit(self, task: Task, lane: int) -> None:
+    def submit(self, task: Task, worker_queue: int) -> None:
         self._queue.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:

@@ -59,7 +59,7 @@ def test_another_reader_finds_every_tile(tmp_path):
     path, shards = tmp_path / "hills.pmtiles", pyramid(0, 5)
     size = write_shards(path, shards, archive_metadata(0, 5))
     expected = {tile_id_to_zxy(tile_id): tile for shard in shards for tile_id, tile in shard.items()}
-    assert len(expected) == size.tiles == 1365
+    assert len(expected) == size.tile_count == 1365
     with path.open("rb") as file:
         reader = Reader(MmapSource(file))
         assert {place: reader.get(*place) for place in expected} == expected
@@ -94,7 +94,7 @@ def test_counts_of_runs_and_shared_contents(tmp_path):
     size = write_shards(tmp_path / "a.pmtiles", shards, archive_metadata(3, 3))
     archive = check_archive(tmp_path / "a.pmtiles")
     # Entries: sea (2), snow, sea (2, shared), large (2), sea (shared), large, 4. Contents: sea, snow, large twice, 4.
-    assert (size.tiles, size.entries, size.contents) == (10, 7, 5)
+    assert (size.tile_count, size.entry_count, size.content_count) == (10, 7, 5)
     assert [archive.header[name] for name in ("addressed", "entries", "contents")] == [10, 7, 5]
     assert archive.header["data_bytes"] == 3 * 40 + 2 * DEDUPLICATION_LIMIT_BYTES
     assert archive.header["clustered"] == 1
@@ -104,7 +104,7 @@ def test_counts_of_runs_and_shared_contents(tmp_path):
 def test_equal_tiles_across_a_gap_of_ids_are_no_run(tmp_path):
     last_of_2, first_of_3 = first_tile_id(3) - 1, first_tile_id(3)
     size = write_shards(tmp_path / "a.pmtiles", [{last_of_2: tile_of(1), first_of_3 + 1: tile_of(1)}], archive_metadata(2, 3))
-    assert (size.entries, size.contents) == (2, 1)
+    assert (size.entry_count, size.content_count) == (2, 1)
     assert set(check_archive(tmp_path / "a.pmtiles").tiles) == {tile_id_to_zxy(last_of_2), tile_id_to_zxy(first_of_3 + 1)}
 
 
@@ -195,7 +195,7 @@ def test_a_broken_shard_is_named_and_keeps_the_old_archive(tmp_path, break_shard
             lambda i: break_shard(indexed_shards[i][1]) if i == 7 else indexed_shards[i][1],
             archive_metadata(2, 4),
         )
-    assert caught.value.number == 7
+    assert caught.value.shard_number == 7
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["a.pmtiles"]
 

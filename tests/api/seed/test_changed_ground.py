@@ -131,7 +131,7 @@ def test_a_rewritten_file_with_equal_heights_redraws_nothing(tmp_path: Path, hei
     archive = run.output.read_bytes()
     write_ground(run.level, heights)
     result, drawn_tasks = run()
-    assert (result.drawn, drawn_tasks) == (0, []) and run.output.read_bytes() == archive
+    assert (result.drawn_count, drawn_tasks) == (0, []) and run.output.read_bytes() == archive
     new_folder = tmp_path / "elsewhere"
     new_folder.mkdir()
     run.level = run.level.rename(new_folder / "dem.tif")

@@ -14,7 +14,7 @@ from skugga.api.seed.local_pool import MAX_FAILED_STARTS, LocalPool
 from skugga.api.seed.messages import MIN_TASK_TIMEOUT_S, Task, TaskFailure, TaskResult
 from skugga.api.seed.planning import plan_run
 from skugga.api.seed.run_spec import RunSpec
-from skugga.api.seed.running import TIMEOUT_RATIO, TaskCompletion, task_of
+from skugga.api.seed.running import TIMEOUT_PER_EXPECTED_TIME, TaskCompletion, task_of
 from skugga.api.seed.seeding import draw_and_publish
 from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import GraphicsError, RenderError
@@ -36,12 +36,12 @@ class StoppingPool(LocalPool):
         super().__init__(1)
         self.left, self._limit_s = times, timeout_s
 
-    def submit(self, task: Task, lane: int) -> None:
+    def submit(self, task: Task, worker_queue: int) -> None:
         if not self.left or task.zoom != 11:
-            super().submit(task, lane)
+            super().submit(task, worker_queue)
             return
         self.left -= 1
-        super().submit(task if self._limit_s is None else task._replace(timeout_s=self._limit_s), lane)
+        super().submit(task if self._limit_s is None else task._replace(timeout_s=self._limit_s), worker_queue)
         os.kill(self.pids[0], signal.SIGSTOP)
 
 
@@ -127,4 +127,4 @@ def test_the_limit_of_a_task_has_a_minimum_and_a_ratio(run: Run):
         number = table.waiting_tasks()[0]
         expected_s = table.task_row(number)[-1]
         assert task_of(table, planned, number, MIN_TASK_TIMEOUT_S).timeout_s == MIN_TASK_TIMEOUT_S > 100.0 * expected_s > 0.0
-        assert task_of(table, planned, number, 0.01).timeout_s == TIMEOUT_RATIO * expected_s
+        assert task_of(table, planned, number, 0.01).timeout_s == TIMEOUT_PER_EXPECTED_TIME * expected_s

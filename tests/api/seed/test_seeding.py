@@ -16,7 +16,7 @@ from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import TaskFailure
 from skugga.api.seed.publishing import MANIFEST_NAME
 from skugga.api.seed.running import shard_name
-from skugga.api.seed.seeding import FAILED_LIST
+from skugga.api.seed.seeding import FAILED_TASKS_FILE_NAME
 from skugga.api.seed.task_table import TaskTable
 from skugga.api.workers.jobs import BlockJob, LevelKey
 from skugga.api.workers.render_worker import run_job
@@ -51,7 +51,7 @@ def task_table_of(seed_run: Run) -> TaskTable:
 def test_seeded_tiles_equal_those_of_a_service(run: Run):
     run.layer = "color"
     result, drawn_tasks = run()
-    assert result.written == [run.output] and result.drawn == len(drawn_tasks) > 4
+    assert result.written_paths == [run.output] and result.drawn_count == len(drawn_tasks) > 4
     check_archive(run.output)
     with run.output.open("rb") as file:
         header, metadata = (reader := Reader(MmapSource(file))).header(), reader.metadata()
@@ -80,10 +80,10 @@ def test_an_unchanged_level_draws_nothing(run: Run):
     run()
     before = run.output.stat()
     result, drawn_tasks = run()
-    assert (result.drawn, result.written, drawn_tasks) == (0, [], [])
+    assert (result.drawn_count, result.written_paths, drawn_tasks) == (0, [], [])
     assert run.output.stat() == before
     run.output.unlink()
-    assert run()[0].written == [run.output], "a deleted archive is written again from the stored tiles"
+    assert run()[0].written_paths == [run.output], "a deleted archive is written again from the stored tiles"
 
 
 def test_the_order_of_tasks_does_not_change_the_archive(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -130,14 +130,14 @@ def test_failed_tasks_are_listed_and_retried_on_request(run: Run):
 
     with pytest.raises(RenderError, match=r"of \d+ tasks failed.*--retry-failed.*a part that cannot be read"):
         run(fails)
-    listed = (run.work / FAILED_LIST).read_text(encoding="utf-8").splitlines()
+    listed = (run.work / FAILED_TASKS_FILE_NAME).read_text(encoding="utf-8").splitlines()
     assert listed and all(line.startswith("zoom 12 block ") for line in listed)
     assert not run.output.exists()
     with pytest.raises(RenderError, match="tasks failed"):
         run()  # tasks stay failed
     result, drawn_tasks = run(retry_failed=True)
     assert {task.zoom for task in drawn_tasks} == {12} and len(drawn_tasks) == len(listed)
-    assert result.written == [run.output] and not (run.work / FAILED_LIST).exists()
+    assert result.written_paths == [run.output] and not (run.work / FAILED_TASKS_FILE_NAME).exists()
 
 
 @pytest.mark.parametrize(("deaths", "fails"), [(2, False), (3, True)])
@@ -172,7 +172,7 @@ def test_more_tasks_than_allowed_are_refused(run: Run):
     with pytest.raises(InputError, match=r"--max-tasks.*--dry-run"):
         run(max_tasks=2)
     assert not (run.work / "shards").exists()
-    assert run(max_tasks=1000)[0].written
+    assert run(max_tasks=1000)[0].written_paths
 
 
 def test_blocks_over_the_limit_are_refused(gl, run: Run, monkeypatch: pytest.MonkeyPatch):
@@ -183,8 +183,8 @@ def test_blocks_over_the_limit_are_refused(gl, run: Run, monkeypatch: pytest.Mon
     with pytest.raises(TooCostlyError, match="a block of zoom"):
         run()
     assert not (run.work / "shards").exists()
-    assert run(max_ms=1e6)[0].written
-    assert run()[0].drawn == 0
+    assert run(max_ms=1e6)[0].written_paths
+    assert run()[0].drawn_count == 0
 
 
 def test_lost_and_broken_shards_are_redrawn(run: Run):
@@ -295,7 +295,7 @@ def test_changed_metadata_redraws_nothing(run: Run, tmp_path: Path):
     run()
     level.write_text("# said\nversion: 1\ntitle: Other\nattribution: Me\nterrain: {source: dem.tif}\n", encoding="utf-8")
     result, drawn_tasks = run()
-    assert drawn_tasks == [] and result.written == [run.output], "the title is stored in the archive, not in the tiles"
+    assert drawn_tasks == [] and result.written_paths == [run.output], "the title is stored in the archive, not in the tiles"
     level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 1.5}\n", encoding="utf-8")
     assert run()[1] != []
 

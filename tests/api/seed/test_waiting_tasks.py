@@ -1,4 +1,4 @@
-"""Order and assignment of waiting tasks to lanes."""
+"""Order and assignment of waiting tasks to worker queues."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ import pytest
 from skugga.api.seed.running import MAX_BATCH_TASKS, WaitingTasks
 
 
-def hand_out_tasks(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
-    """Return the tasks of each lane when lanes take turns."""
-    out: list[list[int]] = [[] for _ in range(lanes)]
+def hand_out_tasks(waiting: WaitingTasks, queue_count: int) -> list[list[int]]:
+    """Return the tasks of each worker queue when the queues take turns."""
+    out: list[list[int]] = [[] for _ in range(queue_count)]
     while waiting:
-        lane = sum(map(len, out)) % lanes
-        out[lane].append(waiting.take(lane))
+        worker_queue = sum(map(len, out)) % queue_count
+        out[worker_queue].append(waiting.take(worker_queue))
     return out
 
 
-@pytest.mark.parametrize("lanes", [1, 2, 7, 400])
+@pytest.mark.parametrize("queue_count", [1, 2, 7, 400])
 @pytest.mark.parametrize("count", [1, 10, 1000])
-def test_every_task_is_handed_out_once(lanes: int, count: int):
-    assert sorted(sum(hand_out_tasks(WaitingTasks(range(count)), lanes), [])) == list(range(count))
+def test_every_task_is_handed_out_once(queue_count: int, count: int):
+    assert sorted(sum(hand_out_tasks(WaitingTasks(range(count)), queue_count), [])) == list(range(count))
 
 
-def test_one_lane_gets_all_tasks_in_order():
+def test_one_worker_queue_gets_all_tasks_in_order():
     assert hand_out_tasks(WaitingTasks(range(1000)), 1) == [list(range(1000))]
 
 
-def test_lanes_get_neighbouring_tasks():
-    task_lanes = hand_out_tasks(WaitingTasks(range(10_000)), 4)
-    for lane in task_lanes:
-        adjacent_count = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
-        assert adjacent_count > (1.0 - 1.5 / MAX_BATCH_TASKS) * len(lane)
+def test_worker_queues_get_neighbouring_tasks():
+    tasks_by_queue = hand_out_tasks(WaitingTasks(range(10_000)), 4)
+    for worker_queue in tasks_by_queue:
+        adjacent_count = sum(b == a + 1 for a, b in zip(worker_queue, worker_queue[1:], strict=False))
+        assert adjacent_count > (1.0 - 1.5 / MAX_BATCH_TASKS) * len(worker_queue)
 
 
 def test_tasks_start_about_in_their_order():
-    lanes = hand_out_tasks(WaitingTasks(range(1000)), 4)
-    position_by_task = {task: position for lane in lanes for position, task in enumerate(lane)}
+    tasks_by_queue = hand_out_tasks(WaitingTasks(range(1000)), 4)
+    position_by_task = {task: position for worker_queue in tasks_by_queue for position, task in enumerate(worker_queue)}
     assert all(abs(4 * position - task) <= 4 * 4 * MAX_BATCH_TASKS for task, position in position_by_task.items())
 
 

@@ -11,7 +11,7 @@ from multiprocessing.synchronize import Semaphore
 
 import numpy as np
 
-from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.block_tiles import BLOCK_SIDE_TILES
 from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
@@ -21,14 +21,14 @@ from skugga.api.workers.jobs import (
     FilmPicture,
     FilmPlanState,
     FrameJob,
-    HeartbeatAnswer,
     HeartbeatRequest,
-    PlanAnswer,
+    HeartbeatResponse,
     PlanJob,
+    PlanResult,
     PreparationProgress,
     WorkerReady,
 )
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.selector.map_probes import MapClass
 from skugga.terrain.errors import GraphicsError, InputError, RenderError
@@ -36,7 +36,7 @@ from skugga.terrain.errors import GraphicsError, InputError, RenderError
 RENDERER, VERSION = "fake", "1"
 UNPROBED_CLASS = MapClass(4, -1)
 FILM_ROWS, FILM_COLS = 4, 6
-TILE_POSITIONS = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
+TILE_POSITIONS = [(row, col) for row in range(BLOCK_SIDE_TILES) for col in range(BLOCK_SIDE_TILES)]
 
 
 def scripted(
@@ -59,7 +59,7 @@ def scripted(
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         if job_started is not None:
             job_started.release()
@@ -89,7 +89,7 @@ def planning(
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         if isinstance(job, PlanMeasurements):
             measurements = job
@@ -99,7 +99,7 @@ def planning(
         if may_finish is not None:
             may_finish.acquire()
         if isinstance(job, PlanJob):
-            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if measurements.device is None else "predict"}"}}'))
+            pipe.send(PlanResult(f'{{"policy": "{"rules" if measurements.device is None else "predict"}"}}'))
         else:
             version = measurements.version_of(job.level)
             unprobed_class = None if measurements.device is None or measurements.probes_of(job.level).classes else UNPROBED_CLASS
@@ -127,7 +127,7 @@ def filming(
         except EOFError:
             return
         if isinstance(job, HeartbeatRequest):
-            pipe.send(HeartbeatAnswer())
+            pipe.send(HeartbeatResponse())
             continue
         if isinstance(job, FilmCheckJob):
             failure = Failure.from_error(
@@ -142,7 +142,7 @@ def filming(
         if not isinstance(job, FrameJob):
             pipe.send(_answer("draw"))
             continue
-        command = dict(commands).get(job.number)
+        command = dict(commands).get(job.frame_number)
         if command == "crash":
             os._exit(9)
         planned = 1 if job.previous_plan_state is None else job.previous_plan_state.state + 1
@@ -177,7 +177,7 @@ def compiling(
     pipe.send(PreparationProgress("compiling loops for map tiles", 3, 9))
     if may_finish is not None:
         may_finish.acquire()
-    pipe.send(WorkerReady(RENDERER, missing_loops=missing))
+    pipe.send(WorkerReady(RENDERER, missing_loop_count=missing))
     while True:
         try:
             pipe.recv()
@@ -210,7 +210,7 @@ def leaking_errors(pipe: Connection, config: WorkerConfig) -> None:
         pipe.send(Failure.from_error(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
-def _answer(command: str) -> BlockTiles | PlanAnswer | Failure:
+def _answer(command: str) -> BlockTiles | PlanResult | Failure:
     if command == "refuse":
         return Failure.from_error(InputError("view", command, "another command"))
     if command == "fail":
@@ -218,5 +218,5 @@ def _answer(command: str) -> BlockTiles | PlanAnswer | Failure:
     if command == "break_opengl":
         return Failure.from_error(GraphicsError("OpenGL left an error behind"), is_fatal=True)
     if command != "draw":
-        return PlanAnswer(f'{{"view": "{command}"}}')
+        return PlanResult(f'{{"view": "{command}"}}')
     return BlockTiles(dict.fromkeys(TILE_POSITIONS, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from skugga.api.workers.expected_times import INITIAL_ESTIMATE_S, REFERENCE_PX, ExpectedTimes
+from skugga.api.workers.expected_times import INITIAL_ESTIMATE_S, REFERENCE_PIXELS, ExpectedTimes
 from skugga.api.workers.jobs import Job, LevelKey, MapJob
 from tests.products import sun_hours_of
 
@@ -25,9 +25,9 @@ def test_map_times_scale_with_pixels_and_differ_by_product():
     assert (
         times.expected_s(map_job(2000))
         == 4 * times.expected_s(map_job(1000))
-        == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+        == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PIXELS
     )
     times.add_duration(map_job(1000), 0.2)
     assert abs(times.expected_s(map_job(2000)) - 0.8) < 1e-9
     sun_hours_job = map_job(1000, request=sun_hours_of(date="2024-03-21"))
-    assert times.expected_s(sun_hours_job) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
+    assert times.expected_s(sun_hours_job) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PIXELS

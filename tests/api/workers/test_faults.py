@@ -54,7 +54,7 @@ def test_a_full_queue_is_503_with_retry_after(gated_client):
         first = threads.submit(client.get, tile())
         wait_for_start()
         second = threads.submit(client.get, tile(X - 1))
-        while client.service.pool.queued < 1:
+        while client.service.pool.queued_count < 1:
             client.get("/healthz")
         refusal = client.get(tile(X, Y - 1))
         check_problem(refusal, 503, "busy", None)
@@ -83,13 +83,13 @@ def test_work_of_a_disconnected_client_is_dropped(gated_client):
         wait_for_start()
         with socket.create_connection((client.base_url.host, client.base_url.port)) as connection:
             connection.sendall(f"GET {tile(X - 1)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
-            while client.service.pool.queued < 1:
+            while client.service.pool.queued_count < 1:
                 client.get("/healthz")
-        while client.service.pool.queued:
+        while client.service.pool.queued_count:
             client.get("/healthz")
         release()
         assert first.result().status_code == 200
-    assert client.service.pool.counters.abandoned == 1
+    assert client.service.pool.counters.jobs_abandoned == 1
 
 
 def test_a_block_of_a_killed_process_is_retried(gated_client):
@@ -113,7 +113,7 @@ def test_repeated_crashes_open_the_circuit_breaker(serve_with):
     problem = check_problem(answer, 503, "set_aside", None)
     assert "hills" in problem["detail"]
     assert int(answer.headers["retry-after"]) >= 1
-    assert client.service.pool.counters.started <= 5
+    assert client.service.pool.counters.processes_started <= 5
 
 
 def test_a_block_that_takes_too_long_is_504(serve_with):
@@ -137,7 +137,7 @@ def test_a_process_killed_during_warm_up_is_restarted(serve_with):
     wait_until(lambda: client.service.pool.preparing.task == "compiling loops for map tiles")
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(client.get, tile())
-        wait_until(lambda: client.service.pool.queued == 1)
+        wait_until(lambda: client.service.pool.queued_count == 1)
         (worker,) = client.service.pool.supervisor.workers
         os.kill(worker.pid, signal.SIGKILL)
         answer = waiting.result()
@@ -195,9 +195,9 @@ def test_not_modified_is_answered_without_rendering(serve_with):
         assert (answer.status_code, answer.content) == (304, b"")
         assert answer.headers["etag"] == tag
         assert "max-age" in answer.headers["cache-control"]
-    assert client.service.pool.counters.answered == 1
+    assert client.service.pool.counters.jobs_answered == 1
     assert client.get(tile(), headers={"If-None-Match": '"other"'}).status_code == 200
-    assert client.service.pool.counters.answered == 2
+    assert client.service.pool.counters.jobs_answered == 2
 
 
 @pytest.mark.parametrize("policy", ["204", "404"])

@@ -23,7 +23,7 @@ from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import BACKGROUND_PENALTY_S, JobQueue, PendingJob
 from skugga.api.workers.jobs import FilmPicture, FilmPlanState, FrameJob
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
@@ -40,7 +40,7 @@ SPAN = FilmSpan(10, 60.0)
 
 
 def frame_job(number: int = 0, previous_plans: FilmPlanState | None = None) -> FrameJob:
-    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, previous_plan_state=previous_plans)
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), frame_number=number, previous_plan_state=previous_plans)
 
 
 def make_pending_job(job: Any, arrived_s: float) -> PendingJob:
@@ -123,14 +123,14 @@ def test_pictures_overtake_frames_and_full_queue_takes_frames():
             await gate.job_started()
             tasks.create_task(run_and_record("frame", frame_job(0)))
             tasks.create_task(run_and_record("frame", frame_job(1)))
-            await wait_until(lambda: pool.queued == 2)
+            await wait_until(lambda: pool.queued_count == 2)
             tasks.create_task(run_and_record("tile", block(1)))
-            await wait_until(lambda: pool.queued == 3)
+            await wait_until(lambda: pool.queued_count == 3)
             with pytest.raises(RetryLaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
             gate.open(4)
         assert finished == ["running", "tile", "frame", "frame"]
-        assert pool.counters.refused == 1
+        assert pool.counters.jobs_refused == 1
 
     run_with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
@@ -142,7 +142,7 @@ def test_waiting_frames_do_not_time_out():
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame_job()))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # came later, and times out
         assert not waiting.done()
@@ -167,7 +167,7 @@ def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
         gate.open()
         second = await drawing
         assert isinstance(second, FilmPicture) and np.array_equal(second.color, np.full((4, 6, 3), 2))
-        assert pool.counters.retried == 1
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, gate.target)
 
@@ -176,7 +176,7 @@ def test_a_frame_that_crashes_two_processes_is_an_error():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(frame_job(3))
-        assert pool.counters.retried == 1
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, functools.partial(fake_workers.filming, commands=((3, "crash"),)))
 
@@ -188,10 +188,10 @@ def test_a_cancelled_frame_is_dropped():
         running = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(frame_job()))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         waiting.cancel()
-        await wait_until(lambda: pool.queued == 0)
-        assert pool.counters.abandoned == 1
+        await wait_until(lambda: pool.queued_count == 0)
+        assert pool.counters.jobs_abandoned == 1
         gate.open()
         await running
 
@@ -240,7 +240,7 @@ def test_single_frames_equal_those_of_the_film(
     before: FilmPlanState | None = None
     for number, expected in enumerate(expected_frames):
         monkeypatch.setattr(film_jobs, "view_plan_selector", lambda *_, number=number: plans(number))
-        job = FrameJob(level=level, span=request.span, view="eye", number=number, previous_plan_state=before)
+        job = FrameJob(level=level, span=request.span, view="eye", frame_number=number, previous_plan_state=before)
         picture = pickle.loads(pickle.dumps(film_jobs.draw_film_frame(pickle.loads(pickle.dumps(job)), scene, PlanMeasurements())))
         assert np.array_equal(picture.color, expected.color), number
         before = picture.next_plan_state

@@ -10,7 +10,7 @@ import pytest
 from skugga.api.workers import idle_work
 from skugga.api.workers.idle_work import IdleJob
 from skugga.api.workers.jobs import BlockTiles, LevelKey
-from skugga.api.workers.plan_basis import PlanMeasurements
+from skugga.api.workers.plan_measurements import PlanMeasurements
 from skugga.api.workers.pool import Pool
 from tests.api.workers import fake_workers
 from tests.api.workers.fake_calibrations import profile
@@ -37,8 +37,8 @@ def test_plan_versions_depend_on_profile_and_probes():
     probed = measurements.with_probes({LEVEL.version: "coarse pixels"})
     assert probed.version_of(OTHER_LEVEL) == measurements.version_of(OTHER_LEVEL) == probed.version_of(None)
     versions = {
-        plan_basis.version_of(LEVEL)
-        for plan_basis in (
+        measurements.version_of(LEVEL)
+        for measurements in (
             measurements,
             probed,
             measurements.with_probes({LEVEL.version: "fine"}),
@@ -119,7 +119,7 @@ def test_a_process_started_later_uses_new_measurements():
         pool.measurements = PlanMeasurements(profile())
         for x in range(4):
             assert plan_version_of(await pool.run(block(x))) == pool.plan_version(LEVEL)
-        assert pool.counters.started > 2
+        assert pool.counters.processes_started > 2
 
     run_with_pool(scenario, fake_workers.planning, recycle_blocks=1)
 

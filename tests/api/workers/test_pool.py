@@ -12,7 +12,7 @@ import pytest
 from skugga.api.errors import WorkerCrashError, WorkerStartError
 from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
-from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, PreparationProgress
+from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanJob, PlanResult, PreparationProgress
 from skugga.api.workers.pool import Pool
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
@@ -81,7 +81,7 @@ class Gate:
 def test_a_pool_answers_a_plan_job():
     async def scenario(pool: Pool) -> None:
         answer = await pool.run(plan_job("map"))
-        assert isinstance(answer, PlanAnswer)
+        assert isinstance(answer, PlanResult)
         assert answer.plan_json == '{"view": "map"}'
         assert pool.is_ready
         assert pool.renderer == fake_workers.RENDERER
@@ -115,7 +115,7 @@ def test_the_render_timeout_excludes_compilation():
         await pool.wait_for_first_process()
         expected_s = pool.expected_s(block(1))
         assert isinstance(await asyncio.wait_for(pool.run(block(1)), TIMEOUT_S), BlockTiles)
-        assert pool.counters.timed_out == 0
+        assert pool.counters.jobs_timed_out == 0
         assert pool.expected_s(block(1)) == expected_s, "compilation happens once, so it does not count for the next block"
         await pool.close()
 
@@ -180,7 +180,7 @@ def test_equal_jobs_are_deduplicated():
         gate.open()
         answers = await asyncio.gather(*waiting_jobs)
         assert all(answer is answers[0] for answer in answers)
-        assert pool.counters.answered == 1
+        assert pool.counters.jobs_answered == 1
 
     run_with_pool(scenario, gate.target)
 
@@ -193,7 +193,7 @@ def test_finished_blocks_are_cached_within_a_byte_limit():
         await pool.run(block(2))
         assert pool.cached_picture(block(1)) is None
         assert pool.cached_picture(block(2)) is not None
-        assert pool.counters.answered == 2
+        assert pool.counters.jobs_answered == 2
 
     run_with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
 
@@ -205,7 +205,7 @@ def test_only_a_client_with_a_full_queue_is_refused():
         running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
         queued = [asyncio.create_task(pool.run(plan_job(f"queued {n}"), "one")) for n in range(2)]
-        await wait_until(lambda: pool.queued == 2)
+        await wait_until(lambda: pool.queued_count == 2)
         with pytest.raises(BusyError, match="2 pictures of this client are queued"):
             await pool.run(plan_job("too many"), "one")
         repeated_job = asyncio.create_task(pool.run(plan_job("queued 1"), "one"))  # no new job, so it is admitted
@@ -223,13 +223,13 @@ def test_a_job_counts_for_the_clients_that_wait_for_it():
         running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
         leaving_job = asyncio.create_task(pool.run(plan_job("second"), "one"))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         staying_job = asyncio.create_task(pool.run(plan_job("second"), "other"))
         await wait_until(lambda: len(pool.jobs.queue.waiting[plan_job("second")].clients) == 2)
         assert len(pool.jobs.queue.jobs_of_client("one")) == 1
         leaving_job.cancel()
         await wait_until(lambda: not pool.jobs.queue.jobs_of_client("one"))
-        assert len(pool.jobs.queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
+        assert len(pool.jobs.queue.jobs_of_client("other")) == 1 and pool.counters.jobs_abandoned == 0
         gate.open(2)
         await asyncio.gather(running_job, staying_job)
 
@@ -258,13 +258,13 @@ def test_a_job_that_nobody_waits_for_is_dropped():
         first = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
         dropped_job = asyncio.create_task(pool.run(plan_job("dropped")))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         dropped_job.cancel()
-        await wait_until(lambda: pool.queued == 0)
+        await wait_until(lambda: pool.queued_count == 0)
         last = asyncio.create_task(pool.run(plan_job("last")))
         gate.open(2)
         await asyncio.gather(first, last)
-        assert (pool.counters.answered, pool.counters.abandoned) == (2, 1)
+        assert (pool.counters.jobs_answered, pool.counters.jobs_abandoned) == (2, 1)
 
     run_with_pool(scenario, gate.target)
 
@@ -291,9 +291,9 @@ def test_an_error_affects_only_its_own_job(view: str, error: type[Exception]):
         for _ in range(2):
             with pytest.raises(error):
                 await pool.run(plan_job(view))
-            assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+            assert isinstance(await pool.run(plan_job("map")), PlanResult)
         replacement_count = 4 if view in ("break_opengl", "crash") else 0  # each job is tried twice
-        assert pool.counters.started == 1 + replacement_count
+        assert pool.counters.processes_started == 1 + replacement_count
 
     run_with_pool(scenario)
 
@@ -304,7 +304,7 @@ def test_a_job_over_its_time_limit_ends_its_process():
         (pid,) = pool.ready_pids
         with pytest.raises(RenderTimeoutError):
             await pool.run(plan_job("hang"))
-        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanResult)
         assert pid not in pool.ready_pids
         assert not is_running(pid)
 
@@ -320,9 +320,9 @@ def test_a_job_of_a_killed_process_is_retried():
         queued = asyncio.create_task(pool.run(plan_job("second")))
         os.kill(*pool.ready_pids, signal.SIGKILL)
         gate.open(2)
-        assert isinstance(await running_job, PlanAnswer), "another process draws the job again"
-        assert isinstance(await queued, PlanAnswer)
-        assert pool.counters.retried == 1
+        assert isinstance(await running_job, PlanResult), "another process draws the job again"
+        assert isinstance(await queued, PlanResult)
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, gate.target)
 
@@ -333,7 +333,7 @@ def test_a_process_killed_while_idle_is_replaced():
         (pid,) = pool.ready_pids
         os.kill(pid, signal.SIGKILL)
         await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
-        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanResult)
 
     run_with_pool(scenario)
 
@@ -342,7 +342,7 @@ def test_processes_are_recycled():
     async def scenario(pool: Pool) -> None:
         for number in range(5):
             await pool.run(plan_job(f"map {number}"))
-        assert pool.counters.started == 3
+        assert pool.counters.processes_started == 3
 
     run_with_pool(scenario, recycle_blocks=2)
 
@@ -376,7 +376,7 @@ def test_closing_fails_running_and_queued_jobs():
         running_job = asyncio.create_task(pool.run(plan_job("first")))
         await gate.job_started()
         queued = asyncio.create_task(pool.run(plan_job("second")))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         (pid,) = pool.ready_pids
         await pool.close()
         for task in (running_job, queued):

@@ -17,7 +17,7 @@ from skugga.api.workers import supervisor as supervisor_module
 from skugga.api.workers.circuit_breaker import CircuitBreaker
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import JobQueue, PendingJob
-from skugga.api.workers.jobs import BlockJob, LevelKey, PlanAnswer, SnapshotJob
+from skugga.api.workers.jobs import BlockJob, LevelKey, PlanResult, SnapshotJob
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.process_life import is_stopped
 from skugga.terrain.errors import RenderTimeoutError
@@ -59,7 +59,7 @@ def test_a_supervisor_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyP
         os.kill(*pool.ready_pids, signal.SIGKILL)
         await wait_until(lambda: not failures_left[0] and pool.is_ready and set(started_counts) != pool.ready_pids)
         assert pool.is_healthy
-        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanResult)
 
     run_with_pool(scenario)
 
@@ -85,7 +85,7 @@ def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
         await wait_until(lambda: is_stopped(pid) or pid not in pool.ready_pids)
         assert not pool.is_ready or pid not in pool.ready_pids
         await wait_until(lambda: pool.is_ready and pid not in pool.ready_pids)
-        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanResult)
 
     run_with_pool(scenario)
 
@@ -100,8 +100,8 @@ def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
         os.kill(*pool.ready_pids, signal.SIGSTOP)
         await gate.job_started()
         gate.open(2)
-        assert isinstance(await running_job, PlanAnswer)
-        assert pool.counters.retried == 1
+        assert isinstance(await running_job, PlanResult)
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario, gate.target)
 
@@ -116,7 +116,7 @@ def test_a_queued_job_times_out():
         with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
             await pool.run(plan_job("waits"))
         assert caught.value.retry_after_s >= 1
-        assert pool.queued == 0 and pool.counters.expired == 1
+        assert pool.queued_count == 0 and pool.counters.jobs_expired == 1
         gate.open()
         await running_job
 
@@ -132,7 +132,7 @@ def test_a_job_with_too_long_an_expected_wait_is_refused():
         running_job = asyncio.create_task(pool.run(block(0)))
         await gate.job_started()
         waiting = asyncio.create_task(pool.run(plan_job("waits"), "other"))
-        await wait_until(lambda: pool.queued == 1)
+        await wait_until(lambda: pool.queued_count == 1)
         with pytest.raises(RetryLaterError, match="the expected wait is") as caught:
             await pool.run(plan_job("map"), "other")
         assert 20 <= caught.value.retry_after_s <= 31
@@ -152,10 +152,10 @@ def test_repeated_timeouts_open_the_breaker_of_one_level():
         with pytest.raises(CircuitOpenError, match="level level") as caught:
             await pool.run(hanging_job)
         assert 1 <= caught.value.retry_after_s <= 30
-        started_count = pool.counters.started
+        started_count = pool.counters.processes_started
         other_job = plan_job("map").model_copy(update={"level": OTHER_LEVEL})
-        assert isinstance(await pool.run(other_job), PlanAnswer)
-        assert pool.counters.started <= started_count + 1
+        assert isinstance(await pool.run(other_job), PlanResult)
+        assert pool.counters.processes_started <= started_count + 1
 
     run_with_pool(scenario, render_timeout_s=0.3)
 
@@ -169,7 +169,7 @@ def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPa
             hanging_job = plan_job("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
             with pytest.raises(RenderTimeoutError):
                 await pool.run(hanging_job)
-        assert isinstance(await pool.run(plan_job("map")), PlanAnswer)
+        assert isinstance(await pool.run(plan_job("map")), PlanResult)
 
     run_with_pool(scenario, render_timeout_s=0.2)
 
@@ -178,7 +178,7 @@ def test_a_job_that_crashes_its_process_is_tried_twice():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(plan_job("crash"))
-        assert pool.counters.retried == 1
+        assert pool.counters.jobs_retried == 1
 
     run_with_pool(scenario)
 
@@ -227,9 +227,9 @@ def test_a_single_process_does_heavy_jobs_too():
 
 def test_expected_times_follow_measurements():
     expected = ExpectedTimes()
-    assert not expected.is_light(block(0))
+    assert not expected.is_short(block(0))
     expected.add_duration(block(0), 1.0)
-    assert expected.is_light(block(1)) and expected.expected_s(block(1)) == 1.0
+    assert expected.is_short(block(1)) and expected.expected_s(block(1)) == 1.0
     expected.add_duration(block(1), 2.0)
     assert expected.expected_s(block(2)) == pytest.approx(1.3)
     assert expected.expected_s(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, (
@@ -245,29 +245,29 @@ def test_the_breaker_closes_after_pauses_that_double():
     now_s = [0.0]
     breaker = CircuitBreaker(lambda: now_s[0])
     breaker.record_failure(block(0))
-    assert breaker.seconds_left(block(0)) == 0.0
+    assert breaker.open_seconds_left(block(0)) == 0.0
     breaker.record_failure(block(1))
-    assert breaker.seconds_left(block(2)) == 30.0
-    assert breaker.seconds_left(plan_job("map")) == 30.0, (
+    assert breaker.open_seconds_left(block(2)) == 30.0
+    assert breaker.open_seconds_left(plan_job("map")) == 30.0, (
         "failures with the level's own settings open the circuit of the whole level"
     )
     now_s[0] = 31.0
-    assert breaker.seconds_left(block(0)) == 0.0
+    assert breaker.open_seconds_left(block(0)) == 0.0
     breaker.record_failure(block(0))
-    assert breaker.seconds_left(block(0)) == 60.0
+    assert breaker.open_seconds_left(block(0)) == 60.0
     now_s[0] = 100.0
     breaker.record_success(block(0))
     breaker.record_failure(block(0))
-    assert breaker.seconds_left(block(0)) == 0.0
+    assert breaker.open_seconds_left(block(0)) == 0.0
 
 
 def test_the_breaker_opens_only_for_jobs_with_equal_options():
     breaker = CircuitBreaker(lambda: 0.0)
     for _ in range(2):
         breaker.record_failure(snapshot_job(algorithm="shadow_volume"))
-    assert breaker.seconds_left(snapshot_job((100, 100), algorithm="shadow_volume")) > 0.0
-    assert breaker.seconds_left(snapshot_job()) == 0.0
-    assert breaker.seconds_left(block(0)) == 0.0
+    assert breaker.open_seconds_left(snapshot_job((100, 100), algorithm="shadow_volume")) > 0.0
+    assert breaker.open_seconds_left(snapshot_job()) == 0.0
+    assert breaker.open_seconds_left(block(0)) == 0.0
 
 
 PARENT = """

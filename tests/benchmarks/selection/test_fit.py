@@ -61,9 +61,9 @@ def make_descriptor(kind: CasterKind, far_px: float, most: float = 1.0) -> Descr
             share=0.5,
             cast=CAST_SHARE,
             pixel_m=near_m / 400.0,
-            differs=tuple(np.minimum(ladder_px / reach_px, most)),
+            differs=tuple(np.minimum(ladder_px / margin_px, most)),
         )
-        for near_m, reach_px in ((32.0, far_px), (64.0, 2.0 * far_px))
+        for near_m, margin_px in ((32.0, far_px), (64.0, 2.0 * far_px))
     )
     lights = {SUN: LightFacts(cast_share=CAST_SHARE, casts={kind: Casting(share=CAST_SHARE, on_bodies=0.1, bands=bands)})}
     return Descriptor(

@@ -6,18 +6,18 @@ from collections.abc import Callable
 
 from fastapi import Request, Response
 
-from skugga.api.http.answers import cache_headers, entity_tag, is_fresh, render_headers
 from skugga.api.http.request_times import freshness_s, time_headers
+from skugga.api.http.responses import cache_headers, entity_tag, has_current_copy, render_headers
 from skugga.api.http.state.service import Service
-from skugga.api.workers.jobs import MapJob, PointAnswer, PointJob, Snapshot, SnapshotJob
+from skugga.api.workers.jobs import MapJob, PointJob, PointResult, Snapshot, SnapshotJob
 
 
-async def job_answer(
+async def job_response(
     request: Request,
     service: Service,
     job: MapJob | SnapshotJob | PointJob,
     level: str,
-    subject: str,
+    response_kind: str,
     media_type: str,
     max_age_s: int,
     write_body: Callable[[bytes], bytes] = lambda body: body,
@@ -26,7 +26,7 @@ async def job_answer(
 
     Parameters
     ----------
-    subject
+    response_kind
         The kind of answer, such as ``map``. It is part of the entity tag.
     media_type
         Media type of the body.
@@ -40,19 +40,19 @@ async def job_answer(
     SkuggaError
         The job fails or is rejected by admission control.
     """
-    parts = job.level.version, level, subject, job.model_dump(exclude={"level"}, exclude_none=True), media_type
+    parts = job.level.version, level, response_kind, job.model_dump(exclude={"level"}, exclude_none=True), media_type
     is_picture = not isinstance(job, PointJob)
     render_versions = (service.pool.renderer, service.pool.plan_version(job.level)) if is_picture else ()
     seconds = service.max_age_s(request, max_age_s) if is_picture else freshness_s(request, max_age_s)
     sun_time_headers = time_headers(request) if isinstance(job, PointJob) or job.request.product_record.when == "sun" else {}
     headers = cache_headers(entity_tag(*render_versions, *parts), seconds) | sun_time_headers
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     is_cached = service.pool.cached_picture(job) is not None
     result = await service.run_job(request, job)
     if isinstance(result, Snapshot):
         headers = cache_headers(entity_tag(result.renderer, result.plan_version, *parts), seconds) | sun_time_headers
-        headers |= render_headers(result, subject, is_cached, result.encode_ms)
+        headers |= render_headers(result, response_kind, is_cached, result.encode_ms)
     else:
-        assert isinstance(result, PointAnswer)
+        assert isinstance(result, PointResult)
     return Response(write_body(result.body), headers=headers, media_type=media_type)

@@ -29,7 +29,7 @@ from skugga.terrain.level.parts import ALLOWED_TIMES
 ParametersT = ParamSpec("ParametersT")
 ResultT = TypeVar("ResultT")
 
-ADAPTER_CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
+PYDANTIC_CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 
 SHADOWS_PARAMETER = "shadows"
 """Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
@@ -53,7 +53,7 @@ def validate_arguments(function: Callable[ParametersT, ResultT]) -> Callable[Par
         if not adapters:
             hints = typing.get_type_hints(function, include_extras=True)
             adapters.update(
-                {name: TypeAdapter(hint, config=ADAPTER_CONFIG) for name, hint in hints.items() if name in signature.parameters}
+                {name: TypeAdapter(hint, config=PYDANTIC_CONFIG) for name, hint in hints.items() if name in signature.parameters}
             )
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
@@ -73,7 +73,7 @@ def validate_arguments(function: Callable[ParametersT, ResultT]) -> Callable[Par
     return wrapper
 
 
-def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
+def _raise_input_error(error: ValidationError, argument_values: dict[str, Any], name: str | None = None) -> NoReturn:
     """Raise an error of pydantic as an ``InputError`` of a parameter."""
     detail = error.errors()[0]
     cause = detail.get("ctx", {}).get("error")
@@ -81,11 +81,11 @@ def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str
         raise cause from None
     name = name or ".".join(str(part) for part in detail["loc"])
     allowed = "; ".join(dict.fromkeys(map(allowed_phrase, error.errors())))
-    raise InputError(name, values.get(name, detail["input"]), allowed) from None
+    raise InputError(name, argument_values.get(name, detail["input"]), allowed) from None
 
 
-def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
-    for key in keys:
+def _check_shadows(signature: inspect.Signature, shadow_settings: dict[str, Any]) -> None:
+    for key in shadow_settings:
         if key not in Shadows.model_fields:
             parameter_names = [
                 parameter.name for parameter in signature.parameters.values() if parameter.name not in ("self", SHADOWS_PARAMETER)
@@ -95,23 +95,23 @@ def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
             )
 
 
-UNITS_WITHOUT_DAY = ("Y", "M", "W")
+DATETIME64_UNITS_WITHOUT_DAY = ("Y", "M", "W")
 """Units of datetime64 that are longer than a day."""
 
-UNITS_WITHOUT_TIME = (*UNITS_WITHOUT_DAY, "D")
+DATETIME64_UNITS_WITHOUT_TIME = (*DATETIME64_UNITS_WITHOUT_DAY, "D")
 """Units of datetime64 without a time of day."""
 
 
-def _as_datetime64(value: Any, wrong_units: Collection[str]) -> np.ndarray | None:
-    """Return a datetime64 as an array without dimensions; ``None`` for other types, for NaT and for a unit in ``wrong_units``."""
+def _as_datetime64(value: Any, rejected_units: Collection[str]) -> np.ndarray | None:
+    """Return a datetime64 as an array without dimensions; ``None`` for other types, for NaT and for ``rejected_units``."""
     if getattr(getattr(value, "dtype", None), "kind", "") != "M" or np.ndim(value) != 0:
         return None
     moment = np.asarray(value)
-    return None if np.isnat(moment) or np.datetime_data(moment.dtype)[0] in wrong_units else moment
+    return None if np.isnat(moment) or np.datetime_data(moment.dtype)[0] in rejected_units else moment
 
 
 def _parse_time(value: Any) -> str:
-    moment = _as_datetime64(value, UNITS_WITHOUT_TIME)
+    moment = _as_datetime64(value, DATETIME64_UNITS_WITHOUT_TIME)
     if moment is not None:
         return f"{np.datetime_as_string(moment.astype('datetime64[s]'))}Z"
     if isinstance(value, datetime.datetime):
@@ -122,7 +122,7 @@ def _parse_time(value: Any) -> str:
 
 
 def _parse_day(value: Any) -> datetime.date:
-    moment = _as_datetime64(value, UNITS_WITHOUT_DAY)
+    moment = _as_datetime64(value, DATETIME64_UNITS_WITHOUT_DAY)
     if moment is not None:
         value = str(moment.astype("datetime64[D]"))
     if isinstance(value, datetime.datetime):
@@ -195,17 +195,17 @@ def _parse_cell_sides(value: Any) -> tuple[float, float]:
         sides = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         sides = np.empty(0)
-    if sides.shape not in ((), (2,)) or not ((sides >= MIN_CELL_M) & (sides <= MAX_CELL_M)).all():
+    if sides.shape not in ((), (2,)) or not ((sides >= MIN_CELL_SIDE_M) & (sides <= MAX_CELL_SIDE_M)).all():
         raise PydanticCustomError(
             "cell",
             "{least} to {most} metres: the side of a cell, or (row side, column side), such as (abs(transform.e), transform.a)",
-            {"least": f"{MIN_CELL_M:f}", "most": f"{MAX_CELL_M:,.0f}"},
+            {"least": f"{MIN_CELL_SIDE_M:f}", "most": f"{MAX_CELL_SIDE_M:,.0f}"},
         )
     down, right = np.broadcast_to(sides, (2,))
     return float(down), float(right)
 
 
-MIN_CELL_M, MAX_CELL_M = 1e-6, 1e6
+MIN_CELL_SIDE_M, MAX_CELL_SIDE_M = 1e-6, 1e6
 
 MAX_PICTURE_PX = 16384
 """Largest side of a picture, as for ``--size``."""
@@ -230,11 +230,11 @@ CellSides = Annotated[float | tuple[float, float], PlainValidator(_parse_cell_si
 
 AzimuthDeg = Annotated[float, Field(ge=-360.0, le=720.0)]
 AltitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
-Lines = Annotated[int, Field(ge=1, le=64)]
-Cores = Annotated[int, Field(ge=1, le=1024)]
+LineCount = Annotated[int, Field(ge=1, le=64)]
+CoreCount = Annotated[int, Field(ge=1, le=1024)]
 LatitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
 LongitudeDeg = Annotated[float, Field(ge=-540.0, le=540.0)]
-Days = Annotated[int, Field(ge=1)]
+DayCount = Annotated[int, Field(ge=1)]
 StepMinutes = Annotated[float, Field(ge=0.5, le=60.0)]
 ThresholdHours = Annotated[float, Field(ge=0.0, le=24.0)]
 MinAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]

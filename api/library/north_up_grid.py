@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 from rioxarray.exceptions import RioXarrayError
 
-from skugga.api.library.grids import GRID_BYTES, grid_of_heights
+from skugga.api.library.grids import GRID_BYTES_PER_CELL, grid_of_heights
 from skugga.api.library.memory import check_memory
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_heights
 from skugga.terrain.errors import ArrayError, InputError, Problem, SourceError
@@ -28,7 +28,7 @@ SPACING_TOLERANCE_CELLS = 0.1
 NODATA_ATTRIBUTES = "_FillValue", "missing_value", "fill_value", "nodata", "nodatavals"
 """Attributes in which rioxarray looks for the nodata value, in this order."""
 
-GRID_NAMES = "grid_latitude", "grid_longitude"
+ROTATED_POLE_NAMES = "grid_latitude", "grid_longitude"
 """Standard names of the coordinates of a rotated pole (CF conventions, appendix F). rioxarray does not know them."""
 
 CHUNKS_REMEDY = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
@@ -46,14 +46,14 @@ class NorthUpGrid:
         The geotransform.
     crs
         The CRS.
-    flips
+    flip_slices
         Slices by dimension that restore the original order of rows and columns.
     """
 
     heights: xarray.DataArray
     transform: Affine
     crs: CRS
-    flips: dict[Any, slice]
+    flip_slices: dict[Any, slice]
 
     def level(self) -> OpenLevel:
         """Read the heights into memory and open them as a level. Raises ``InputError``."""
@@ -84,28 +84,31 @@ def north_up_grid(array: xarray.DataArray) -> NorthUpGrid:
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
         rows, cols = array.shape
-        check_memory(ARRAY_NAME, rows, cols, GRID_BYTES + 2 * array.dtype.itemsize, CHUNKS_REMEDY)
-    crs, declared, flips = _crs(array), _declared_transform(array), {}
+        check_memory(ARRAY_NAME, rows, cols, GRID_BYTES_PER_CELL + 2 * array.dtype.itemsize, CHUNKS_REMEDY)
+    crs, declared, flip_slices = _crs(array), _declared_transform(array), {}
     for dim, step, direction in ((y_dim, declared.e, -1.0), (x_dim, declared.a, 1.0)):
         coordinates = array[dim].to_numpy() if dim in array.coords else None
         if (
             step if coordinates is None or coordinates.size < 2 else _as_number(coordinates[-1]) - _as_number(coordinates[0])
         ) * direction < 0.0:
-            flips[dim] = slice(None, None, -1)
-    upright = array.isel(flips)
-    y0, dy = _first_edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
-    x0, dx = _first_edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
-    return NorthUpGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
+            flip_slices[dim] = slice(None, None, -1)
+    upright = array.isel(flip_slices)
+    y0, dy = _first_edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flip_slices)
+    x0, dx = _first_edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flip_slices)
+    return NorthUpGrid(_heights(upright, crs, nodata), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flip_slices)
 
 
 def _spatial_dims(array: xarray.DataArray) -> tuple[Any, Any]:
-    """Return the dimensions of rows and of columns. Raises ``ArrayError`` if neither rioxarray nor ``GRID_NAMES`` has them."""
+    """Return the dimensions of rows and of columns.
+
+    Raises ``ArrayError`` if neither rioxarray nor ``ROTATED_POLE_NAMES`` has them.
+    """
     try:
         return array.rio.y_dim, array.rio.x_dim
     except RioXarrayError:
         dims = {array[dim].attrs.get("standard_name"): dim for dim in array.dims if dim in array.coords}
-        if all(name in dims for name in GRID_NAMES):
-            return dims[GRID_NAMES[0]], dims[GRID_NAMES[1]]
+        if all(name in dims for name in ROTATED_POLE_NAMES):
+            return dims[ROTATED_POLE_NAMES[0]], dims[ROTATED_POLE_NAMES[1]]
     raise ArrayError(
         ARRAY_NAME,
         Problem(f"its dimensions are {array.dims}"),
@@ -145,11 +148,11 @@ def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.
     )
     if (scale, offset) != (1.0, 0.0):
         heights = heights * scale + offset
-    unit_m = _axis(array, crs).scale
+    unit_m = _vertical_axis(array, crs).scale
     return heights if unit_m == 1.0 else heights * unit_m
 
 
-def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
+def _vertical_axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
     unit, positive = array.attrs.get("units"), parse_positive(f"{ARRAY_NAME}: positive", positive_word(array.attrs))
     try:
         return axis_of_band(ARRAY_NAME, unit if isinstance(unit, str) else "", array.attrs, crs, positive=positive)

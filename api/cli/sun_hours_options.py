@@ -6,7 +6,7 @@ from datetime import timedelta
 from pathlib import Path
 
 from skugga.api.cli.times import read_duration
-from skugga.api.products.sun_hours import NAME, QUANTITIES, SunHoursOptions
+from skugga.api.products.sun_hours import PRODUCT_NAME, QUANTITIES, SunHoursOptions
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.clock import parse_clock, parse_date
@@ -44,7 +44,7 @@ def sun_hours_request(
         date=first, to=last, every_days=every.days, quantity=quantity, window=window, clock=clock, height=height,
         least_altitude=least_altitude, step_min=minutes, threshold_h=hours,
     )  # fmt: skip
-    return ProductRequest(product=NAME, options=options)
+    return ProductRequest(product=PRODUCT_NAME, options=options)
 
 
 def contour_values(contours: tuple[Path, str]) -> list[float]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fastapi import Request
 
-from skugga.api.http.answers import REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.request_times import current_quarter_hour
+from skugga.api.http.responses import REQUESTED_SUN_MAX_AGE_S
 from skugga.api.http.state.service import Service
 from skugga.api.point.values import PointQuery
-from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
+from skugga.api.workers.jobs import PointJob, PointResult, PointsJob
 from skugga.terrain.level.parts import SunSpec
 
 
@@ -27,5 +27,5 @@ def resolve_current_time(point: PointQuery, sun: SunSpec | None) -> tuple[PointQ
 async def run_point_job(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
     """Run a point job and return its body. Raises ``SkuggaError``."""
     answer = await service.run_job(request, job)
-    assert isinstance(answer, PointAnswer)
+    assert isinstance(answer, PointResult)
     return answer.body

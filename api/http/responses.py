@@ -1,4 +1,4 @@
-"""Build response headers: entity tags, cache rules, timings and the caster reach.
+"""Build documents as responses, and response headers: entity tags, cache rules, timings and the caster reach.
 
 An entity tag depends on the inputs of an answer, so it is known before anything is rendered. The caster reach is the distance
 towards the sun in which shadow casters are searched.
@@ -19,7 +19,7 @@ from skugga.api.workers.jobs import BlockTiles, Snapshot
 
 VERSION = version("skugga")
 
-JSON_MEDIA = "application/json"
+JSON_MEDIA_TYPE = "application/json"
 
 DEFAULT_SUN_MAX_AGE_S = 3600
 """Freshness lifetime (``max-age``) in seconds of a picture under the level's own sun.
@@ -77,7 +77,7 @@ def entity_tag(*parts: object) -> str:
     return f'"{hashlib.sha256(repr((VERSION, *parts)).encode()).hexdigest()[:32]}"'
 
 
-def is_fresh(request: Request, tag: str) -> bool:
+def has_current_copy(request: Request, tag: str) -> bool:
     """Return whether the client's copy is current: ``If-None-Match`` has ``tag`` (RFC 9110, section 13.1.2: weak comparison)."""
     client_tags = request.headers.get("if-none-match", "")
     return client_tags.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in client_tags.split(","))
@@ -102,12 +102,12 @@ def wants_html(request: Request) -> bool:
     return "text/html" in accepted and "application/json" not in accepted
 
 
-def json_answer(request: Request, value: object, **extra_headers: str) -> Response:
+def json_response(request: Request, value: object, **extra_headers: str) -> Response:
     """Return a value as JSON with ``extra_headers``, or 304 if the client's copy is current."""
-    return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **extra_headers)
+    return document_response(request, bytes(JSONResponse(value).body), JSON_MEDIA_TYPE, **extra_headers)
 
 
-def document_answer(request: Request, body: bytes, media_type: str, **extra_headers: str) -> Response:
+def document_response(request: Request, body: bytes, media_type: str, **extra_headers: str) -> Response:
     """Return a document with ``extra_headers``, or 304 if the client's copy is current.
 
     A long document is compressed for clients that accept gzip. The compressed form has a different entity tag.
@@ -116,7 +116,7 @@ def document_answer(request: Request, body: bytes, media_type: str, **extra_head
     vary = ", ".join(filter(None, (extra_headers.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= MIN_GZIP_BYTES else None
     extra_headers |= {} if vary is None else {"Vary": vary}
     headers = cache_headers(entity_tag(body, "gzip") if is_compressed else entity_tag(body), METADATA_MAX_AGE_S) | extra_headers
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if is_compressed:
         body, headers["Content-Encoding"] = gzip.compress(body, GZIP_LEVEL, mtime=0), "gzip"
@@ -137,26 +137,26 @@ def base_url(request: Request, public_url: str | None) -> str:
     return (public_url or str(request.base_url)).rstrip("/")
 
 
-def render_headers(picture: BlockTiles | Snapshot, subject: str, is_cached: bool, encode_ms: float) -> dict[str, str]:
+def render_headers(picture: BlockTiles | Snapshot, picture_kind: str, is_cached: bool, encode_ms: float) -> dict[str, str]:
     """Return headers about the rendering of a picture: ``Server-Timing``, its algorithms and its caster reach.
 
-    ``Server-Timing`` has the milliseconds of each render pass and of encoding (``encode_ms``). An entry named ``subject``, the kind
-    of picture, says whether it came from the cache (``kept``) or was rendered (``drawn``). Hyphens replace the characters of pass
-    names that the header does not allow. The headers of ``reach_headers`` follow if the picture has one caster reach.
+    ``Server-Timing`` has the milliseconds of each render pass and of encoding (``encode_ms``). An entry named ``picture_kind`` says
+    whether the picture came from the cache (``kept``) or was rendered (``drawn``). Hyphens replace the characters of pass names
+    that the header does not allow. The headers of ``reach_headers`` follow if the picture has one caster reach.
     """
     timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in picture.passes]
-    timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if is_cached else 'drawn'}"]
+    timings += [f"encode;dur={encode_ms:.1f}", f"{picture_kind};desc={'kept' if is_cached else 'drawn'}"]
     reach = {}
     if picture.reach_used_m is not None and picture.reach_needed_m is not None:
         reach = reach_headers(picture.headline, picture.reach_used_m, picture.reach_needed_m, picture.reach_clipped)
     return {"Server-Timing": ", ".join(timings), **reach}
 
 
-def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, clipped: bool = False) -> dict[str, str]:
+def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, is_clipped: bool = False) -> dict[str, str]:
     """Return headers with the shadow algorithm and the caster reach in whole metres.
 
     The reach is the distance towards the sun in which shadow casters were searched (``used``) and had to be searched (``needed``).
-    ``clipped`` says whether the level's data ends before the needed distance.
+    ``is_clipped`` says whether the level's data ends before the needed distance.
     """
-    reach = f"used={used_m:.0f}; needed={needed_m:.0f}; clipped={'yes' if clipped else 'no'}"
+    reach = f"used={used_m:.0f}; needed={needed_m:.0f}; clipped={'yes' if is_clipped else 'no'}"
     return {"X-Skugga-Algorithm": algorithm, "X-Skugga-Caster-Reach": reach}

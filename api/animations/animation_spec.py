@@ -1,4 +1,4 @@
-"""The order of a film: its content and its file format. Equal orders share one animation."""
+"""The specification of an animation: the content of its film, and its file format. Equal specifications share one animation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skugga.api.workers.jobs import Film
 FilmFormat = Literal["webp", "mp4"]
 
 
-class FilmOrder(Film):
+class AnimationSpec(Film):
     """A film to draw, its file format, whether a WebP film is lossless, and its frames per second.
 
     ``level_name`` is the level's name in the service's URLs.

@@ -10,20 +10,20 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.encoding import ARRAY_FORMATS, check_format
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import (
+from skugga.api.http.request_times import time_headers
+from skugga.api.http.responses import (
     DEFAULT_SUN_MAX_AGE_S,
     REQUESTED_SUN_MAX_AGE_S,
     cache_headers,
     entity_tag,
-    is_fresh,
+    has_current_copy,
     reach_headers,
     render_headers,
 )
-from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.matrices import check_tile, is_quadtree_level, matrix_set_of, shows_no_data, tile_view
+from skugga.api.matrices import check_tile, is_quadtree_zoom, matrix_set_of, shows_no_data, tile_view
 from skugga.api.products.product import MEDIA_TYPES, MapFormat
 from skugga.api.request import ProductRequest
 from skugga.api.workers.block_tiles import block_and_position, empty_file, empty_tile
@@ -31,10 +31,10 @@ from skugga.api.workers.jobs import BlockJob, BlockTiles
 from skugga.terrain.geo.grid import TILE_PX
 
 
-async def tile_answer(
+async def tile_response(
     request: Request,
     service: Service,
-    name: str,
+    level_name: str,
     tms: str,
     zxy: tuple[int, int, int],
     scale: int,
@@ -47,7 +47,7 @@ async def tile_answer(
     ----------
     request, service
         The request and the service.
-    name
+    level_name
         Name of the level.
     tms
         Name of the tile matrix set.
@@ -65,9 +65,9 @@ async def tile_answer(
     SkuggaError
         The parameters are wrong, or the job fails.
     """
-    level, matrix_set = await service.level(name), matrix_set_of(tms)
+    level, matrix_set = await service.level(level_name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
-    if scale == 2 and not is_quadtree_level(matrix_set, zxy[0]):
+    if scale == 2 and not is_quadtree_zoom(matrix_set, zxy[0]):
         raise NotServedError("z", f"z: {tms} has no @2x tiles at zoom {zxy[0]}. Use tiles without @2x.")
     product = product_request.product_record
     check_format(product, format)
@@ -85,41 +85,42 @@ async def tile_answer(
         with suppress(ArchiveError):  # already logged; the tile is rendered instead
             body = await read_tile(archive, *zxy)
             if body is not None:
-                max_age_s, request_parts = service.max_age_s(request, default_max_age_s), (name, zxy, product_request.query())
+                max_age_s, request_parts = service.max_age_s(request, default_max_age_s), (level_name, zxy, product_request.query())
                 encoded_tile = archived_tile(body, archive, max_age_s, *request_parts, **time_headers(request))
-                service.tiles.put(request, encoded_tile, name, (level.version, *render_versions, archives.version))
-                return encoded_tile.answer(request)
+                service.tiles.put(request, encoded_tile, level_name, (level.version, *render_versions, archives.version))
+                return encoded_tile.response(request)
             is_empty = True
     if is_empty and service.settings.empty_tile == "404":
-        raise NotServedError("x", f"x: {name} has no data in tile {zxy[1]}, {zxy[2]} at zoom {zxy[0]}.")
+        raise NotServedError("x", f"x: {level_name} has no data in tile {zxy[1]}, {zxy[2]} at zoom {zxy[0]}.")
 
-    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, product_request.query())
+    tag_parts: tuple[object, ...] = (level.version, level_name, tms, zxy, scale, format, product.name, product_request.query())
     if archive is not None and is_empty:
         tag_parts += (archive.version,)  # without this archive the tile would be rendered, and may have data
     sun_time_headers = time_headers(request)
     headers = (
         cache_headers(entity_tag(*render_versions, *tag_parts), service.max_age_s(request, default_max_age_s)) | sun_time_headers
     )
-    if is_fresh(request, headers["ETag"]):
+    if has_current_copy(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if is_empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
         if format in ARRAY_FORMATS:
             shape, view = (scale * TILE_PX, scale * TILE_PX), tile_view(matrix_set, *zxy, scale)
-            body = await run_in_threadpool(empty_file, product_request, shape, format, level.lowest_m, view)
+            body = await run_in_threadpool(empty_file, product_request, shape, format, level.lowest_ground_m, view)
         else:
-            body = await run_in_threadpool(empty_tile, product_request, format, scale, level.lowest_m)
+            body = await run_in_threadpool(empty_tile, product_request, format, scale, level.lowest_ground_m)
         return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
         tile = replace(tile, headers=tile.headers | headers)
-        service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))
-        return tile.answer(request)
+        service.tiles.put(request, tile, level_name, (level.version, *render_versions, archives.version))
+        return tile.response(request)
     (block_x, block_y), position = block_and_position(zxy[1] * scale, zxy[2] * scale, scale)
     job = BlockJob(
-        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format, tiles=scale,
+        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format,
+        tiles_per_side=scale,
         request=product_request,
     )  # fmt: skip
     is_cached = service.pool.cached_picture(job) is not None
@@ -133,5 +134,5 @@ async def tile_answer(
         for is_cached in (is_cached or not block.is_newly_drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[position], cached_headers, MEDIA_TYPES[format])
-    service.tiles.put(request, tile, name, (level.version, *render_versions, archives.version))
+    service.tiles.put(request, tile, level_name, (level.version, *render_versions, archives.version))
     return Response(tile.body, headers=sent_headers, media_type=tile.media_type)
