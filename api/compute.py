@@ -111,8 +111,8 @@ def compute(
         part = Part(scene, padded, request.options, picture)
         return ComputedProduct(_cropped(product.compute(part), product.reach_px), picture)
     assert isinstance(view, MapView)
-    nodes = view.as_nodes()
-    if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
+    nodes = view.with_pixels_as_nodes()
+    if not view.is_on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
         return ComputedProduct(_compute_block(scene, nodes, product, request.options))
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # as for tiles, so that maps and tiles have identical pixels

@@ -50,7 +50,7 @@ def measure_accuracy(levels: list[str], size: tuple[int, int], map_size: int) ->
             view = scene.view(name, size=size)
             plan = make_plan(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
             figures = measure_plan(scene, view, plan).figures
-            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.kinds), **figures})
+            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.caster_kinds), **figures})
             print(accuracy_row(rows[-1]), flush=True)
     return rows
 

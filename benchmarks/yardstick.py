@@ -193,7 +193,7 @@ class Yardstick:
         self._target.use()
         self._target.clear(*SKY_COLOR, 1.0, depth=1.0)
         gl.ctx.enable_only(moderngl.DEPTH_TEST)
-        uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun), "sky": tuple(light.sky), "depth_map": 1}
+        uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun_irradiance), "sky": tuple(light.sky_irradiance), "depth_map": 1}
         self._render(
             self._color_arrays, _clip_matrix(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms
         )
@@ -291,7 +291,7 @@ def _clip_matrix(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.n
     """Return the matrix (4, 4) from the scene's frame to clip space, with row 0 of the picture first."""
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])
-    scale, shift = 2.0 * view.focal_px / (view.step * size), (1.0 - 2.0 * first / view.step) / size - 1.0
+    scale, shift = 2.0 * view.focal_px / (view.step_px * size), (1.0 - 2.0 * first / view.step_px) / size - 1.0
     projection = np.zeros((4, 4))
     projection[0, 0], projection[0, 2] = scale[0], shift[0]
     projection[1, 1], projection[1, 2] = scale[1], shift[1]

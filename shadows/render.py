@@ -30,7 +30,7 @@ from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb_encoded
+from skugga.terrain.shading import albedo_of, encode_srgb, shade, slope_sky_view_factor
 from skugga.terrain.sky import sky_pixel_colors
 
 RENDERER_VERSION = 5
@@ -305,7 +305,7 @@ def render_block(
             _draw_sky(scene, view, picture, linear)
     _run_effects("color", {"color": linear}, block, plan, log)
     with log.record_pass(SHADING_PASS):
-        color = srgb_encoded(picture.averaged(linear))
+        color = encode_srgb(picture.averaged(linear))
         valid, nodata = own_pixels.valid, np.float32(np.nan)
         visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in visibilities.items()}
         shown_visibilities = visibilities

@@ -26,7 +26,7 @@ from skugga.terrain.scene import Scene
 
 def heights_determine_visibility(scene: Scene, view: MapView, plan: Plan) -> bool:
     """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
-    if not (view.on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
+    if not (view.is_on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False
     return not scene.sun_is_up or (needs_heights_only(scene, plan) and supersampling(scene, view, plan) is None)
 

@@ -19,7 +19,7 @@ from skugga.terrain.errors import InputError, LevelError, Problem, SourceError
 from skugga.terrain.geo.axes import axes_of, check_axes
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import Grid, MapView, map_view
-from skugga.terrain.geo.sun import Sun, position_at, sun_of
+from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, sun_of
 from skugga.terrain.geo.world import (
     LONGITUDE_LATITUDE,
     LocalFrame,
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.light_space import LightSpace
     from skugga.terrain.ground.surface import Surface
 
-DEFAULT_VIEW_PX = 1024
+DEFAULT_MAP_SIDE_PX = 1024
 """Longest side of a map view without a given size, in pixels."""
 
 
-MAX_PERSPECTIVE_PX = 4096
+MAX_PERSPECTIVE_SIDE_PX = 4096
 """Maximum side of a perspective view in pixels."""
 
 MAX_UTM_WIDTH_DEG = 18.0
@@ -55,7 +55,7 @@ MAX_UTM_WIDTH_DEG = 18.0
 ROUND_TRIP_TOLERANCE_DEG = 0.05
 """Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
-SAMPLES_PER_SIDE = 33
+OVERLAP_SAMPLES_PER_SIDE = 33
 """Sample points along a side that decide whether a map shows anything of a level."""
 
 
@@ -113,7 +113,9 @@ class Scene:
     def style(self) -> Style:
         """The style that shades the scene."""
         cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        return style_of(self.loaded.level, self.style_spec or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
+        return style_of(
+            self.loaded.level, self.style_spec or self.loaded.level.style, cell_m, lambda: self.objects.crown_area_share
+        )
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -175,7 +177,7 @@ class Scene:
         return replace(self, lamp_overrides={**self.lamps, lamp.name: lamp})
 
     @cached_property
-    def light(self) -> LightSpace | None:
+    def light_space(self) -> LightSpace | None:
         """The sun's light space (axes right, up and away from the sun); ``None`` without a sun."""
         from skugga.terrain.geo.light_space import light_space
 
@@ -193,7 +195,7 @@ class Scene:
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest ground of the level in metres, from its overview."""
         overview = self.elevation.overview
-        return float(np.nanmin(overview.heights_m)), float(np.nanmax(overview.high_m))
+        return float(np.nanmin(overview.mean_heights_m)), float(np.nanmax(overview.max_heights_m))
 
     @cached_property
     def bounds_lon_lat(self) -> tuple[float, float, float, float] | None:
@@ -228,7 +230,7 @@ class Scene:
         lon, lat = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
         point, up = self.world.ground(LONGITUDE_LATITUDE, lon, lat)
         rotations = (self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True))
-        return max(self.sun.altitude_deg, *(position_at(self.sun.to_sun_earth, r)[1] for r in rotations))
+        return max(self.sun.altitude_deg, *(azimuth_and_altitude(self.sun.to_sun_earth, r)[1] for r in rotations))
 
     def surface(self, grid: Grid) -> Surface:
         """Return the ground at the nodes of a grid."""
@@ -248,7 +250,7 @@ class Scene:
         source_crs = self.elevation.crs
         if self.world.flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
             return source_crs
-        if not self.world.on_earth:
+        if not self.world.is_on_earth:
             return source_crs if axes_of(source_crs).are_standard else longitude_latitude_of(source_crs)
         west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         if east - west > MAX_UTM_WIDTH_DEG:
@@ -296,11 +298,11 @@ class Scene:
         self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_name: str, target_name: str
     ) -> PerspectiveView:
         width, height = size or spec.size
-        if max(width, height) > MAX_PERSPECTIVE_PX:
-            limit = f"{MAX_PERSPECTIVE_PX} pixels a side in a perspective view"
+        if max(width, height) > MAX_PERSPECTIVE_SIDE_PX:
+            limit = f"{MAX_PERSPECTIVE_SIDE_PX} pixels a side in a perspective view"
             raise InputError.over_limit("size", f"{width}x{height}", limit, "Use a smaller size")
-        eye, up = self.geolocator.above_ground(spec.eye, eye_name)
-        target, _ = self.geolocator.above_ground(spec.target, target_name)
+        eye, up = self.geolocator.point_above_ground(spec.eye, eye_name)
+        target, _ = self.geolocator.point_above_ground(spec.target, target_name)
         return look_at(eye, target, up, spec.fov, height, width)
 
     def _map_view(
@@ -327,7 +329,7 @@ class Scene:
             )
         size = size or spec.size
         if size is None:  # square pixels; the shorter side grows to a whole number of pixels
-            pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
+            pixel = max(east - west, north - south) / DEFAULT_MAP_SIDE_PX
             size = max(int(np.rint((east - west) / pixel)), 1), max(int(np.rint((north - south) / pixel)), 1)
             margin_x, margin_y = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
             extent = west, south, east, north = west - margin_x, south - margin_y, east + margin_x, north + margin_y
@@ -339,12 +341,14 @@ class Scene:
         Both are sampled at lattice points. They overlap if a point of one lies in the other.
         """
         west, south, east, north = extent
-        x, y = np.meshgrid(np.linspace(west, east, SAMPLES_PER_SIDE), np.linspace(south, north, SAMPLES_PER_SIDE))
+        x, y = np.meshgrid(np.linspace(west, east, OVERLAP_SAMPLES_PER_SIDE), np.linspace(south, north, OVERLAP_SAMPLES_PER_SIDE))
         with np.errstate(invalid="ignore"):
             source_xy = (x, y) if crs == self.elevation.crs else transformer(crs, self.elevation.crs).transform(x, y)
             if self.elevation.covers(*source_xy).any():
                 return True
-            rows, cols = (np.linspace(-0.5, count - 0.5, SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols))
+            rows, cols = (
+                np.linspace(-0.5, count - 0.5, OVERLAP_SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols)
+            )
             x, y = self.elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
             x, y = (x, y) if crs == self.elevation.crs else transformer(self.elevation.crs, crs).transform(x, y)
             longitude_shifts = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
@@ -375,7 +379,7 @@ class Scene:
         if crs == source_crs:
             return
         try:
-            if not self.world.flat and is_on_earth(crs) == self.world.on_earth:
+            if not self.world.flat and is_on_earth(crs) == self.world.is_on_earth:
                 transformer(source_crs, crs), transformer(crs, LONGITUDE_LATITUDE)
                 return
         except ProjError:
@@ -407,7 +411,7 @@ class Scene:
         ``bounds`` are those in degrees. Raises ``InputError`` if the CRS ends at the antimeridian.
         """
         lon, lat = np.meshgrid(
-            np.linspace(bounds[0], bounds[2], SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], SAMPLES_PER_SIDE)
+            np.linspace(bounds[0], bounds[2], OVERLAP_SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], OVERLAP_SAMPLES_PER_SIDE)
         )
         positions = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
         with np.errstate(invalid="ignore"):  # points outside of a CRS have infinite coordinates
@@ -470,7 +474,7 @@ def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
     try:
-        return _world_at(loaded, elevation)
+        return _world_at_level_centre(loaded, elevation)
     except ProjError:
         problem = f"PROJ cannot transform its CRS '{elevation.crs.name}' into longitude and latitude and back"
         raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
@@ -489,7 +493,7 @@ def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
     return bool(max(abs(lon_error) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < ROUND_TRIP_TOLERANCE_DEG)
 
 
-def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
+def _world_at_level_centre(loaded: LoadedLevel, elevation: Elevation) -> World:
     crs, bounds = elevation.crs, loaded.level.terrain.bounds
     x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
     unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0

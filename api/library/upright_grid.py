@@ -145,7 +145,7 @@ def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.
     )
     if (scale, offset) != (1.0, 0.0):
         heights = heights * scale + offset
-    unit_m = _axis(array, crs).scale
+    unit_m = _axis(array, crs).metres_per_stored_unit
     return heights if unit_m == 1.0 else heights * unit_m
 
 

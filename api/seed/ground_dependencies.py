@@ -187,8 +187,10 @@ class GroundDependencies:
         scene = with_apparent_sun(self._scene, plan.effect_names)
         if scene.sun is None or not scene.sun_is_up or not plan.casts_shadows:
             return None
-        light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
-        top_points_light_m = light.from_earth(self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m))
+        light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_object_m
+        top_points_light_m = light.points_from_earth(
+            self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m)
+        )
         # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
         uses_fitted_maps = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
         return _SunlitChunks(light, top_points_light_m, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
@@ -207,7 +209,9 @@ class GroundDependencies:
         valid = np.isfinite(point).all(axis=1)
         if not valid.any():
             return np.ones(visible_chunks.shape, np.bool_)
-        receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
+        receivers = sunlit.light.points_from_earth(
+            np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)])
+        )
         lower, upper, top_points_light_m = receivers.min(axis=0), receivers.max(axis=0), sunlit.top_points_light_m
         distance_m = np.maximum(upper[2] - top_points_light_m[:, 2], 0.0)
         margin_m = self._points.half_diagonal_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m

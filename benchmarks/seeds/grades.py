@@ -84,7 +84,7 @@ def errors_by_camera_move(level: str) -> list[Figures]:
     scene = bundled_scene(level)
     view = scene.view("main", size=ERROR_SIZE_PX)
     assert isinstance(view, PerspectiveView)
-    aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
+    aside_m = describe(scene, view, "main").pixel_m / view.pixel_tangent * view.earth_from_camera[:, 0]
     moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
     return [algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
 

@@ -178,8 +178,8 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
     """Yield the faces of a light's map that contain any points."""
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
-        assert scene.light is not None
-        rotation, translation = scene.light.from_frame(buffer.frame)
+        assert scene.light_space is not None
+        rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
         faces = [(rotation, translation, pixels)]
     else:
         lamp = scene.lamps[light]

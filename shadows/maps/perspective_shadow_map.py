@@ -198,13 +198,13 @@ def perspective_map(
     }
     tree_bounds = None
     if trees is not None and light == SUN:
-        assert scene.light is not None
-        light_from_frame = scene.light.from_frame(buffer.frame)
+        assert scene.light_space is not None
+        light_from_frame = scene.light_space.transform_from_frame(buffer.frame)
         first, last = light_bounds(buffer.position_frame_m, receivers, *light_from_frame)
         tree_bounds = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
-    texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
+    texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel_tangent
     depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
     return FittedMap(depth_map, texel_px, best.note)
 
@@ -262,7 +262,7 @@ def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light
         return Light(np.array([*scene.sun.in_frame(buffer.frame), 0.0]), np.zeros(3))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
-    return Light(np.array([*position, 1.0]), position + lamp.reference_m * axis)
+    return Light(np.array([*position, 1.0]), position + lamp.reference_distance_m * axis)
 
 
 @compiled

@@ -55,8 +55,8 @@ def nearest_caster_m(
     scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...], casters: Casters, trees: TreeInstances | None
 ) -> float:
     """Return the smallest light-space depth of the casters, metres; infinity without any."""
-    assert scene.light is not None
-    rotation, translation = scene.light.from_frame(buffer.frame)
+    assert scene.light_space is not None
+    rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     points = [sheet.position_frame_m.reshape(-1, 3) for sheet in caster_sheets(scene, buffer, casters, kinds)]
     points += [vertices for vertices, _ in caster_meshes(scene, buffer, kinds)]
     if trees is not None:

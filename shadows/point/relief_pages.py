@@ -213,7 +213,7 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
     The first page is given by its row and column, counted in pages from the grid's origin.
     """
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
-    high = ground.elevation.overview.high_m
+    high = ground.elevation.overview.max_heights_m
     # Heights in holes are interpolated from the ground around them.
     holes = MAX_FILL_CELLS * 2**level if np.isnan(high).any() else 0
     valid = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)

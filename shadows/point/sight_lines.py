@@ -120,7 +120,7 @@ def _flat_nodes(
 ) -> tuple[np.ndarray, np.ndarray]:
     azimuth = np.radians(azimuth_deg)[:, None]
     units = distance_m / (ground.world.metres_per_unit * ground.grid.step)
-    return place.row - units * np.cos(azimuth) / ground.grid.stretch, place.col + units * np.sin(azimuth)
+    return place.row - units * np.cos(azimuth) / ground.grid.y_to_x_step_ratio, place.col + units * np.sin(azimuth)
 
 
 def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:

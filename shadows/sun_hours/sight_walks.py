@@ -97,7 +97,9 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     for detail in sorted({patch.lod for patch in patches}):
         surface = scene.surface(view.grid.coarser(detail))
         detail_patches = [patch for patch in patches if patch.lod == detail]
-        windows.setdefault(detail, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(detail_patches))
+        windows.setdefault(detail, []).extend(
+            surface.height_window(*window, includes_rim=True) for window in patch_windows(detail_patches)
+        )
     spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [

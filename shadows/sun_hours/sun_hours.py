@@ -158,7 +158,7 @@ def sun_hours(
         The errors of the algorithms.
     """
     scene = _under_clear_sky(scene)
-    if is_terrain_only(scene) and view.on_nodes:
+    if is_terrain_only(scene) and view.is_on_nodes:
         block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
         raise InputError("height", rules.height_m, "0, where objects stand on the ground")
@@ -169,7 +169,7 @@ def sun_hours(
     if valid.any():
         step_min = rules.step_min or block.step_min(days[len(days) // 2])
         for day in days:
-            clock = ClockReading(day.window.clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
+            clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
                 block_spells = _add_span(block_spells, block, day, span, clock)
             end_day(block_spells.spells, rules.threshold_h * 60.0)

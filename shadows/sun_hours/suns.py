@@ -110,7 +110,7 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
         raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth_reason}, so a date does not define the sun")
     days = []
     for window in windows:
-        times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
+        times = np.append(np.arange(0.0, window.length_min, 1.0), window.length_min)
         start = np.datetime64(window.start.astimezone(UTC).replace(tzinfo=None), "us")
         path = sun_path(start + np.rint(times * 60e6).astype("timedelta64[us]"), world.anchor_lon_deg, world.anchor_lat_deg)
         towards, unrefracted = (

@@ -264,7 +264,7 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
         row, col = rays.orientation.from_turned(i, j, rows, cols)
         point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
-        light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
+        light, upwards = rays.light.points_from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (light[..., 0] - rays.right_m) / (rays.cell_m * side), upwards[..., 0] / (rays.cell_m * side)
         return np.stack([
             t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.up_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],

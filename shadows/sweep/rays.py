@@ -96,7 +96,8 @@ class SunRays:
         """
         out = np.empty((3, len(which)))
         run_in_chunks(
-            len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m,
+            len(which), _write_ray_coordinates, point_frame_m.reshape(-1, 3), which, *self.light.transform_from_frame(frame),
+            self.right_m,
             self.cell_m, self.up_m, out,
         )  # fmt: skip
         return out[0], out[1], out[2]
@@ -149,7 +150,7 @@ class SunRays:
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
             row, col = self.orientation.from_turned(i, j, rows, cols)
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
-            return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
+            return (self.light.points_from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
         return position_cubics(t_of, *((cols, rows) if self.orientation.swapped else (rows, cols)), self.grid.crs.name)
 
@@ -171,9 +172,9 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
     point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
-    assert scene.light is not None
-    light = with_upright_axes(scene.light, up[0])
-    space = light.from_earth(point + height_m * up)
+    assert scene.light_space is not None
+    light = with_upright_axes(scene.light_space, up[0])
+    space = light.points_from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
     towards *= np.sign(light.horizontal_sunward_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
@@ -255,7 +256,7 @@ def grounds_of_block(
         surface = rays.scene.surface(rays.grid.coarser(detail))
         detail_patches = [patch for patch in patches if patch.lod == detail]
         casting = [patch for patch in detail_patches if patch not in culled and not _lies_behind(rays, patch, block)]
-        windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
+        windows = [surface.height_window(*window, includes_rim=True) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
             continue  # no ray heights to pass on
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft_edges, detail_patches))

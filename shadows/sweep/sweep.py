@@ -250,7 +250,7 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
     earth they lean so little that the centre serves. On a small body a raster may lie in a corner of its block, kilometres from the
     block's centre. ``valid`` (rows, cols) are the pixels that show ground.
     """
-    if scene.world.on_earth:
+    if scene.world.is_on_earth:
         return view.centre_node
     rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
     if not len(rows):

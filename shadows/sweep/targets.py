@@ -58,7 +58,7 @@ class SweepTargets:
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     """Return the minimum and maximum t (the position across the sweep lines, in cells) of receivers, extended by one cell."""
-    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
+    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.transform_from_frame(receivers.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
@@ -87,7 +87,7 @@ def targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> S
 def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> SweepTargets:
     """Return the nodes and points at which a buffer's pixels show a surface."""
     view = buffer.view
-    on_nodes = isinstance(view, MapView) and view.on_nodes
+    on_nodes = isinstance(view, MapView) and view.is_on_nodes
     on_triangles = buffer.kind == RELIEF if buffer.is_lifted is None else (buffer.kind == RELIEF) & ~buffer.is_lifted
     nodes = buffer.valid & on_triangles & on_nodes
     off_nodes = buffer.valid & ~nodes

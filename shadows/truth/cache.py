@@ -25,7 +25,7 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.trees.foliage import foliage
-from skugga.terrain.user_cache import load_arrays, user_cache
+from skugga.terrain.user_cache import load_arrays, user_cache_folder
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size limit of the folder. Beyond it the least recently used files are deleted."""
@@ -50,7 +50,7 @@ def cached_truth(
 
     A folder that cannot be written raises no error. ``make`` computes a truth that is not cached.
     """
-    folder = folder or user_cache("truth")
+    folder = folder or user_cache_folder("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.valid.shape
     cached_arrays = load_arrays(path)
@@ -98,8 +98,8 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
 
 def _view_numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
     if isinstance(view, PerspectiveView):
-        return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
-    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.stretch
+        return (view.focal_px, view.row0, view.col0, view.step_px, *view.eye_earth_m, *view.earth_from_camera.ravel())
+    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.y_to_x_step_ratio
 
 
 def _evict_oldest(folder: Path) -> None:

@@ -290,8 +290,8 @@ def ray_scene(
     (``RayScene``).
     """
     trees = caster_trees(buffer, kinds)
-    if trees is not None and scene.light is not None and not scene.lamps:
-        rotation, translation = scene.light.from_frame(buffer.frame)
+    if trees is not None and scene.light_space is not None and not scene.lamps:
+        rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
         low, high = light_bounds(buffer.position_frame_m, buffer.valid, rotation, translation)
         pixel_m = 2.0 * max_pixel_m(buffer)  # sub-samples lie beside the pixels' points
         trees = occluding_trees(trees, rotation, translation, low - pixel_m, high + pixel_m)
@@ -303,7 +303,9 @@ def max_pixel_m(buffer: GeometryBuffer) -> float:
     """Return the largest side of a buffer's pixels on a surface that faces the viewer, metres."""
     if isinstance(buffer.view, PerspectiveView):
         eye, _ = buffer.view.in_frame(buffer.frame)
-        return float(np.linalg.norm(buffer.position_frame_m[buffer.valid] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
+        return (
+            float(np.linalg.norm(buffer.position_frame_m[buffer.valid] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel_tangent
+        )
     steps = np.diff(buffer.position_frame_m[:: max(buffer.view.rows - 1, 1)], axis=1)
     sides_m = np.linalg.norm(steps, axis=-1)
     return float(np.nanmax(sides_m, initial=0.0))

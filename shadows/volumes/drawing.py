@@ -97,7 +97,11 @@ def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> 
     if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
         return False
     columns = buffer.columns
-    steps = (view.row_step * view.grid.stretch, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
+    steps = (
+        (view.row_step * view.grid.y_to_x_step_ratio, view.col_step)
+        if columns is None
+        else (columns.window.columns.grid.y_to_x_step_ratio, 1.0)
+    )
     down, right = -light[1] / steps[0], light[0] / steps[1]
     alignments = np.abs([down, right, down - right, down + right])
     return bool(alignments.min() <= ALIGNMENT_TOLERANCE * alignments.max())

@@ -192,14 +192,14 @@ def _visible_points(
         origin, camera_from_frame = view.in_frame(frame)
         clip = camera_clip(view, frame, origin, near_m)
         (left, right), (top, bottom) = (
-            [(first + (size * k - 0.5) * view.step) / view.focal_px for k in (0, 1)]
+            [(first + (size * k - 0.5) * view.step_px) / view.focal_px for k in (0, 1)]
             for first, size in ((view.col0, view.cols), (view.row0, view.rows))
         )
         corners = np.array([[left, top, 1.0], [right, top, 1.0], [right, bottom, 1.0], [left, bottom, 1.0]])
         near = origin + near_m * corners @ camera_from_frame
     else:
         low, high = points[indices].min(axis=0), points[indices].max(axis=0)
-        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all casters
+        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_object_m)  # above all casters
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))

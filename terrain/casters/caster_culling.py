@@ -115,8 +115,8 @@ def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...
         _light_space_bounds(scene, grid, patches_of_block, block_ground, parts, "lowest") for parts in (1, PARTS_PER_SIDE)
     )
     margin_m = MARGIN_NODES * scene.surface(grid).step_m
-    assert scene.light is not None
-    max_altitude_sine = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
+    assert scene.light_space is not None
+    max_altitude_sine = min(float(np.sin(np.radians(max(scene.light_space.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
     slack = margin_m, margin_m * max_altitude_sine
     culled: set[Patch] = set()
     for lod in {patch.lod for patch in patches}:
@@ -225,8 +225,8 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     sun. The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_support_m``
     bounds such weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
     """
-    assert scene.light is not None
-    to_sun = -scene.light.light_from_earth[2]
+    assert scene.light_space is not None
+    to_sun = -scene.light_space.light_from_earth[2]
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
     row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(SAMPLE_POSITIONS))
     _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
@@ -281,7 +281,7 @@ def _light_space_bounds(
     along every ray to the sun, and does not depend on the height. ``reference_height`` is the height at which the bounds of the
     coordinate up are computed: the part's lowest or highest one.
     """
-    assert scene.light is not None
+    assert scene.light_space is not None
     low_m, high_m = ground.low_m, ground.high_m
     if parts_per_side == 1:
         low_m, high_m = np.fmin.reduce(low_m, axis=1, keepdims=True), np.fmax.reduce(high_m, axis=1, keepdims=True)
@@ -290,8 +290,8 @@ def _light_space_bounds(
     row, col = np.broadcast_arrays(corner[:, :1, None] + offset[:, None], corner[:, 1:, None] + offset)
     point, up = (_part_corners(values, parts_per_side) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
-    in_light = scene.light.from_earth(ends)
-    in_light = np.concatenate([in_light, scene.light.horizontal_sunward_m(in_light)[..., None]], axis=-1)
+    in_light = scene.light_space.points_from_earth(ends)
+    in_light = np.concatenate([in_light, scene.light_space.horizontal_sunward_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if reference_height == "lowest" else 1, ..., 1]
     bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
     if not scene.world.flat:
@@ -358,11 +358,11 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
         cols.start * PATCH_QUADS - halo,
         PATCH_QUADS + 1 + 2 * halo,
         len(cols) * PATCH_QUADS + 1 + 2 * halo,
-        rim=True,
+        includes_rim=True,
     )
     out = np.empty((len(cols), PARTS_PER_SIDE * PARTS_PER_SIDE, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
-    height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
+    height_m = window.coarser_window.height_m if isinstance(window, RefinedWindow) else window.height_m
     _write_part_bounds(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_SIDE, out)
     return out
 

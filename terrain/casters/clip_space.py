@@ -37,8 +37,8 @@ def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.nda
     eye, camera_from_frame = view.in_frame(frame)
     right, down, forward = np.column_stack([camera_from_frame, camera_from_frame @ (origin_frame_m - eye)])
     size = np.array([view.cols, view.rows])
-    scale = 2.0 * view.focal_px / (view.step * size)
-    shift = (1.0 - 2.0 * np.array([view.col0, view.row0]) / view.step) / size - 1.0
+    scale = 2.0 * view.focal_px / (view.step_px * size)
+    shift = (1.0 - 2.0 * np.array([view.col0, view.row0]) / view.step_px) / size - 1.0
     return np.array([scale[0] * right + shift[0] * forward, scale[1] * down + shift[1] * forward, [0.0, 0.0, 0.0, near_m], forward])
 
 
@@ -99,7 +99,7 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
         )
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
-        points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_m, curved=True)
+        points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_object_m, curved=True)
         if not (np.isfinite(points).all() and np.isfinite(pixel).all()):  # the part reaches beyond the area of the CRS
             return MAX_BEND_PX
         homogeneous = np.column_stack([points, np.ones(len(points))])

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.terrain.cache import bytes_of
+from skugga.terrain.cache import estimated_bytes
 from skugga.terrain.casters.sheet_rays import SheetRays
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import RenderError
@@ -113,7 +113,7 @@ class RayScene:
         opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
         self._opaque = self._build_embree_scene(opaque) if opaque else None
         triangles = sum(len(faces) for _, faces in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
-        self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
+        self.nbytes = TRIANGLE_BYTES * triangles + estimated_bytes(self._alpha_meshes)
         self.nbytes += 0 if self._sheet_rays is None else self._sheet_rays.nbytes
         self._alpha = [self._build_embree_scene([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 

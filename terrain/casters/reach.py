@@ -26,7 +26,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.light_space import LightSpace, light_bounds
-from skugga.terrain.geo.sun import position_at
+from skugga.terrain.geo.sun import azimuth_and_altitude
 from skugga.terrain.geo.world import (
     EARTH_RADIUS_M,
     LONGITUDE_LATITUDE,
@@ -210,7 +210,7 @@ def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
 
 
 def _needs_sun_casters(scene: Scene, buffer: Receivers) -> bool:
-    return scene.light is not None and scene.sun_is_up and bool(buffer.valid.any())
+    return scene.light_space is not None and scene.sun_is_up and bool(buffer.valid.any())
 
 
 def _occluder_cell_mask(scene: Scene, buffer: Receivers) -> np.ndarray:
@@ -225,8 +225,8 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, 
     The region between them is the bounding box of the buffer's points, extended without limit towards the sun and upwards. Points
     within ``slack_m`` of the region count, too.
     """
-    assert scene.light is not None
-    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
+    assert scene.light_space is not None
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light_space.transform_from_frame(buffer.frame))
     is_towards_sun: np.ndarray = (
         (light_space_m[..., 0] >= low[0] - slack_m) & (light_space_m[..., 0] <= high[0] + slack_m)
         & (light_space_m[..., 1] >= low[1] - slack_m) & (light_space_m[..., 2] <= high[2] + slack_m)
@@ -285,11 +285,11 @@ def _sunward_extent_m(scene: Scene, buffer: Receivers, occluder_mask: np.ndarray
 
     The distance is horizontal, and counts from the receiver of the buffer that is nearest to the sun.
     """
-    assert scene.light is not None
+    assert scene.light_space is not None
     if not occluder_mask.any():
         return 0.0
-    towards = scene.light.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
-    return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
+    towards = scene.light_space.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
+    return max(float(towards.max()) - _sunward_edge_m(scene.light_space, buffer), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,8 +330,8 @@ def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _
     outside = occluder_mask.copy()
     outside[occluder_mask] = _node_distances(block_ground, row, col) > 0
     if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > COARSE_CELL_NODES:
-        assert scene.light is not None
-        finer_cells = fine_cells(scene, scene.light, grid, occluder_mask, (col, half_extent_nodes), period)
+        assert scene.light_space is not None
+        finer_cells = fine_cells(scene, scene.light_space, grid, occluder_mask, (col, half_extent_nodes), period)
         if finer_cells is not None:
             selected = (
                 _is_towards_sun(scene, buffer, finer_cells.light_space_m, finer_cells.width_m * CELL_MARGIN_WIDTHS)
@@ -375,9 +375,9 @@ def _occluder_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...
         cells.distance,
     )
     rows, cols = block_ground.shape
-    assert scene.light is not None
+    assert scene.light_space is not None
     caster_m = _sunward_extent_m(scene, buffer, outside)
-    relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
+    relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light_space.altitude_deg
     longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
     farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent_nodes.max(
         initial=0.0
@@ -425,12 +425,12 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     """
     if not patches:
         return []
-    assert scene.light is not None
+    assert scene.light_space is not None
     (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].lod
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
-    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
-    in_light = scene.light.from_earth(point + scene.height_range_m[1] * up)
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light_space.transform_from_frame(buffer.frame))
+    in_light = scene.light_space.points_from_earth(point + scene.height_range_m[1] * up)
     slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
     in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
     keep = in_window & (in_light[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(in_light).all(axis=1)
@@ -461,7 +461,7 @@ def _is_inside_window(row: int, col: int, quads: int, row0: int, col0: int, rows
 
 def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     """Return the maximum of ``LightSpace.horizontal_sunward_m`` over a buffer's receivers, metres: the edge nearest to the sun."""
-    rotation, translation = light.from_frame(buffer.frame)
+    rotation, translation = light.transform_from_frame(buffer.frame)
     row, offset = light.horizontal_sunward_m(rotation.T), light.horizontal_sunward_m(translation)
     _, high = light_bounds(buffer.position_frame_m, buffer.valid, np.tile(row, (3, 1)), np.full(3, offset))
     return float(high[0])
@@ -505,7 +505,7 @@ def _data_and_shadow_limits_m(scene: Scene, buffer: GeometryBuffer | BareNodes) 
     The first distance is the minimum over the positions of ``_ray_origins``. The second one is the longest shadow of ground that
     rises ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
     """
-    assert scene.sun is not None and scene.light is not None
+    assert scene.sun is not None and scene.light_space is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
     crs, x, y, middle = _ray_origins(scene, buffer)
@@ -513,7 +513,7 @@ def _data_and_shadow_limits_m(scene: Scene, buffer: GeometryBuffer | BareNodes) 
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:
         point, up = scene.world.ground(crs, *middle)
-        azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
+        azimuth, altitude = azimuth_and_altitude(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
     needed_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
     along_m = np.linspace(0.0, needed_m, 65)
     if scene.world.flat:

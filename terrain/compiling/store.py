@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from skugga.terrain.compiling.bundle import FOLDER
-from skugga.terrain.user_cache import user_cache
+from skugga.terrain.user_cache import user_cache_folder
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 """Environment variable that overrides the folder in the user's cache."""
@@ -154,7 +154,7 @@ def default_store() -> LoopStore:
     Its folder is ``NUMBA_CACHE_DIR`` if that is set, otherwise the user's cache. The bundled folder is searched first.
     """
     named = os.environ.get(FOLDER_VARIABLE)
-    return LoopStore(Path(named) if named else user_cache("loops"), FOLDER if FOLDER.is_dir() else None)
+    return LoopStore(Path(named) if named else user_cache_folder("loops"), FOLDER if FOLDER.is_dir() else None)
 
 
 def _is_trusted(state: os.stat_result) -> bool:

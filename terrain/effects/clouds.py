@@ -128,7 +128,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
 
 @cached("scene", MIB)
 def _mean_height_m(elevation: Elevation) -> float:
-    return float(np.nanmean(elevation.overview.heights_m))
+    return float(np.nanmean(elevation.overview.mean_heights_m))
 
 
 def threshold_of(cover: float) -> float:
@@ -297,7 +297,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         assert isinstance(view, PerspectiveView)
         distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
         boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
-        nearest, farthest = (_fade_share(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
+        nearest, farthest = (_fade_share(view.pixel_tangent * float(m)) for m in (distance_m.min(), distance_m.max()))
     densest = max((_max_density(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
     return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
@@ -312,10 +312,10 @@ def _direct_share(scene: Scene) -> float:
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_sky_share(scene)
     low, high = scene.height_range_m
-    bare = low == high and scene.objects.kinds == ("relief",)
-    direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
-    sky = light.sky * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_SHARE)
-    sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
+    bare = low == high and scene.objects.caster_kinds == ("relief",)
+    direct = light.sun_irradiance * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
+    sky = light.sky_irradiance * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_SHARE)
+    sky = sky * (1.0 - scene.style.sky_light_desaturation)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 
 
@@ -328,7 +328,7 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     x, y = scene.elevation.xy(row, col)
     point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
     low, high = scene.height_range_m
-    heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
+    heights = np.repeat([low, high + scene.objects.tallest_object_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     positions = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
@@ -368,7 +368,7 @@ def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
     """
     view, trees = coarse_view.buffer.view, scene.objects.trees
     if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, coarse_view.buffer.frame) > 0.0:
-        return scene.objects.tallest_m
+        return scene.objects.tallest_object_m
     return 0.0 if trees is None else float(trees.height_m.max())
 
 

@@ -68,7 +68,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if isinstance(view, MapView) or coarse_view is None:
         return {"trees": 0, "sunlit": scene.sun_is_up}
     trees, in_frustum = trees_in_view(scene, view, coarse_view.buffer.frame)
-    sunlit = scene.sun_is_up and bool(daylight_of(scene).sun.any())
+    sunlit = scene.sun_is_up and bool(daylight_of(scene).sun_irradiance.any())
     any_in_view = trees is not None and find_visible_trees(scene.objects, view, coarse_view)[1]
     return {"trees": len(in_frustum) if any_in_view else 0, "sunlit": sunlit}
 

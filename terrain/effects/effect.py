@@ -99,7 +99,7 @@ def pixel_size(block: ShadingBlock) -> PixelSize:
     """Return the width of a block's pixels."""
     if isinstance(block.view, MapView):
         return PixelSize(np.zeros(3), 0.0, map_pixel_m(block.scene.world, block.view))
-    return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel, 0.0)
+    return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel_tangent, 0.0)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import noise_along
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import WATER_TOLERANCE_M
+from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M
 
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
@@ -103,7 +103,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing_tangent, GRAZING_COSINE, 1.0)
-    pixel_width_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
+    pixel_width_m = view.pixel_tangent * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
     return {"draped": draped, "nearest_m": float(distance_m.min()), "share": max_albedo_change(float(pixel_width_m.min()))}
 
 
@@ -130,7 +130,7 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
-    return buffer.position_frame_m, scene.elevation, view.pixel
+    return buffer.position_frame_m, scene.elevation, view.pixel_tangent
 
 
 @cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
@@ -142,8 +142,8 @@ def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.n
     out = np.zeros((*buffer.valid.shape, 2))
     run_in_chunks(
         len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + WATER_TOLERANCE_M,
-        view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
+        scene.elevation.water_m + WATER_HEIGHT_TOLERANCE_M,
+        view.in_frame(buffer.frame)[0], view.pixel_tangent, _WAVES, out,
     )  # fmt: skip
     return out
 

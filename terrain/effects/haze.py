@@ -67,7 +67,7 @@ RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
 ENCODER_BIN_WIDTH = 1.0 / 4096.0
-"""Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
+"""Width of the bins of linear colour in ``skugga.terrain.shading.encode_srgb``."""
 
 TESTED_LIGHT_SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that the tests of visibility try, each 0.6 % larger than the one before."""
@@ -183,7 +183,7 @@ def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     """
     eye, camera_from_frame = view.in_frame(frame)
     first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
-    tangents = np.stack([first - view.step, first + count * view.step], axis=1) / view.focal_px
+    tangents = np.stack([first - view.step_px, first + count * view.step_px], axis=1) / view.focal_px
     (left, right), (top, bottom) = tangents
     inward = np.array([[0, 0, 1], [1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom]]) @ camera_from_frame
     return eye, camera_from_frame, tangents, inward
@@ -206,7 +206,7 @@ def _sunlit_white(scene: Scene) -> np.ndarray:
     """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
-    sunlight = daylight_of(scene).sun
+    sunlight = daylight_of(scene).sun_irradiance
     return np.array([tone_curve(channel) for channel in sunlight])
 
 

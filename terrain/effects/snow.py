@@ -15,7 +15,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import WATER_TOLERANCE_M
+from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M
 
 SNOW_ALBEDO, ROCK_ALBEDO = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of settled snow, and of the rock and scree on steep ground."""
@@ -49,7 +49,7 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     _apply_snow_albedo(
         albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame),
         scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + WATER_TOLERANCE_M, pixel_size(block),
+        scene.elevation.water_m + WATER_HEIGHT_TOLERANCE_M, pixel_size(block),
     )  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     level = scene.loaded.level
     reason = None
-    if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
+    if level.water is not None and scene.objects.caster_kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
         reason = f"all ground lies below the water level, {level.water.level:g} m"
     elif coarse_view is not None and len(coarse_view.points_frame_m) == 0 and scene.objects.trees is None:
         reason = "the view shows only sky"

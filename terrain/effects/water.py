@@ -38,14 +38,14 @@ from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import (
-    WATER_TOLERANCE_M,
+    WATER_HEIGHT_TOLERANCE_M,
     daylight_of,
+    encode_srgb,
     exposure_of,
     night_sky_share,
     shading_parameters,
     sky_lit_albedo,
-    srgb_encoded,
-    water_in,
+    water_mask,
 )
 from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.sky import sky_color, sky_of
@@ -120,7 +120,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if scene.loaded.level.water is None:
         return {"level_m": None, "covers": False, "change_steps": None, "glint": False}
     change: int | None = None
-    covers = scene.elevation.overview.lowest_m <= water_m + WATER_TOLERANCE_M
+    covers = scene.elevation.overview.lowest_ground_m <= water_m + WATER_HEIGHT_TOLERANCE_M
     if isinstance(view, MapView):
         covers = covers and _map_may_show_water(scene, view)
         change = _max_change_steps(scene, view, np.array([1.0])) if covers else None
@@ -145,11 +145,13 @@ def _cells_may_have_water(elevation: Elevation, overview_level: int, cells: Cell
     slices = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
     if np.prod([rows.stop - rows.start for rows in slices]) > MAX_CELLS_READ:
         overview = elevation.overview
-        means = overview.heights_m[block_slices(cells, 2**overview.lod, overview.heights_m.shape, 2)]
-        return overview_level < overview.lod or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + WATER_TOLERANCE_M)
+        means = overview.mean_heights_m[block_slices(cells, 2**overview.lod, overview.mean_heights_m.shape, 2)]
+        return overview_level < overview.lod or bool(
+            np.nanmin(means, initial=np.inf) <= elevation.water_m + WATER_HEIGHT_TOLERANCE_M
+        )
     row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in slices)
     height_m, valid = elevation.heights_at(overview_level, *np.meshgrid(row, col, indexing="ij"))
-    return bool((valid & (height_m <= elevation.water_m + WATER_TOLERANCE_M)).any())
+    return bool((valid & (height_m <= elevation.water_m + WATER_HEIGHT_TOLERANCE_M)).any())
 
 
 def _eye_zenith_cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -159,7 +161,7 @@ def _eye_zenith_cosines(scene: Scene, view: PerspectiveView, coarse_view: Coarse
     is searched for (``_submerged_nodes_between``).
     """
     buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
-    points = buffer.position_frame_m[water_in(buffer, scene)]
+    points = buffer.position_frame_m[water_mask(buffer, scene)]
     if not len(points):
         points = _submerged_nodes_between(scene, view, coarse_view)
     up = points - scene.world.up_origin(buffer.frame)
@@ -179,13 +181,15 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
 
     buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
-    sample_view, is_water = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= WATER_TOLERANCE_M
+    sample_view, is_water = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= WATER_HEIGHT_TOLERANCE_M
     points = ground.position_frame_m[is_water]
     eye, camera_from_frame = sample_view.in_frame(buffer.frame)
     in_camera = (points - eye) @ camera_from_frame.T
     points, in_camera = points[in_camera[:, 2] > 0.0], in_camera[in_camera[:, 2] > 0.0]
     first = sample_view.col0, sample_view.row0
-    col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * sample_view.focal_px - first[k]) / sample_view.step) for k in (0, 1))
+    col, row = (
+        np.rint((in_camera[:, k] / in_camera[:, 2] * sample_view.focal_px - first[k]) / sample_view.step_px) for k in (0, 1)
+    )
     inside = (row >= -1) & (row <= sample_view.rows) & (col >= -1) & (col <= sample_view.cols)
     points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.valid.shape, np.inf)
@@ -196,7 +200,7 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     is_visible = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing_tangent)
     if not is_visible.any():
         return points[:0]
-    pixels_per_sample = round(sample_view.step / view.step)
+    pixels_per_sample = round(sample_view.step_px / view.step_px)
     top, left = (max((int(v[is_visible].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
     bottom, right = (min((int(v[is_visible].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
@@ -220,11 +224,14 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     """
     light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    sky = light.sky * (night + (1.0 - night) * twilight_sky_share(sine))
+    sky = light.sky_irradiance * (night + (1.0 - night) * twilight_sky_share(sine))
     draped = scene.loaded.level.terrain.imagery is not None
-    water_albedo = np.array(scene.style.water)
+    water_albedo = np.array(scene.style.water_albedo)
     darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
-    dark, bright = MIN_SKY_VIEW_FACTOR * sky * darkest, (sky + light.sun * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest
+    dark, bright = (
+        MIN_SKY_VIEW_FACTOR * sky * darkest,
+        (sky + light.sun_irradiance * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest,
+    )
     bright = np.array([tone_curve(channel) for channel in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, TESTED_ANGLE_COUNT))
     tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, TESTED_COLOR_COUNT)[:, None, None] ** 2).astype(np.float32)
@@ -237,7 +244,7 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = tested_colors.copy()
         _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
-        max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(tested_colors)).max()))
+        max_steps = max(max_steps, int(np.abs(encode_srgb(color).astype(int) - encode_srgb(tested_colors)).max()))
     return max_steps
 
 
@@ -250,7 +257,7 @@ def _max_lamp_irradiance(scene: Scene) -> np.ndarray:
     total = np.zeros(3)
     for lamp in scene.lamps.values():
         height_m = float(scene.world.map_position(scene.elevation.crs, lamp.position_earth_m)[2]) - scene.elevation.water_m
-        total += np.array(lamp.color) * lamp.intensity * (lamp.reference_m / max(height_m, 1e-3)) ** 2 * exposure
+        total += np.array(lamp.color) * lamp.intensity * (lamp.reference_distance_m / max(height_m, 1e-3)) ** 2 * exposure
     return total
 
 
@@ -265,7 +272,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         up = np.array([0.0, 0.0, 1.0])
     else:
         cols, rows = (
-            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS) * view.step) / view.focal_px
+            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS) * view.step_px) / view.focal_px
             for first, count in ((view.col0, view.cols), (view.row0, view.rows))
         )
         x, y = (v.ravel() for v in np.meshgrid(cols, rows))
@@ -273,7 +280,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         to_eye /= np.linalg.norm(to_eye, axis=-1, keepdims=True)
         to_sun = scene.sun.to_sun_earth
         up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    brightest = float(daylight_of(scene).sun.max())
+    brightest = float(daylight_of(scene).sun_irradiance.max())
     return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > INVISIBLE_GLINT)
 
 
@@ -284,9 +291,9 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
     to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
     sun = visibility = None
     if has_glint(scene, view) and SUN in block.visibilities:
-        sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
+        sun, visibility = daylight_of(scene).sun_irradiance, block.visibilities[SUN]
     _add_reflections(
-        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
+        color, water_mask(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
         MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 

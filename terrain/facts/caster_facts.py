@@ -58,11 +58,11 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
     as the longest shadow of the level's relief. Their resolution halves at each doubling of the distance. ``rows`` and ``cols`` are
     the size of the block in nodes, ``node_m`` is the distance between nodes in metres.
     """
-    if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
+    if not scene.sun_is_up or scene.light_space is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0
     level_m = float(np.hypot(*scene.elevation.shape)) * scene.elevation.cell_size_m(scene.world.metres_per_unit)
     relief_m, world = float(np.ptp(scene.height_range_m)), scene.world
-    longest_m = longest_shadow_m(relief_m, scene.light.altitude_deg, not world.flat, world.radius_m)
+    longest_m = longest_shadow_m(relief_m, scene.light_space.altitude_deg, not world.flat, world.radius_m)
     far = min(longest_m, max(level_m - min(rows, cols) * node_m, 0.0)) / node_m
     total, near, level = 0.0, 0.0, 0
     while near < far:
@@ -119,7 +119,7 @@ def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]
     All three are 0 if the overview has no neighbouring cells with data.
     """
     cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.lod
-    heights = elevation.overview.heights_m.astype(np.float64)
+    heights = elevation.overview.mean_heights_m.astype(np.float64)
     if min(heights.shape) < 2:
         return 0.0, 0.0, 0.0
     down = (heights[1:, :-1] - heights[:-1, :-1]) / cell_m

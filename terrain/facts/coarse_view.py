@@ -107,7 +107,7 @@ class _CoarseRaster:
 
 def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     """Return the cache key of a coarse view: the objects of the scene and the camera. Light does not matter."""
-    camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
+    camera = (view.focal_px, view.row0, view.col0, view.step_px, view.rows, view.cols)
     return scene.objects, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
@@ -127,7 +127,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
     The result holds ``edge_samples`` if they are given, else samples of its own. A view of every pixel gets those of the coarse
     view, since its own would need too much memory in the cache.
     """
-    coarse_camera = replace(view, step=view.step * step_px, rows=-(-view.rows // step_px), cols=-(-view.cols // step_px))
+    coarse_camera = replace(view, step_px=view.step_px * step_px, rows=-(-view.rows // step_px), cols=-(-view.cols // step_px))
     frame = view.frame(scene.world)
     ground, solids = ground_mesh(scene, coarse_camera), solid_vertices(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
@@ -159,7 +159,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
         points,
         distance_m,
         geometry.height_m[geometry.valid],
-        coarse_camera.pixel,
+        coarse_camera.pixel_tangent,
         float(has_edge.mean()),
         edge_samples,
     )
@@ -177,7 +177,7 @@ def rasterize_triangles(
     eye, camera_from_frame = view.in_frame(frame)
     number = np.zeros((view.rows, view.cols, len(sample_offsets)), np.uint32)
     depth = np.full(number.shape, np.inf)
-    tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
+    tangents = np.array([view.col0, view.row0, view.step_px]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
         in_camera, pixel = _project_vertices(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)

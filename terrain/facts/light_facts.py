@@ -114,7 +114,7 @@ def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: floa
     )
     rays = rays_to(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
     blocked = (
-        {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.kinds}
+        {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.caster_kinds}
         if len(lit_probes.probes)
         else {}
     )
@@ -134,7 +134,7 @@ def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: floa
         for blocked_rays in blocked.values()
     ]
     nearest_m = min((float(distances.min()) for distances in edge_m if len(distances)), default=None)
-    edges = {} if "meshes" not in scene.objects.kinds else _silhouette_facts(scene, camera, probes, lamp)
+    edges = {} if "meshes" not in scene.objects.caster_kinds else _silhouette_facts(scene, camera, probes, lamp)
     return LightFacts(
         to_view_deg=to_view, eye_to_lamp_m=eye_to_lamp_m, facing_share=facing_share,
         cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
@@ -319,11 +319,11 @@ def _silhouette_facts(scene: Scene, camera: PerspectiveView | None, probes: Prob
         return {"silhouette_edges": len(ends)}
     ends_camera = (ends - camera.eye_earth_m) @ camera.earth_from_camera
     first_px, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
-    bounds = np.stack([first_px - 0.5 * camera.step, first_px + (count - 0.5) * camera.step]) / camera.focal_px
+    bounds = np.stack([first_px - 0.5 * camera.step_px, first_px + (count - 0.5) * camera.step_px]) / camera.focal_px
     from_eye = probes.select(stratified_indices(len(probes), MAX_EYE_RAYS)).point_earth_m - camera.eye_earth_m
     volume_layers = mean_volume_layers(ends, light, is_positional, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
     return {
         "silhouette_edges": len(ends),
-        "silhouette_px": projected_length(ends_camera, *bounds) / camera.pixel,
+        "silhouette_px": projected_length(ends_camera, *bounds) / camera.pixel_tangent,
         "volume_layers": volume_layers,
     }

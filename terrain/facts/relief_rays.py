@@ -130,7 +130,7 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
     """
     from scipy.ndimage import maximum_filter
 
-    heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
+    heights = np.nan_to_num(elevation.overview.mean_heights_m, nan=-1e9)
     side = SKIP_BLOCK_CELLS
     padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
     rows, cols = (size // side for size in padded.shape)

@@ -49,7 +49,11 @@ def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeIn
 
     In a scene with trees they are at most ``MAX_LEAF_PROBES`` of these points. A leaf in front of a point replaces it.
     """
-    return _coarse_view_probes(coarse_view, view.pixel) if trees is None else _probes_with_leaves(coarse_view, view.pixel, trees)
+    return (
+        _coarse_view_probes(coarse_view, view.pixel_tangent)
+        if trees is None
+        else _probes_with_leaves(coarse_view, view.pixel_tangent, trees)
+    )
 
 
 @cached("scene", 64 * MIB)
@@ -75,7 +79,7 @@ def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstan
     count = len(chosen)
     row, col = np.divmod(chosen, coarse_camera.cols)
     tangents = (
-        np.stack([coarse_camera.col0 + col * coarse_camera.step, coarse_camera.row0 + row * coarse_camera.step], axis=1)
+        np.stack([coarse_camera.col0 + col * coarse_camera.step_px, coarse_camera.row0 + row * coarse_camera.step_px], axis=1)
         / coarse_camera.focal_px
     )
     _, camera_from_frame = coarse_camera.in_frame(coarse_view.buffer.frame)
@@ -112,7 +116,7 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
         index[chosen, None] + np.array(NEIGHBOUR_OFFSETS)[:, k] for k, index in enumerate((edge_samples.row, edge_samples.col))
     )
     x, y = (
-        (first + index * edge_samples.view.step) / edge_samples.view.focal_px
+        (first + index * edge_samples.view.step_px) / edge_samples.view.focal_px
         for first, index in ((edge_samples.view.col0, col), (edge_samples.view.row0, row))
     )
     _, camera_from_frame = edge_samples.view.in_frame(coarse_view.buffer.frame)
@@ -141,7 +145,7 @@ def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
 
 @cached("scene", 64 * MIB)
 def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
-    ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_m
+    ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_object_m
     horizontal_slope = objects.world.curvature * ground_probes.point_frame_m[:, :2]
     up = (
         np.column_stack([horizontal_slope, np.ones(len(ground_probes))]) / np.sqrt(1.0 + (horizontal_slope**2).sum(axis=1))[:, None]
@@ -185,7 +189,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
 
     Heights are bilinear between the cells of the overview. There are ``MAP_STRATA_PER_SIDE`` squared strata.
     """
-    heights, factor = elevation.overview.heights_m, 2**elevation.overview.lod
+    heights, factor = elevation.overview.mean_heights_m, 2**elevation.overview.lod
     jitter = quasirandom(np.arange(MAP_STRATA_PER_SIDE**2)).reshape(MAP_STRATA_PER_SIDE, MAP_STRATA_PER_SIDE, 2)
     stratum = np.stack(tuple(np.mgrid[:MAP_STRATA_PER_SIDE, :MAP_STRATA_PER_SIDE]), axis=-1)
     row, col = np.moveaxis((stratum + jitter) / MAP_STRATA_PER_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)

@@ -18,7 +18,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.geometry import normal_stencil_radius
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
-from skugga.terrain.ground.cell_finder import STEREOGRAPHIC, cell_in_square, lattice_square, project_to_plane, square_corners
+from skugga.terrain.ground.cell_finder import STEREOGRAPHIC_PLANE, cell_in_square, lattice_square, project_to_plane, square_corners
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusion_row
 from skugga.terrain.ground.surface import Surface, map_pixel_m
@@ -118,7 +118,8 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     )
     normal, up, share, window_valid, is_complete = _smooth_ground(
         exact_rows, first_row, surface.stride, row0, height, node_valid, stencil_radius,
-        world.up_origin(frame), None if sky is None else sky.finder.cells, *_sky_arguments(sky, frame, map_pixel_m(world, view)),
+        world.up_origin(frame), None if sky is None else sky.cell_finder.node_cells, *_sky_arguments(sky, frame, map_pixel_m(world,
+        view)),
     )  # fmt: skip
     if not is_complete:
         return None
@@ -138,17 +139,18 @@ def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tu
         empty, empty_values = np.zeros(2), np.zeros(0, np.float32)
         mip_level = mip_pair(np.zeros((1, 3), np.int64), 1.0)
         return frame.frame_from_earth, frame.origin_earth_m, 0, np.eye(3), empty, empty, empty_values, mip_level, 1.0
-    finder, (values, table) = sky.finder, sky.means
+    finder, (values, table) = sky.cell_finder, sky.mean_pyramid
     return (
-        frame.frame_from_earth, frame.origin_earth_m, finder.plane, finder.axes, finder.first, finder.step, values,
-        mip_pair(table, pixel_m / sky.node_m), 2.0**sky.lod,
+        frame.frame_from_earth, frame.origin_earth_m, finder.plane, finder.axes_earth, finder.first_node_xy,
+        finder.node_spacing_xy, values,
+        mip_pair(table, pixel_m / sky.node_spacing_m), 2.0**sky.lod,
     )  # fmt: skip
 
 
 @compiled
 def _smooth_ground(
     exact_rows, first_row, stride, row0, height, node_valid, stencil_radius, centre,
-    lattice, frame_from_earth, origin, plane, axes, first, step, values, mip_level, cells_per_node,
+    lattice, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, values, mip_level, cells_per_node,
 ):  # fmt: skip
     """Return unit normals, unit vectors up, sky shares and valid mask of a window, and whether all of its ground has normals.
 
@@ -199,8 +201,10 @@ def _smooth_ground(
         _write_up_vectors(x, y, z, (centre[0], centre[1], centre[2]), up[window_row])
         if lattice is not None:
             own_height = height[window_row + stencil_radius, stencil_radius : stencil_radius + cols]
-            _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, plane_position)
-            _convert_to_cells(plane_position, first, step, lattice, cells_per_node)
+            _write_plane_positions(
+                x, y, z, own_height, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, plane_position
+            )
+            _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, cells_per_node)
             _subtract_hidden_sky(plane_position[0], plane_position[1], values, mip_level, share[window_row])
     return normal, up, share, valid, is_complete
 
@@ -237,23 +241,26 @@ def _write_up_vectors(px, py, pz, centre, out):
 
 
 @internal
-def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, plane_position):
+def _write_plane_positions(
+    px, py, pz, height, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, plane_position
+):
     """Write the positions (2, cols) of a row of frame points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
     ox, oy, oz = origin[0], origin[1], origin[2]
     axis_rows = (
-        (axes[0, 0], axes[0, 1], axes[0, 2]), (axes[1, 0], axes[1, 1], axes[1, 2]), (axes[2, 0], axes[2, 1], axes[2, 2]),
+        (axes_earth[0, 0], axes_earth[0, 1], axes_earth[0, 2]), (axes_earth[1, 0], axes_earth[1, 1], axes_earth[1, 2]),
+        (axes_earth[2, 0], axes_earth[2, 1], axes_earth[2, 2]),
     )  # fmt: skip
-    first_xy, step_xy = (first[0], first[1]), (step[0], step[1])
+    first_xy, step_xy = (first_node_xy[0], first_node_xy[1]), (node_spacing_xy[0], node_spacing_xy[1])
     out_x, out_y = plane_position[0], plane_position[1]
-    if plane == STEREOGRAPHIC:
+    if plane == STEREOGRAPHIC_PLANE:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC, axis_rows, first_xy, step_xy)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC_PLANE, axis_rows, first_xy, step_xy)
     else:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
@@ -263,12 +270,17 @@ def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, 
 
 
 @internal
-def _convert_to_cells(plane_position, first, step, lattice, cells_per_node):
+def _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, cells_per_node):
     """Convert positions (2, cols) in the plane of a ``CellFinder`` to rows and columns of the nodes of a ``SkyView``, in place.
 
     Consecutive positions in one square of the finder's lattice are converted together.
     """
-    x, y, begin, by = plane_position[0], plane_position[1], (first[0], first[1]), (step[0], step[1])
+    x, y, begin, by = (
+        plane_position[0],
+        plane_position[1],
+        (first_node_xy[0], first_node_xy[1]),
+        (node_spacing_xy[0], node_spacing_xy[1]),
+    )
     rows, cols = lattice.shape[0], lattice.shape[1]
     square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
     for j in range(x.size):

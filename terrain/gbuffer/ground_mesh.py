@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, run_in_chunks
-from skugga.terrain.geo.camera import FRAME_PITCH_SHARE, PerspectiveView
+from skugga.terrain.geo.camera import PERSPECTIVE_FRAME_SPACING_SHARE, PerspectiveView
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, transformer
 from skugga.terrain.ground.decimation import NodeErrors, decimate, node_errors
@@ -158,9 +158,9 @@ def _ground_mesh(
         float(height),
     )
     decimated = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
-    frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_PITCH_SHARE)
+    frame = world.frame_near_earth(np.array(eye_earth_m), PERSPECTIVE_FRAME_SPACING_SHARE)
     row, col = decimated.nodes[:, 0], decimated.nodes[:, 1]
-    return _build_mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
+    return _build_mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance_rad * focal_px)
 
 
 @cached("scene", 256 * MIB)

@@ -83,11 +83,11 @@ def rasterise_perspective(
     uniforms = {
         "camera_from_frame": tuple(camera_from_frame.T.ravel()),
         "eye_frame_m": tuple(eye),
-        "window": (*(2.0 * view.focal_px / (view.step * size)), *((1.0 - 2.0 * first / view.step) / size - 1.0)),
+        "window": (*(2.0 * view.focal_px / (view.step_px * size)), *((1.0 - 2.0 * first / view.step_px) / size - 1.0)),
         "near_m": NEAR_M,
     }
     target = gl.visibility_buffer_target(view.cols, view.rows)
-    tangent_bounds = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
+    tangent_bounds = np.array([[first[k] - view.step_px, first[k] + size[k] * view.step_px] for k in (0, 1)]) / view.focal_px
     visible_ground = _triangles_in_frustum(ground.position_frame_m, ground.triangles, eye, camera_from_frame, tangent_bounds)
     with gl.visibility_buffer_pass(target):
         if pixel_mask is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early

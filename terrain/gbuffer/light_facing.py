@@ -104,7 +104,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.with_rim.sheet, buffer.position_frame_m
-        nodes, centre = sheet.position_frame_m, surface.centre_frame_m
+        nodes, centre = sheet.position_frame_m, surface.up_origin_frame_m
         _write_facing_facets(nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
         run_in_chunks(

@@ -23,7 +23,7 @@ def subsampled_view(view: MapView | PerspectiveView, stride: int) -> MapView | P
     if isinstance(view, MapView):
         row_step, col_step = view.row_step * stride, view.col_step * stride
         return replace(view, row_step=row_step, col_step=col_step, rows=rows, cols=cols, pixel_share=share)
-    return replace(view, step=view.step * stride, rows=rows, cols=cols, pixel_share=share)
+    return replace(view, step_px=view.step_px * stride, rows=rows, cols=cols, pixel_share=share)
 
 
 def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:

@@ -53,7 +53,7 @@ SIDE_TOLERANCE = 1e-6
 def is_terrain_only(scene: Scene) -> bool:
     """Return whether a level has only smooth ground, and no light but the sun."""
     smooth = scene.elevation.surface == "smooth"
-    return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.kinds) <= {"relief"}
+    return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.caster_kinds) <= {"relief"}
 
 
 def ground_pixels(scene: Scene, view: MapView) -> float:
@@ -113,7 +113,7 @@ def _pixel_sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     grid, or lie half-way between two of them.
     """
     steps = float(np.rint(view.grid.step / grid.step))
-    offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.stretch), (grid.x0 - view.grid.x0) / grid.step
+    offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.y_to_x_step_ratio), (grid.x0 - view.grid.x0) / grid.step
     axes = (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
     row, col = (
         (first + (np.arange(count + 1) - 0.5) * step) * steps - np.rint(2.0 * offset) / 2.0 + 0.5

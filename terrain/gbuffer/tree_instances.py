@@ -153,7 +153,7 @@ def _drawn_trees(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: n
     return TreeInstances(
         number=number,
         base_frame_m=base,
-        base_height_m=objects.tree_heights_m[number],
+        base_height_m=objects.tree_base_heights_m[number],
         shape=(np.stack([half, half, height, height * crown_quad_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
         yaw_cos_sin=_yaws(trees)[number],
         variant=trees.variant[number].astype(np.int32),

@@ -167,7 +167,7 @@ def resolve_buffer(
             np.concatenate([sqrt_albedo, finer_visible.id_buffer.sqrt_albedo[row, col]]) if sqrt_albedo.size else sqrt_albedo
         )
     eye, camera_from_frame = view.in_frame(visible.frame)
-    tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
+    tangents, finer_tangents = (np.array([v.col0, v.row0, v.step_px]) / v.focal_px for v in (view, finer))
     ground, trees, solids = visible.ground, visible.tree_instances, scene.objects.solids
     image = ground_imagery(scene)
     points = resolve_perspective(
@@ -189,7 +189,7 @@ def resolve_buffer(
     )  # fmt: skip
     albedo = points.albedo
     if image is not None:
-        cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel / image.cell_m(scene.world)
+        cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel_tangent / image.cell_m(scene.world)
         draped = image.albedo(points.cells, np.nan_to_num(cells_per_pixel, nan=1.0))
         albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
@@ -222,7 +222,7 @@ def _map_buffer(
     tree_px = None if trees is None else _pixel_positions(view, scene.objects.trees_in_crs(crs)[trees.number])
     px_from_m = _px_from_m(scene, view, frame)
     low, high = scene.height_range_m
-    heights = low - 100.0, high + scene.objects.tallest_m + 100.0
+    heights = low - 100.0, high + scene.objects.tallest_object_m + 100.0
     solid_mesh = None if solids is None or solid_px is None else (solid_px, solids.triangles)
     id_buffer = rasterise_map(view, solid_mesh, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.valid.shape, 3), np.nan, np.float32)
@@ -260,7 +260,7 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
     solids = objects.solids
     assert solids is not None
     normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
-    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_crease)
+    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_creases)
 
 
 def _pixel_positions(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
@@ -308,7 +308,7 @@ def ground_imagery(scene: Scene) -> Imagery | None:
 
 @cached("scene", 256 * MIB)
 def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
-    return image.cells(ground.grid.crs, ground.x, ground.y)
+    return image.cells_at(ground.grid.crs, ground.x, ground.y)
 
 
 def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
@@ -321,7 +321,7 @@ def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     count = [-(-(size - 1) // IMAGERY_STEP_PX) + 1 for size in (view.rows, view.cols)]
     row, col = np.meshgrid(*(np.arange(n + 1) * float(IMAGERY_STEP_PX) for n in count), indexing="ij")
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
-    exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
+    exact = image.cells_at(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
     samples = np.meshgrid(*(np.arange(size) / IMAGERY_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
     cells = np.stack([map_coordinates(exact[..., k], samples, order=1) for k in (0, 1)], axis=-1)
     pixel_m = map_pixel_m(scene.world, view)

@@ -42,7 +42,7 @@ class Geolocator:
         x, y = self.xy(position)
         return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
 
-    def at_height(self, position: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    def point_at_height(self, position: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the datum, and the unit up vector there."""
         x, y = self.xy(position)
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
@@ -56,7 +56,7 @@ class Geolocator:
             bounds = (bounds - np.tile([self.world.anchor_x, self.world.anchor_y], 2)) * self.world.metres_per_unit
         return bounds_text(bounds, self.elevation.crs)
 
-    def above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
+    def point_above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the ground, and the unit up vector there.
 
         Raises ``LevelError``, whose message names the parameter ``name``, where the ground has no data.
@@ -64,7 +64,7 @@ class Geolocator:
         ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):
             raise LevelError(name, position, "a position on the terrain's data")
-        return self.at_height(position[:2], ground_m + position[2])
+        return self.point_at_height(position[:2], ground_m + position[2])
 
 
 def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:

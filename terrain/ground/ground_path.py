@@ -16,10 +16,10 @@ from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.motion import HeightReference
 
-MIN_SAMPLES = 16
+MIN_SAMPLES_PER_SEGMENT = 16
 """Minimum number of points at which a path is checked between two neighbouring keys."""
 
-MAX_SAMPLES = 20_000
+MAX_PATH_SAMPLES = 20_000
 """Approximate maximum number of points at which a whole path is checked."""
 
 UNDERGROUND_TOLERANCE_M = 0.01
@@ -110,12 +110,12 @@ class GroundPath:
     def sample_times_s(self) -> np.ndarray:
         """Return the times (n,) in seconds at which the path is checked: about every half cell of the raster.
 
-        The keys' times are among them. Times are farther apart if more than about ``MAX_SAMPLES`` would result.
+        The keys' times are among them. Times are farther apart if more than about ``MAX_PATH_SAMPLES`` would result.
         """
         elevation, times_s = self.geolocator.elevation, self.horizontal_curve.times_s
         step_m = 0.5 * elevation.cell_size_m(self.geolocator.world.metres_per_unit)
         samples = np.linalg.norm(np.diff(self.horizontal_curve.values, axis=0), axis=1) / step_m
-        samples = np.maximum(samples * min(1.0, MAX_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES)
+        samples = np.maximum(samples * min(1.0, MAX_PATH_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES_PER_SEGMENT)
         knots = np.concatenate([[0.0], np.cumsum(np.ceil(samples))])
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 

@@ -118,7 +118,7 @@ class PlantingMap:
 
     @property
     def _geodetic_crs(self) -> CRS:
-        return GeographicCRS() if self.world.on_earth else longitude_latitude_of(self.elevation.crs)
+        return GeographicCRS() if self.world.is_on_earth else longitude_latitude_of(self.elevation.crs)
 
     @property
     def unit_m(self) -> float:

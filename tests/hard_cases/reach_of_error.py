@@ -128,7 +128,7 @@ def _pixel_m(rendered: RenderedView, points: np.ndarray) -> np.ndarray:
     """Return the side of a pixel at points (n, 3), metres."""
     if isinstance(rendered.view, PerspectiveView):
         eye, _ = rendered.view.in_frame(rendered.buffer.frame)
-        return np.linalg.norm(points - eye, axis=1) * rendered.view.pixel
+        return np.linalg.norm(points - eye, axis=1) * rendered.view.pixel_tangent
     position = rendered.buffer.position_frame_m
     steps = (np.linalg.norm(np.diff(position, axis=axis), axis=-1) for axis in (0, 1))
     return np.full(len(points), max(float(np.nanmax(step, initial=0.0)) for step in steps))

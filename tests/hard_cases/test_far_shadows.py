@@ -129,7 +129,7 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
     beyond_m = np.abs(point[..., 0]) - half_m  # from the strip's edge
     distance_m = distances(rendered.buffer.position_frame_m, rendered.view.in_frame(rendered.buffer.frame)[0])
-    margin_m = distance_m * rendered.view.pixel
+    margin_m = distance_m * rendered.view.pixel_tangent
     if trial.algorithm == "shadow_map":
         cascades = rendered.plan.steps[0].settings.cascades
         number = np.searchsorted([cascade.far_m for cascade in cascades[:-1]], distance_m)

@@ -122,7 +122,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
 def pixels_of(view: PerspectiveView, points_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the nearest pixels of points (n, 3) before a camera: rows and columns (n,), some outside the picture."""
     x, y, depth_m = ((points_earth_m - view.eye_earth_m) @ view.earth_from_camera).T
-    row, col = (((v / depth_m) * view.focal_px - first) / view.step for v, first in ((y, view.row0), (x, view.col0)))
+    row, col = (((v / depth_m) * view.focal_px - first) / view.step_px for v, first in ((y, view.row0), (x, view.col0)))
     return np.rint(row).astype(int), np.rint(col).astype(int)
 
 

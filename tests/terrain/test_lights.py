@@ -19,7 +19,7 @@ from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.world import geocentric
 from skugga.terrain.level.level import SUN, parse_algorithm
-from skugga.terrain.lights import CONE_FADE_SHARE, axes_along
+from skugga.terrain.lights import CONE_EDGE_FADE_SHARE, axes_along
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import FLAT_GROUND_ALBEDO, LEVEL_GROUND_EXPOSURE, shade
 from tests.rasters import ENGINEERING
@@ -136,7 +136,7 @@ def test_spot_fades_out_at_its_rim(floor, make_scene):
     lamp_color = (color_under_lights(scene, view, ("lamp",)) - color_under_lights(scene, view, ()))[..., 0]
     angle = np.degrees(np.arctan2(np.hypot(x, y), 20.0))
     full_light = FLAT_GROUND_ALBEDO * LEVEL_GROUND_EXPOSURE * 0.5 * np.cos(np.radians(angle)) ** 3
-    inside, outside = angle < 40.0 * (1 - CONE_FADE_SHARE), angle > 40.0
+    inside, outside = angle < 40.0 * (1 - CONE_EDGE_FADE_SHARE), angle > 40.0
     np.testing.assert_allclose(lamp_color[inside], full_light[inside], atol=1e-5)
     np.testing.assert_allclose(lamp_color[outside], 0.0, atol=1e-6)
     rim = ~inside & ~outside

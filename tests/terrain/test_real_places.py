@@ -148,7 +148,7 @@ def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro_wooded.yaml"))
     houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
     footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]
-    assert scene.objects.kinds == ("relief", "meshes", "forest")
+    assert scene.objects.caster_kinds == ("relief", "meshes", "forest")
     assert len(footprints) == len(scene.objects.solids.is_closed) > 100 and all(scene.objects.solids.is_closed)
     assert heights_m.min() > 2 and heights_m.max() < 25
     x, y, _ = scene.objects.trees_in_crs(scene.elevation.crs).T

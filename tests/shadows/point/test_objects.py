@@ -15,7 +15,7 @@ from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
-from skugga.terrain.geo.sun import direction_enu, position_at
+from skugga.terrain.geo.sun import azimuth_and_altitude, direction_enu
 from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING, write_geotiff
 
@@ -124,7 +124,7 @@ def test_sees_sun_agrees_with_truth(village):
         for i, j in decidable_cells[:: len(decidable_cells) // 150]:
             xy = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
             place = place_at(scene, xy, view.grid.crs)
-            sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+            sun = azimuth_and_altitude(scene.sun.to_sun_earth, place.earth_from_enu)
             is_sunlit = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
             assert is_sunlit == truth.lit[i, j], (azimuth, i, j)
             dark_count += not is_sunlit
@@ -162,7 +162,7 @@ def test_sees_sun_on_columns_agrees_with_truth(tmp_path, make_scene):
         xy = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
         place = place_at(scene, xy, view.grid.crs)
         assert place.ground_m == heights[i, j]
-        sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+        sun = azimuth_and_altitude(scene.sun.to_sun_earth, place.earth_from_enu)
         is_sunlit = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
         assert is_sunlit == truth.lit[i, j], (i, j)
         dark_count += not is_sunlit

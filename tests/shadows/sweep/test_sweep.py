@@ -75,7 +75,7 @@ def test_sweep_of_a_tile_on_a_curved_earth_matches_truth(jacksboro, tile, sun):
 def test_sweep_of_pixels_off_the_nodes_matches_truth(jacksboro, sun):
     scene = with_sun_at(jacksboro, *sun)
     view = scene.view(size=(301, 257))
-    assert not view.on_nodes
+    assert not view.is_on_nodes
     buffer, casters, visibility = sweep_view(scene, view)
     metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 100.0)
     assert metrics.wrong <= 3e-4 and metrics.interior <= 1e-4

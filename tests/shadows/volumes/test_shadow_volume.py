@@ -77,7 +77,7 @@ class ShadowCase:
     def volume_visibility(self, mask: str | None = None, log: PassLog | None = None, **settings: Any) -> np.ndarray:
         """Return visibility by volumes, or with ``mask`` by the hybrid. Attached shadow is dark; NaN marks no surface."""
         buffer = receivers_of(self.buffer, self.scene, self.light)
-        kinds, log = tuple(kind for kind in self.scene.objects.kinds if kind != "forest"), log or PassLog()
+        kinds, log = tuple(kind for kind in self.scene.objects.caster_kinds if kind != "forest"), log or PassLog()
         if mask is None:
             visibility = shadow_volume.fill(buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log)
         else:
@@ -93,7 +93,7 @@ class ShadowCase:
 
     def rays(self) -> np.ndarray:
         """Return visibility by rays from the same points, in the form of ``volume_visibility``."""
-        kinds, log = self.scene.objects.kinds, PassLog()
+        kinds, log = self.scene.objects.caster_kinds, PassLog()
         return self.with_attached_shadow(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
     def truth(self) -> Truth:

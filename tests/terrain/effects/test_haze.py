@@ -34,7 +34,7 @@ from skugga.terrain.gbuffer.resolve import MESHES
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.shading import encode_srgb, shade
 from skugga.terrain.sky import horizon_colors, sky_color, sky_of
 
 EAST = np.array([1.0, 0.0, 0.0])
@@ -167,8 +167,8 @@ def test_air_is_clear_if_a_level_sets_no_visibility(make_floor_scene):
 
 def test_srgb_encoder_is_constant_within_bins():
     first = np.arange(round(1.0 / ENCODER_BIN_WIDTH)) * ENCODER_BIN_WIDTH
-    assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * ENCODER_BIN_WIDTH)).all()
-    assert (np.diff(srgb_encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
+    assert (encode_srgb(first) == encode_srgb(first + 0.999 * ENCODER_BIN_WIDTH)).all()
+    assert (np.diff(encode_srgb(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
@@ -176,7 +176,7 @@ def test_max_invisible_share_moves_no_colour_by_two_steps(color, horizon):
     share = _max_invisible_share((horizon,), (horizon,))
     near = np.linspace(max(color - 2 * ENCODER_BIN_WIDTH, 0.0), min(color + 2 * ENCODER_BIN_WIDTH, 1.0), 400)
     blended = near + share * (horizon - near)
-    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(near)).max() <= 1
+    assert np.abs(encode_srgb(blended).astype(int) - encode_srgb(near)).max() <= 1
 
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
@@ -184,7 +184,7 @@ def test_max_invisible_share_is_tight_within_a_tenth(horizon):
     share = 1.1 * _max_invisible_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
     blended = color + share * (horizon - color)
-    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(color)).max() == 2
+    assert np.abs(encode_srgb(blended).astype(int) - encode_srgb(color)).max() == 2
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
@@ -193,7 +193,7 @@ def test_max_hiding_transmittance_equates_sun_and_shadow(dark, horizon, white, p
     dark = (1.0 - white) * dark + np.linspace(0.0, 8 * ENCODER_BIN_WIDTH, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
     sun = shadow + part * share * white
-    assert np.abs(srgb_encoded(np.minimum(sun, 1.0)).astype(int) - srgb_encoded(np.minimum(shadow, 1.0))).max() <= 1
+    assert np.abs(encode_srgb(np.minimum(sun, 1.0)).astype(int) - encode_srgb(np.minimum(shadow, 1.0))).max() <= 1
 
 
 SUN_ALTITUDES_DEG = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
@@ -212,7 +212,7 @@ def sun_shadow_steps(scene: Scene, distance_m: float) -> np.ndarray:
     for share in (0.0, 1.0):
         color = shade(buffer, scene, np.full(buffer.valid.shape, share, np.float32))
         apply_haze(color, ShadingBlock(scene, view, buffer, {}))
-        pictures.append(srgb_encoded(color).astype(int))
+        pictures.append(encode_srgb(color).astype(int))
     return np.abs(pictures[0] - pictures[1]).max(axis=-1).ravel()
 
 

@@ -18,7 +18,7 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.shading import albedo_of, water_in
+from skugga.terrain.shading import albedo_of, water_mask
 from skugga.terrain.sky import Sky
 
 UTM = "EPSG:32633"
@@ -87,7 +87,10 @@ def test_heights_are_the_maximum_of_ground_and_water(write_raster, bowl_m):
         np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(WATER_LEVEL_M)))
         np.testing.assert_array_equal(flooded_valid, valid)
     assert flooded_elevation.ground_m(395.0, 305.0) == WATER_LEVEL_M == flooded_elevation.filled_ground_m(395.0, 305.0)
-    assert flooded_elevation.overview.heights_m.min() == WATER_LEVEL_M and flooded_elevation.overview.lowest_m == bowl_m.min()
+    assert (
+        flooded_elevation.overview.mean_heights_m.min() == WATER_LEVEL_M
+        and flooded_elevation.overview.lowest_ground_m == bowl_m.min()
+    )
 
 
 def test_overviews_of_large_rasters_are_flooded(write_raster):
@@ -95,8 +98,8 @@ def test_overviews_of_large_rasters_are_flooded(write_raster):
     heights_m[:300] = 40.0
     heights_m[5, 5] = 10.0
     overview = Elevation(str(write_raster(heights_m, UTM, 0, 6000, 10)), water_m=WATER_LEVEL_M).overview
-    assert overview.lod == 2 and overview.lowest_m == 10.0
-    for values in (overview.heights_m, overview.high_m):
+    assert overview.lod == 2 and overview.lowest_ground_m == 10.0
+    for values in (overview.mean_heights_m, overview.max_heights_m):
         assert set(np.unique(values)) == {100.0, 120.0}
 
 
@@ -124,10 +127,10 @@ def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
 def test_water_is_painted_up_to_its_round_shore(make_lake):
     scene = make_lake()
     buffer = geometry_buffer(scene, scene.view("map", size=(800, 600)))
-    is_water = water_in(buffer, scene)
+    is_water = water_mask(buffer, scene)
     albedo = albedo_of(buffer, scene)
-    np.testing.assert_allclose(albedo[is_water], np.broadcast_to(scene.style.water, albedo[is_water].shape), atol=1e-6)
-    assert not np.isclose(albedo[~is_water & buffer.valid], scene.style.water, atol=1e-3).all(axis=-1).any()
+    np.testing.assert_allclose(albedo[is_water], np.broadcast_to(scene.style.water_albedo, albedo[is_water].shape), atol=1e-6)
+    assert not np.isclose(albedo[~is_water & buffer.valid], scene.style.water_albedo, atol=1e-3).all(axis=-1).any()
     area_m2 = is_water.sum() * 100.0 / 100.0
     assert area_m2 == pytest.approx(np.pi * (WATER_LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
 
@@ -209,7 +212,7 @@ def test_water_is_needed_by_day_and_changes_only_water(make_lake, name):
     is_changed = (with_water != without_water).any(axis=-1)
     buffer = geometry_buffer(scene, scene.view(name))
     assert is_changed.any() and (np.abs(with_water - without_water).max() > 1)
-    far = ~water_in(buffer, scene)
+    far = ~water_mask(buffer, scene)
     if name == "map":
         assert not (is_changed & far).any()
 
@@ -261,7 +264,7 @@ def test_glint_stays_out_of_shadow(make_lake):
     scene = make_lake(altitude=25.0)
     view = scene.view("rim")
     buffer = geometry_buffer(scene, view)
-    is_water = water_in(buffer, scene)
+    is_water = water_mask(buffer, scene)
     colors = []
     for sun_visibility in (0.0, 1.0):
         color = np.full((*is_water.shape, 3), 0.2, np.float32)
@@ -280,7 +283,7 @@ def test_a_pond_between_coarse_view_points_is_not_missed(make_lake, bowl_m):
     view_count_with_water = 0
     for shift in range(8):
         view = eye.shifted(shift, 3 * shift)
-        on_water = water_in(geometry_buffer(scene, view), scene).any()
+        on_water = water_mask(geometry_buffer(scene, view), scene).any()
         assert water.judge(describe(scene, view, "rim")).is_needed >= on_water
         view_count_with_water += on_water
     assert view_count_with_water > 0

@@ -20,7 +20,7 @@ from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.shading import encode_srgb, shade
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -165,7 +165,7 @@ def test_edge_means_are_of_linear_light(gl, tower):
     valid_samples = picture.buffer.valid.copy()
     extra_samples_valid = valid_samples[view.rows :].ravel()[: len(row) * picture.sample_count].reshape(-1, picture.sample_count)
     is_opaque = extra_samples_valid.all(axis=1) & valid_samples[row, col]  # no sky in them
-    expected = srgb_encoded(picture.averaged(colours))[row[is_opaque], col[is_opaque]].astype(int)
+    expected = encode_srgb(picture.averaged(colours))[row[is_opaque], col[is_opaque]].astype(int)
     is_lit = frame.visibility[row[is_opaque], col[is_opaque]] == 1.0
     is_equal = np.abs(frame.color[row[is_opaque], col[is_opaque]].astype(int) - expected).max(axis=1) <= 1
     assert is_opaque.sum() > 30 and is_equal[is_lit].mean() > 0.5

@@ -37,7 +37,7 @@ def test_map_views_at_a_zoom_s_resolution_share_the_tile_grid(name, epsg):
         assert map_grid(WORLD, CRS.from_epsg(epsg), grid.step * 1.9) == grid
         bounds = tms.xy_bounds(*tms.tile(15.0, 47.0, zoom))
         view = map_view(WORLD, CRS.from_epsg(epsg), (bounds.left, bounds.bottom, bounds.right, bounds.top), 256, 256)
-        assert view.on_nodes and view.grid == grid
+        assert view.is_on_nodes and view.grid == grid
         tile = tms.tile(15.0, 47.0, zoom)
         assert (view.row0, view.col0) == (tile.y * 256, tile.x * 256)
 
@@ -150,7 +150,7 @@ def test_crease_is_0_on_planes_and_normal_distance_on_folds(write_raster, make_s
     heights[:, 20:] = np.arange(20) * 10.0  # a plane of 45 degrees from column 20 on
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 400, 10))
     view = scene.view(bounds=(0, 0, 400, 400), size=(50, 50))
-    assert view.on_nodes
+    assert view.is_on_nodes
     # Nodes of 8 m do not fall on the fold, at 205 m: from 204 to 212 m the ground rises by 7 m, and only then by 8 m in 8 m.
     fold = np.arctan(7.0 / 8.0)
     for pixels, expected in ((view, 2.0 * np.sin(fold / 4.0)), (view.shifted(0.2, 0.3), 2.0 * np.sin(fold / 2.0))):

@@ -220,7 +220,7 @@ def test_whole_pixel_shifts_leave_a_map_unchanged(gl, rolling, make_scene, tmp_p
         return scene.view(bounds=(west, north - 128, west + 128, north), size=(128, 128))
 
     plan = plan_of(scene, view(0, 0))
-    assert view(0, 0).on_nodes
+    assert view(0, 0).is_on_nodes
     full_frame = render_frame(scene, view(0, 0), plan)
     assert 0.1 < (full_frame.visibility < 0.5).mean() < 0.9 and np.ptp(full_frame.height_m) > 20
     for down, right in ((37, 23), (5, -64)):  # in the same block, and across the border of two

@@ -18,8 +18,8 @@ from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import srgb_encoded
-from skugga.terrain.sky import SKY_HORIZON, SKY_ZENITH
+from skugga.terrain.shading import encode_srgb
+from skugga.terrain.sky import HORIZON_COLOR, ZENITH_COLOR
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
@@ -61,8 +61,8 @@ def lon_lat_at(east_m: float, north_m: float) -> tuple[float, float]:
 
 def rays_in_frame(view: PerspectiveView, buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     """Return the eye (3,) and the pixels' rays (rows, cols, 3) of depth 1 in a buffer's frame."""
-    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
-    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x = (view.col0 + np.arange(view.cols) * view.step_px) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step_px) / view.focal_px
     x, y = np.meshgrid(x, y)
     eye, camera_from_frame = view.in_frame(buffer.frame)
     return eye, np.stack([x, y, np.ones_like(x)], axis=-1) @ camera_from_frame
@@ -72,7 +72,7 @@ def ray_distance_px(view: PerspectiveView, point: np.ndarray, eye: np.ndarray, r
     """Return the distance of points (n, 3) from their pixels' rays, in pixels."""
     to_point = point - eye
     ray_distance = np.linalg.norm(np.cross(to_point, ray), axis=-1) / np.linalg.norm(ray, axis=-1)
-    return ray_distance / np.linalg.norm(to_point, axis=-1) / view.pixel
+    return ray_distance / np.linalg.norm(to_point, axis=-1) / view.pixel_tangent
 
 
 def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
@@ -83,7 +83,7 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
         t = np.where(ray[..., 2] < 0.0, -eye[2] / ray[..., 2], np.nan)
     floor_points = eye + t[..., None] * ray
     border_distance_m = np.abs(floor_points[..., :2] + buffer.frame.origin_earth_m[:2]).max(axis=-1) - FLOOR_M
-    pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel
+    pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel_tangent
     slanted_m = 2.0 * pixel_m / np.maximum(np.abs(ray[..., 2]) / np.linalg.norm(ray, axis=-1), 1e-9)
     assert (buffer.valid == (border_distance_m < 0.0))[~(np.abs(border_distance_m) < slanted_m)].all()
     valid = buffer.valid & (border_distance_m < 0.0)
@@ -283,7 +283,7 @@ def test_a_view_of_the_sky_alone_runs_all_passes(gl, floor, make_scene, target):
     frame = render(scene, scene.view("eye"))
     assert not frame.valid.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
     assert frame.opaque_mask.all() and [record.name for record in frame.passes] == frame.plan.passes
-    between = srgb_encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
+    between = encode_srgb(np.array([ZENITH_COLOR, HORIZON_COLOR], np.float32)).astype(int)
     assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
 
 

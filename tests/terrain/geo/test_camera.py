@@ -29,8 +29,8 @@ views = st.builds(
 
 def pixel_rays(view: PerspectiveView) -> np.ndarray:
     """Return the pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
-    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
-    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x = (view.col0 + np.arange(view.cols) * view.step_px) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step_px) / view.focal_px
     x, y = (v[..., None] for v in np.meshgrid(x, y))
     right, down, forward = view.earth_from_camera.T
     return x * right + y * down + forward

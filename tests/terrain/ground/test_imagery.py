@@ -184,7 +184,7 @@ def test_large_imagery_is_averaged_to_max_side(write_raster, monkeypatch):
     path = write_raster(data, UTM, X0, Y0, CELL / 4, name="large.tif")
     image = Imagery(str(path))
     row, col = (v.ravel() for v in np.mgrid[0:SIDE, 0:SIDE])
-    cells = image.cells(CRS.from_user_input(UTM), X0 + (col + 0.5) * CELL, Y0 - (row + 0.5) * CELL)
+    cells = image.cells_at(CRS.from_user_input(UTM), X0 + (col + 0.5) * CELL, Y0 - (row + 0.5) * CELL)
     np.testing.assert_allclose(cells, np.column_stack([row, col]), atol=1e-3)
     np.testing.assert_allclose(
         image.albedo(cells[:, None], 1.0)[:, 0], srgb_albedo(random_colors(5)[:, row, col].T / 255.0), atol=1e-5

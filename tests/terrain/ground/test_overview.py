@@ -20,7 +20,7 @@ def big_raster(write_raster, monkeypatch) -> Elevation:
     """Return a plain of 500 m with a narrow peak, a narrow pit and a hole: too large for an exact read."""
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 128 * 128)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 128 * 128)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 32)
     row, col = np.mgrid[:SIDE, :SIDE]
 
     def bell(at_row: float, at_col: float) -> np.ndarray:
@@ -52,8 +52,8 @@ def test_high_m_is_at_least_the_mean_and_nan_in_holes(big_raster):
 def test_overview_does_not_depend_on_strip_height(big_raster, monkeypatch):
     monkeypatch.setattr(overview, "MEAN_ROWS_PER_READ", 4)
     reopened = Elevation(big_raster.name)
-    np.testing.assert_array_equal(reopened.overview.high_m, big_raster.overview.high_m)
-    assert reopened.overview.lowest_m == big_raster.overview.lowest_m
+    np.testing.assert_array_equal(reopened.overview.max_heights_m, big_raster.overview.high_m)
+    assert reopened.overview.lowest_ground_m == big_raster.overview.lowest_m
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypat
     assert make_scene(path).warnings == ()
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 10_000)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 64)
     (warning,) = make_scene(path).warnings
     assert f"'skugga overviews {path}'" in warning
     with skugga.open_heights(np.zeros((600, 700), np.float32), (30.0, 0.0, 5e5, 0.0, -30.0, 5.3e6), "EPSG:32633") as level:

@@ -57,7 +57,7 @@ def hill(write_raster) -> Path:
 def test_level_without_meshes_has_no_solids(scene_of):
     scene = scene_of(FLOOR_TERRAIN)
     assert scene.objects.solids is None and not len(assemble_solids(scene).triangles)
-    assert not scene.objects.solid_crease.size and scene.objects.tallest_m == 0
+    assert not scene.objects.solid_creases.size and scene.objects.tallest_m == 0
 
 
 def test_model_is_placed_turned_and_scaled(scene_of):
@@ -177,8 +177,8 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     np.testing.assert_array_equal(later_objects.solids.vertices_earth_m, assemble_solids(scene, 3.0).vertices_earth_m)
     assert abs(later_objects.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
     # The arrow has only edges. Facets of the shell, which is seen from inside, differ by some degrees.
-    assert later_objects.solid_crease is at_rest.solid_crease and (at_rest.solid_crease[:12] == 0).all()
-    assert 0.1 < at_rest.solid_crease[12:].min() and at_rest.solid_crease.max() < 0.5
+    assert later_objects.solid_creases is at_rest.solid_creases and (at_rest.solid_creases[:12] == 0).all()
+    assert 0.1 < at_rest.solid_creases[12:].min() and at_rest.solid_creases.max() < 0.5
 
 
 def test_meshes_without_motion_ignore_the_clock(scene_of):

@@ -224,5 +224,5 @@ def test_large_raster_needs_overviews(write_raster, monkeypatch):
     with rasterio.open(path, "r+") as dataset:
         dataset.build_overviews([2, 4])
     elevation = Elevation(str(path))
-    assert elevation.overview.heights_m.shape == (275, 275)
+    assert elevation.overview.mean_heights_m.shape == (275, 275)
     elevation.close()
