@@ -49,7 +49,10 @@ class BenchmarkView:
         """
         rows = [
             picture.pixel_buffer.valid
-            & ((band_visibility[: picture.rows] < 0.5) | attached(picture.pixel_buffer, self.scene, *self.scene.light_names))
+            & (
+                (band_visibility[: picture.picture_rows] < 0.5)
+                | attached(picture.pixel_buffer, self.scene, *self.scene.light_names)
+            )
             for band_visibility, (picture, _) in zip(visibility, self.bands, strict=True)
         ]
         return np.concatenate(rows)

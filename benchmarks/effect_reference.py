@@ -69,6 +69,6 @@ def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> lis
     if not above:
         row, col = np.nonzero(~buffer.valid)
         linear[row, col] = sky_pixel_colors(scene, view, *picture.pixels_of_points(row, col))
-        linear = picture.averaged(linear)
+        linear = picture.average_samples(linear)
         layers.append(own_buffer.position_frame_m)
     return [encode_srgb(linear), *layers]

@@ -100,7 +100,9 @@ def write_wooded_hills(folder: Path, trees: int) -> Path:
 def measure_tree_frames(count: int, repeats: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_wooded_hills(Path(folder), count)))
-        print(f"{device().renderer}; {0 if scene.objects.trees is None else len(scene.objects.trees.rank)} trees", flush=True)
+        print(
+            f"{device().renderer}; {0 if scene.objects.trees is None else len(scene.objects.trees.thinning_rank)} trees", flush=True
+        )
         for name in scene.loaded.level.views:
             times: list[float] = []
             for _ in range(repeats + 1):

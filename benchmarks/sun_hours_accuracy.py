@@ -122,7 +122,7 @@ class CellRays:
         """
         over = np.flatnonzero(self._upwards @ direction > min_sine)
         visible = np.zeros(len(self._start), bool)
-        visible[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
+        visible[over] = ~self._rays.is_blocked(self._start[over], direction) if len(over) else False
         return visible
 
 

@@ -154,7 +154,7 @@ class GridRays:
         for first in range(0, len(nodes), BATCH_RAYS):
             batch = slice(first, first + BATCH_RAYS)
             start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offset_factor * NODE_OFFSET_FACTOR * rays.offset_m])
-            visible[batch] = ~rays.blocked(start, to_sun)
+            visible[batch] = ~rays.is_blocked(start, to_sun)
         return visible
 
     def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:

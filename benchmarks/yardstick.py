@@ -168,12 +168,12 @@ class Yardstick:
         bounds = [vertices[:, :3].min(axis=0), vertices[:, :3].max(axis=0)]
         if tree_instances is not None and self.trees:
             self._instances = gl.ctx.buffer(
-                np.concatenate([tree_instances.base_frame_m, tree_instances.shape, tree_instances.variant[:, None]], axis=1).astype(
-                    np.float32
-                )
+                np.concatenate(
+                    [tree_instances.base_frame_m, tree_instances.quad_sizes_m, tree_instances.variant[:, None]], axis=1
+                ).astype(np.float32)
             )
             self._leaves = gl.srgb_texture_array(foliage().mip_levels)
-            bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.shape[:, 2].max())]
+            bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.quad_sizes_m[:, 2].max())]
         self._bounds = np.array(bounds)
         self._color_arrays = self._vertex_arrays(FRAGMENT_SHADER.replace("TAPS", str(taps if map_size else 0)))
         self._depth_arrays = self._vertex_arrays(DEPTH_FRAGMENT_SHADER) if map_size else None

@@ -189,7 +189,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
     The process must have no stored machine code.
     """
     from skugga.terrain.compiling.hooks import compile_lazily
-    from skugga.terrain.compiling.loop_cache import recorders
+    from skugga.terrain.compiling.loop_cache import compile_recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
 
     recorded_loops: list[tuple[str, Any]] = []
@@ -202,7 +202,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
         assert tuple(map(decode_type, encoded)) == args, (function, args)
         recorded_loops.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
-    recorders.append(note)
+    compile_recorders.append(note)
     compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
         PRODUCERS[product](write_rasters(Path(folder)), Path(folder))

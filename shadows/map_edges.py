@@ -26,7 +26,7 @@ from skugga.shadows.visibility import visibilities_at
 from skugga.terrain.casters.caster_culling import block_ground_faces_sun
 from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
 from skugga.terrain.compiled import compiled
-from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, MultisampledBuffer
+from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -39,10 +39,10 @@ Arrays = dict[str, np.ndarray]
 MIN_EDGE_VISIBILITY_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
-SAMPLED_PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
+SAMPLED_PART_PX = BLOCK_PX // EDGE_SAMPLES_PER_SIDE
 """Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
-SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
+SAMPLES_PER_PIXEL = EDGE_SAMPLES_PER_SIDE * EDGE_SAMPLES_PER_SIDE
 
 SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
 """Arrays of a geometry buffer that shading reads."""
@@ -151,8 +151,8 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
 def _sample_buffer(scene: Scene, block_buffer: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
     """Return the geometry buffer of the samples of a part's pixels in the mask ``edges``."""
     with log.record_pass(GEOMETRY_PASS):
-        pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
-        return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
+        pixel_mask = np.repeat(np.repeat(edges, EDGE_SAMPLES_PER_SIDE, axis=0), EDGE_SAMPLES_PER_SIDE, axis=1)
+        return geometry_buffer(scene, part.finer(EDGE_SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 
 
 def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
@@ -164,7 +164,7 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
     arrays.update(visibilities)
     row, col = np.nonzero(edges)
     positions = [
-        (row * SAMPLES_PER_SIDE + k // SAMPLES_PER_SIDE, col * SAMPLES_PER_SIDE + k % SAMPLES_PER_SIDE)
+        (row * EDGE_SAMPLES_PER_SIDE + k // EDGE_SAMPLES_PER_SIDE, col * EDGE_SAMPLES_PER_SIDE + k % EDGE_SAMPLES_PER_SIDE)
         for k in range(SAMPLES_PER_PIXEL)
     ]
     return {name: np.stack([value[position] for position in positions], axis=1) for name, value in arrays.items()}

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.clip_space import bend_px
+from skugga.terrain.casters.clip_space import affine_camera_error_px
 from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.lamps import visible_lamps
-from skugga.terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
+from skugga.terrain.facts.caster_facts import caster_facts_of, drawn_trees_of, slopes_deg
 from skugga.terrain.facts.coarse_view import CoarseView, coarse_view_of
 from skugga.terrain.facts.descriptor import Descriptor, join_bands
 from skugga.terrain.facts.fact_types import Band, Fact, LampFacts
-from skugga.terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
+from skugga.terrain.facts.light_facts import MIN_EYE_DISTANCE_M, ViewProbes, facts_of_lights
 from skugga.terrain.facts.row_widths import row_width_ratio
 from skugga.terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
-from skugga.terrain.gbuffer.supersampling import PixelSampling, ground_pixels, subdivision_level, supersampled_view
+from skugga.terrain.gbuffer.supersampling import PixelSampling, max_ground_pixels, subdivision_level, supersampled_view
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
 from skugga.terrain.ground.elevation import Elevation
@@ -55,11 +55,11 @@ def describe(
     all_lamps = effects != "auto" and effects.get("lamps") == "on"
     lamp_names = [lamp.name for lamp in lamps if lamp.reaches or all_lamps]
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
-    trees = trees_of(scene, sampled_view)
+    trees = drawn_trees_of(scene, sampled_view)
     if isinstance(sampled_view, MapView):
         view_facts = _map_facts(scene, sampled_view)
         if pieces > 1 and isinstance(view, MapView):
-            shown_pixels = min(min(view.rows, BLOCK_PX) * min(view.cols, BLOCK_PX), ground_pixels(scene, view))
+            shown_pixels = min(min(view.rows, BLOCK_PX) * min(view.cols, BLOCK_PX), max_ground_pixels(scene, view))
             view_facts["pixels"] = max(int(shown_pixels * pieces**2), 1)
         probes = ViewProbes(scene, None, probes_in_map(scene, view_facts["pixel_m"], trees), trees)
         rows, cols = min(sampled_view.rows, BLOCK_PX), min(sampled_view.cols, BLOCK_PX)
@@ -105,7 +105,7 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     return {
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
         "receivers_light_m": _max_receiver_extent_m(scene, view, relief_m),
-        "bend_px": bend_px(scene, view.grid, view.row_step, view.col_step),
+        "bend_px": affine_camera_error_px(scene, view.grid, view.row_step, view.col_step),
         "row_width_ratio": row_width_ratio(scene, view.grid, view),
     }  # fmt: skip
 
@@ -183,7 +183,7 @@ def _distance_bands(
     bounds. The bounds also leave room for objects of height ``max_object_height_m``, as far as the view shows them.
     """
     light_m = visible_points.points_m
-    octave = np.ceil(np.log2(np.maximum(distance_m, MIN_DISTANCE_M))).astype(int)
+    octave = np.ceil(np.log2(np.maximum(distance_m, MIN_EYE_DISTANCE_M))).astype(int)
     order = np.argsort(octave, kind="stable")
     first = np.flatnonzero(np.diff(octave[order], prepend=octave.min(initial=0) - 1))
     if not len(first):

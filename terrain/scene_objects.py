@@ -153,7 +153,7 @@ class SceneObjects:
         if self.trees is None:
             return 0.0
         ground_m2 = self.elevation.rows * self.elevation.cols * self.elevation.cell_size_m(self.world.metres_per_unit) ** 2
-        return float(np.pi / 4.0 * np.sum(np.square(self.trees.crown_m, dtype=np.float64)) / ground_m2)
+        return float(np.pi / 4.0 * np.sum(np.square(self.trees.crown_diameter_m, dtype=np.float64)) / ground_m2)
 
     @cached_property
     def tallest_object_m(self) -> float:

@@ -209,7 +209,7 @@ def shaded_ground_srgb(ground: BareGround, scene: Scene, sunlight: np.ndarray) -
     if ground.height_m.size:
         light = daylight_in_frame(scene, ground.frame)
         shade_bare_ground(
-            ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
+            ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.visible_sky_share,
             sunlight[ground.window], shading_parameters(scene, ground.view, ground.frame), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip

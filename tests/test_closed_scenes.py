@@ -107,7 +107,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     attached(block, scene)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
-    ground_detail._detail(buffer, scene, view)  # a level with imagery leaves it out
+    ground_detail._albedo_changes(buffer, scene, view)  # a level with imagery leaves it out
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)

@@ -362,7 +362,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     log, start = PassLog(), time.perf_counter()
     parts = []
     for picture, casters in pictures:
-        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.effect_names, log)[: picture.rows])
+        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.effect_names, log)[: picture.picture_rows])
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
     for name, record in log.records.items():

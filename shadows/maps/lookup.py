@@ -15,7 +15,7 @@ from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
 from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.map_columns import column_top_corners
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -158,8 +158,8 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
         "uses_offset": comparison.uses_offset,
         "taps": taps, "lit_by_taps": not is_disc, "taps_without_triangle": comparison.taps_without_triangle,
     }  # fmt: skip
-    fragment = shader(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
-    program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
+    fragment = shader_source(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
+    program = gl.program(shader_source("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **depth_map.uniforms, "map_size": depth_map.size, "bias_scale": settings.bias_scale,
         "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_TEXTURE_UNIT,
@@ -193,7 +193,7 @@ def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, setti
     if settings.filter != "sun":
         yield
         return
-    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
+    program = gl.program(shader_source("shadows/pixels.vert"), shader_source("shadows/maps/least_depth.frag"))
     set_uniforms(program, {"depth_map": DEPTH_MAP_TEXTURE_UNIT, "block_texels": BLOCK_TEXELS})
     _bind_depths(target)
     width, height = depth_map.size

@@ -208,7 +208,7 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     rows, cols = window.height_m.shape
     rays = rays_at(scene, window.columns.grid, window.row0 + (rows - 1) / 2, window.col0 + (cols - 1) / 2)
     windows: dict[int, list[tuple[int, int, np.ndarray]]] = {0: [(window.row0, window.col0, window.height_m)]}
-    for patch in casters.casting:
+    for patch in casters.casting_patches:
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         height_m, _ = window.columns.coarser(patch.lod).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
         windows.setdefault(patch.lod, []).append((row0, col0, height_m))

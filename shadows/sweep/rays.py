@@ -312,7 +312,7 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, sof
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
     rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
-    if nodes.errors is None:
+    if nodes.decimation_errors is None:
         return rays, _ground(
             rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft_edges
         )

@@ -161,7 +161,7 @@ def fill_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft_edges=False, culled=casters.culled_patches)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
@@ -237,7 +237,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft_edges:
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, soft_edges, casters.culled_patches)
     assert buffer.ground is not None
     rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, soft_edges)
     return rays, [ground]

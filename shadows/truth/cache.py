@@ -16,7 +16,7 @@ import numpy as np
 from skugga.shadows.truth.truth import ALL_KINDS, Truth, trace_truth
 from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
-from skugga.terrain.casters.rays import OFFSET_ULPS
+from skugga.terrain.casters.rays import RAY_OFFSET_ULPS
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -83,10 +83,12 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg, lamp.radius_m])
     elif scene.sun is not None:
         to_light = scene.sun.in_frame(buffer.frame)
-    numbers = DEFINITION_VERSION, _view_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
+    numbers = DEFINITION_VERSION, _view_numbers(buffer.view), samples, RAY_OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)
-    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
+    parts = (
+        [] if trees is None else [trees.base_frame_m, trees.quad_sizes_m, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
+    )
     for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
         parts += [vertices, triangles]
     for sheet in caster_sheets(scene, buffer, casters, ALL_KINDS):

@@ -347,7 +347,7 @@ def _unblocked_mask(
     directions /= length[:, None]
     start = _offset_origins(buffer, facing, normals, directions, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, directions, length)
+    out[facing] = ~rays.is_blocked(start, directions, length)
     return out
 
 
@@ -372,7 +372,7 @@ def lit_mask_towards(
         facing &= receiver_mask
     start = _offset_origins(buffer, facing, normals, direction, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, direction)
+    out[facing] = ~rays.is_blocked(start, direction)
     return out
 
 

@@ -28,7 +28,7 @@ from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
-from skugga.terrain.gl.stencil import MARK_BIT, CountMode, Side
+from skugga.terrain.gl.stencil import MARK_BIT, CountMode, FaceSide
 from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _count_points(
     parts = rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.buffer_indices), np.uint8)
-    sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
+    sides: tuple[FaceSide, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
     with receiver_stencil(gl, buffer, scene, points, parts, uses_mark_bit) as (target, program):
         for number, volume_set in enumerate(volumes):
             if number:

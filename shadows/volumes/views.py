@@ -29,7 +29,7 @@ from skugga.terrain.casters.clip_space import affine_parts, camera_clip, map_cli
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import finer_view
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M, set_uniforms, shader_source
 from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -137,7 +137,7 @@ def receiver_stencil(
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
-    program = gl.program(shader("shadows/volumes/volume.vert"), shader("shadows/maps/depth.frag"))
+    program = gl.program(shader_source("shadows/volumes/volume.vert"), shader_source("shadows/maps/depth.frag"))
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
@@ -154,7 +154,9 @@ def receiver_stencil(
     texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, parts, rows, cols))
     texture.use(0)
     for marking in (False, True) if marks_pixels else (False,):
-        depth_program = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
+        depth_program = gl.program(
+            shader_source("shadows/pixels.vert"), shader_source("shadows/volumes/seen_depth.frag"), {"marking": marking}
+        )
         depth_program["seen"] = 0
         with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, overwrite=True):
             for part in parts.tolist():
@@ -273,4 +275,4 @@ def near_plane_m(buffer: GeometryBuffer) -> float:
         return 0.0
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
     low, _ = light_bounds(buffer.position_frame_m, buffer.valid, camera_from_frame, -camera_from_frame @ eye)
-    return max(0.5 * float(low[2]), NEAR_M) if np.isfinite(low[2]) else NEAR_M
+    return max(0.5 * float(low[2]), NEAR_PLANE_M) if np.isfinite(low[2]) else NEAR_PLANE_M

@@ -55,7 +55,7 @@ ends. The distance falls in proportion to the number of nodes per cell. Nodes th
 bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
 """
 
-COARSE_CELL_NODES = PATCH_QUADS / 4
+MAX_CELL_HALF_WIDTH_NODES = PATCH_QUADS / 4
 """Half the width of an overview cell, in nodes of the block's grid, above which finer cells replace the cell."""
 
 UNKNOWN_RELIEF_M = 1500.0
@@ -102,22 +102,22 @@ class Patch:
     col: int
 
 
-def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
+def longest_shadow_m(relief_m: float, altitude_deg: float, is_curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
     """Return the length, metres, of the longest shadow that ground of the height range ``relief_m`` can cast.
 
     It is the solution L of H = L tan(a) + L^2 / 2R. H is ``relief_m``, a the sun's altitude and R ``radius_m``, the earth's radius.
-    Without ``curved`` the term with R is left out. Terrestrial refraction is neglected. The result is infinite for a sun at the
+    Without ``is_curved`` the term with R is left out. Terrestrial refraction is neglected. The result is infinite for a sun at the
     horizon of flat ground.
     """
     if relief_m <= 0:
         return 0.0
     slope = np.tan(np.radians(max(altitude_deg, 0.0)))
-    if not curved:
+    if not is_curved:
         return float(relief_m / slope) if slope > 0 else np.inf
     return float(radius_m * (np.sqrt(slope**2 + 2.0 * relief_m / radius_m) - slope))
 
 
-RAY_ORIGIN_COUNT = 64
+SUNWARD_RAY_ORIGIN_COUNT = 64
 """Approximate number of points of a perspective view from which the raster's extent towards the sun is measured."""
 
 
@@ -157,18 +157,18 @@ class Casters:
         Patches of the ground that can shade the block.
     reach
         The distance up to which the ground was searched.
-    culled
+    culled_patches
         Patches that provably cast no shadow on the block (``skugga.terrain.casters.caster_culling``).
     """
 
     patches: tuple[Patch, ...]
     reach: Reach
-    culled: frozenset[Patch] = frozenset()
+    culled_patches: frozenset[Patch] = frozenset()
 
     @property
-    def casting(self) -> tuple[Patch, ...]:
+    def casting_patches(self) -> tuple[Patch, ...]:
         """The patches that may cast a shadow on the block."""
-        return tuple(patch for patch in self.patches if patch not in self.culled)
+        return tuple(patch for patch in self.patches if patch not in self.culled_patches)
 
 
 NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
@@ -302,21 +302,21 @@ class _OccluderCells:
         float64 (n,), rows and columns of the cells' centres on the block's grid, in nodes.
     half_extent_nodes
         float64 (n,), half the cells' widths with a margin, in nodes.
-    distance
+    distance_nodes
         float64 (n,), distances of the cells' centres from the block, in nodes; 0 on it.
     """
 
     row: np.ndarray
     col: np.ndarray
     half_extent_nodes: np.ndarray
-    distance: np.ndarray
+    distance_nodes: np.ndarray
 
 
 def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _OccluderCells]:
     """Find the overview's cells whose ground can shade a block.
 
     The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells
-    under the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
+    under the block. It has finer cells where the overview's cells are larger than ``MAX_CELL_HALF_WIDTH_NODES``.
     """
     occluder_mask = _occluder_cell_mask(scene, buffer)
     grid, block_ground = _grid_and_ground(buffer)
@@ -329,7 +329,7 @@ def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _
         col = col + period * np.rint((block_ground.col0 + cols / 2 - np.median(col)) / period)
     outside = occluder_mask.copy()
     outside[occluder_mask] = _node_distances(block_ground, row, col) > 0
-    if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > COARSE_CELL_NODES:
+    if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > MAX_CELL_HALF_WIDTH_NODES:
         assert scene.light_space is not None
         finer_cells = fine_cells(scene, scene.light_space, grid, occluder_mask, (col, half_extent_nodes), period)
         if finer_cells is not None:
@@ -372,7 +372,7 @@ def _occluder_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...
         cells.row,
         cells.col,
         cells.half_extent_nodes,
-        cells.distance,
+        cells.distance_nodes,
     )
     rows, cols = block_ground.shape
     assert scene.light_space is not None
@@ -437,16 +437,16 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     return [patch for patch, is_kept in zip(patches, keep, strict=True) if is_kept]
 
 
-def _unique_rows(spans: np.ndarray) -> list[list[int]]:
+def _unique_rows(rows: np.ndarray) -> list[list[int]]:
     """Return the distinct rows of an integer array (n, k).
 
     Each row is encoded as one integer first, since ``np.unique`` over rows is 20 times slower.
     """
-    if not len(spans):
+    if not len(rows):
         return []
-    first = spans.min(axis=0)
-    sizes = np.ptp(spans, axis=0) + 1
-    keys = np.unique(np.ravel_multi_index(tuple((spans - first).T), tuple(sizes)))
+    first = rows.min(axis=0)
+    sizes = np.ptp(rows, axis=0) + 1
+    keys = np.unique(np.ravel_multi_index(tuple((rows - first).T), tuple(sizes)))
     return (np.stack(np.unravel_index(keys, tuple(sizes)), axis=1) + first).tolist()
 
 
@@ -493,7 +493,7 @@ def _ray_origins(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS,
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     valid = np.flatnonzero(buffer.valid)
-    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_ORIGIN_COUNT, 1)]]
+    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // SUNWARD_RAY_ORIGIN_COUNT, 1)]]
     points = buffer.frame.points_to_earth(start_points)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))

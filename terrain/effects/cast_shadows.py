@@ -35,10 +35,10 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-COARSE_NODES = 2**18
+MAX_COARSE_NODES = 2**18
 """Maximum number of nodes of the coarse ground that is tested first. If coarse ground casts shadows, finer ground does, too."""
 
-MAX_NODES = 2**21
+MAX_TESTED_NODES = 2**21
 """Maximum number of nodes of ground that is tested facet by facet, which takes about 0.3 s per million. Larger ground counts as a
 possible caster.
 """
@@ -46,10 +46,10 @@ possible caster.
 MAX_TREES_TESTED = 2000
 """Maximum number of trees that are tested one by one. If more are in view or towards the light, some of them cast shadows."""
 
-DEPTH_GRID_CELLS = 128
+DEPTH_GRID_SIDE_CELLS = 128
 """Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
 
-SUN_DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+SUN_DISC_SINE_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
 
 A facet whose plane is closer than this to the centre of the sun may cut the disc. The value is for unit normals. A test with the
@@ -117,7 +117,7 @@ def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
 
 
 def _facing_tolerance(altitude_deg: float) -> float:
-    return SUN_DISC_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
+    return SUN_DISC_SINE_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
 def has_casters(descriptor: Descriptor) -> bool:
@@ -159,11 +159,11 @@ def _sun_facing_range(
     assert isinstance(sampled_view, MapView)
     grid = sampled_view.grid
     nodes = node_count(scene.world, scene.elevation, grid)
-    halvings = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
+    halvings = max(int(np.ceil(np.log2(max(nodes / MAX_COARSE_NODES, 1.0)) / 2.0)), 0)
     min_excess, max_excess = facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid.coarser(halvings)), to_sun)
     if halvings == 0 or (min_excess is not None and max_excess is not None and min_excess <= 0.0 and max_excess >= 0.0):
         return min_excess, max_excess
-    if nodes > MAX_NODES:
+    if nodes > MAX_TESTED_NODES:
         return None, None
     return facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid), to_sun)
 
@@ -257,7 +257,7 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
             box_high,
             coarse_view.points_frame_m @ rotation.T + translation,
             _sample_radius_m(scene, view, coarse_view),
-            DEPTH_GRID_CELLS,
+            DEPTH_GRID_SIDE_CELLS,
         )
     )
 

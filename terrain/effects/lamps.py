@@ -12,7 +12,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
-from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
+from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.resolve import FOREST
@@ -119,7 +119,7 @@ def _min_visible_irradiance(scene: Scene) -> float:
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(
         increments[
-            np.argmax(srgb_of_linear(ground_light + increments) - srgb_of_linear(np.array(ground_light)) > 0.75 * CHANNEL_STEP)
+            np.argmax(srgb_of_linear(ground_light + increments) - srgb_of_linear(np.array(ground_light)) > 0.75 * SRGB_CHANNEL_STEP)
         ]
     )
 
@@ -163,7 +163,7 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
 
 
 @compiled
-def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, translucency):
+def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer_cosine, inner_cosine, translucency):
     valid, kind, position, _, normal = shading_inputs
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
@@ -175,7 +175,7 @@ def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, i
             translucent_share = translucency if kind[i, j] == FOREST else 0.0
             incidence_cosine = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / distance
             cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / distance
-            rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)
+            rim = min(max((cosine - outer_cosine) / (inner_cosine - outer_cosine), 0.0), 1.0)
             share = (
                 (translucent_share + (1.0 - translucent_share) * incidence_cosine) * rim * visibility[i, j] / (distance * distance)
             )

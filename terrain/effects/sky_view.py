@@ -38,13 +38,13 @@ from skugga.terrain.shading import (
 from skugga.terrain.shading_loops import twilight_sky_share
 from skugga.terrain.style import tint_table
 
-COMPARED_SHADES = 4096
+COMPARED_SHADE_COUNT = 4096
 """Number of shades, from black to the brightest ground in shadow, that are compared. The table that encodes sRGB has as many
 entries.
 """
 
 
-MARGIN_NODES = 4
+INTERPOLATION_MARGIN_NODES = 4
 """Number of nodes beyond a map's edge that interpolation may read, also at the next coarser level of the pyramid."""
 
 
@@ -97,16 +97,16 @@ def _max_hidden_in_map(scene: Scene, view: MapView, hidden_sky: SkyView) -> floa
         return 0.0
     fractional_level = _pyramid_level(scene, view, hidden_sky)
     number = min(int(fractional_level), len(table) - 1)
-    level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
+    level_values, margin = _pyramid_values(means, table, number), INTERPOLATION_MARGIN_NODES if fractional_level > 0.0 else 1
     return float(level_values[block_slices(cells, 2 ** (hidden_sky.lod + number), level_values.shape, margin)].max())
 
 
-def max_darkening_steps(light: float, hidden_share: float) -> int:
+def max_darkening_steps(max_light: float, hidden_share: float) -> int:
     """Return the maximum number of steps of 1/255 by which a colour darkens if the share ``hidden_share`` of its light is lost.
 
-    The colours are all linear values up to ``light``.
+    The colours are all linear values up to ``max_light``.
     """
-    shades = np.linspace(0.0, light, COMPARED_SHADES)
+    shades = np.linspace(0.0, max_light, COMPARED_SHADE_COUNT)
     return int((encode_srgb(shades).astype(int) - encode_srgb(shades * (1.0 - hidden_share))).max())
 
 

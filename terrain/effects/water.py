@@ -53,12 +53,12 @@ from skugga.terrain.sky import sky_color, sky_of
 WIND_SPEED_M_S = 3.0
 """A light breeze."""
 
-MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
+MEAN_SQUARE_WAVE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
 
-NORMAL_REFLECTANCE = 0.02
+NORMAL_INCIDENCE_REFLECTANCE = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
-MAX_PIXELS = 2_000_000
+MAX_SEARCHED_PIXELS = 2_000_000
 """Maximum number of pixels that are drawn to search for water between the points of a coarse view. If more would be needed, water
 is assumed to be visible.
 """
@@ -76,10 +76,10 @@ The colours are densest near black, where entries of the encoding table are 0.8 
 of a dark lake.
 """
 
-INVISIBLE_GLINT = 0.5 / 255.0 / 12.92
+MAX_INVISIBLE_GLINT = 0.5 / 255.0 / 12.92
 """Maximum linear light that is invisible even on black: half a step at the steepest part of sRGB."""
 
-GLINT_DIRECTIONS = 33
+GLINT_DIRECTIONS_PER_SIDE = 33
 """Number of directions along each side of a perspective view that are tested for glint.
 
 Glint falls to half its brightness 4 degrees off its centre. In a field of view of 60 degrees no direction is more than one degree
@@ -204,11 +204,11 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     top, left = (max((int(v[is_visible].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
     bottom, right = (min((int(v[is_visible].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
-    if box.rows * box.cols > MAX_PIXELS:
+    if box.rows * box.cols > MAX_SEARCHED_PIXELS:
         return points[is_visible]
     submerged = is_water[ground.triangles].all(axis=1)
     for box_view in (box, finer_view(box)):
-        number = RasterisedView(scene, box_view, buffer.frame, kinds=("relief", "meshes")).id_buffer.number
+        number = RasterisedView(scene, box_view, buffer.frame, caster_kinds=("relief", "meshes")).id_buffer.triangle_number
         triangle_index = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
         if submerged[triangle_index].any():
             return points[is_visible]
@@ -243,7 +243,7 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = tested_colors.copy()
-        _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
+        _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_WAVE_SLOPE, to_sun, None, None)
         max_steps = max(max_steps, int(np.abs(encode_srgb(color).astype(int) - encode_srgb(tested_colors)).max()))
     return max_steps
 
@@ -272,7 +272,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         up = np.array([0.0, 0.0, 1.0])
     else:
         cols, rows = (
-            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS) * view.step_px) / view.focal_px
+            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS_PER_SIDE) * view.step_px) / view.focal_px
             for first, count in ((view.col0, view.cols), (view.row0, view.rows))
         )
         x, y = (v.ravel() for v in np.meshgrid(cols, rows))
@@ -281,7 +281,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         to_sun = scene.sun.to_sun_earth
         up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     brightest = float(daylight_of(scene).sun_irradiance.max())
-    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > INVISIBLE_GLINT)
+    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_WAVE_SLOPE) > MAX_INVISIBLE_GLINT)
 
 
 def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
@@ -294,12 +294,12 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
         sun, visibility = daylight_of(scene).sun_irradiance, block.visibilities[SUN]
     _add_reflections(
         color, water_mask(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
-        MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
+        MEAN_SQUARE_WAVE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 
 
 @compiled
-def _visible_facets(cosine, mean_square_slope):
+def _visible_facet_area_and_slope(cosine, mean_square_slope):
     """Return the visible area of the waves' facets, per area of the plane, and the facets' mean slope towards the eye.
 
     They are ``A(t)`` and the mean visible slope of the module's docstring. ``cosine`` is that of the eye's zenith angle t.
@@ -312,25 +312,29 @@ def _visible_facets(cosine, mean_square_slope):
 
 
 @internal
-def _reflection_at(cosine, mean_square_slope):
+def _sky_reflection(cosine, mean_square_slope):
     """Return mean Fresnel reflectance, sine of the altitude of the reflected sky, and visible area of facets for an eye.
 
     ``cosine`` is that of the eye's zenith angle.
     """
-    area, slope = _visible_facets(cosine, mean_square_slope)
+    area, slope = _visible_facet_area_and_slope(cosine, mean_square_slope)
     deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     eye_dot_normal = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
+    return (
+        NORMAL_INCIDENCE_REFLECTANCE + (1.0 - NORMAL_INCIDENCE_REFLECTANCE) * grazing,
+        2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine,
+        area,
+    )
 
 
 @compiled
-def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope):
+def _glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, visible_area, mean_square_slope):
     """Return the glint divided by the sun's irradiance at normal incidence.
 
     ``eye_up_cosine``, ``sun_up_cosine`` and ``eye_sun_cosine`` are the cosines of the angles between the directions to the eye, to
-    the sun and up. ``area`` is the visible area of the facets (``_visible_facets``). Glint fades in over the first degree of the
-    sun's altitude, like direct light.
+    the sun and up. ``visible_area`` is the visible area of the facets (``_visible_facet_area_and_slope``). Glint fades in over the
+    first degree of the sun's altitude, like direct light.
     """
     if sun_up_cosine <= 0.0:
         return 0.0
@@ -340,10 +344,10 @@ def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope
     tilt = min((eye_up_cosine + sun_up_cosine) / bisector_length, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * mean_square_slope:  # only 1e-11 of the waves are so steep
         return 0.0
-    fresnel = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
+    fresnel = NORMAL_INCIDENCE_REFLECTANCE + (1.0 - NORMAL_INCIDENCE_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / mean_square_slope) / (mean_square_slope * tilt**4)
-    lit_area, _ = _visible_facets(sun_up_cosine, mean_square_slope)
-    return fresnel * slopes * sun_up_cosine / (4.0 * area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)
+    lit_area, _ = _visible_facet_area_and_slope(sun_up_cosine, mean_square_slope)
+    return fresnel * slopes * sun_up_cosine / (4.0 * visible_area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)
 
 
 @compiled
@@ -353,27 +357,27 @@ def _largest_glint(to_eye, up, to_sun, mean_square_slope):
     for n in range(to_eye.shape[0]):
         v = to_eye[n]
         eye_up_cosine = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
-        area, _ = _visible_facets(eye_up_cosine, mean_square_slope)
+        area, _ = _visible_facet_area_and_slope(eye_up_cosine, mean_square_slope)
         eye_sun_cosine = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
-        largest = max(largest, _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope))
+        largest = max(largest, _glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope))
     return largest
 
 
 @compiled
-def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope, to_sun, sun_irradiance, visibility):
+def _add_reflections(color, is_water, position, eye, up_origin, sky, mean_square_slope, to_sun, sun_irradiance, sun_visibility):
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fade, sun_altitude = sky
     sky_without_aureole = (below_sun, opposite, zenith, glow, 0.0, fade, sun_altitude)
-    fresnel, sine, area = _reflection_at(1.0, mean_square_slope)
+    fresnel, sine, area = _sky_reflection(1.0, mean_square_slope)
     mirrored_color, azimuth_cosine = np.empty(3), 0.0
     sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
-    for i in range(water.shape[0]):
-        for j in range(water.shape[1]):
-            if not water[i, j]:
+    for i in range(is_water.shape[0]):
+        for j in range(is_water.shape[1]):
+            if not is_water[i, j]:
                 continue
             p = position[i, j]
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             ux, uy, uz = ux / length, uy / length, uz / length
             if eye is None:
@@ -383,7 +387,7 @@ def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope
                 length = np.sqrt(vx * vx + vy * vy + vz * vz)
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
-                fresnel, sine, area = _reflection_at(cosine, mean_square_slope)
+                fresnel, sine, area = _sky_reflection(cosine, mean_square_slope)
                 sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                 eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
                 horizontal_product = np.sqrt(max((1.0 - sun_up_cosine * sun_up_cosine) * (1.0 - cosine * cosine), 1e-12))
@@ -391,10 +395,10 @@ def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope
                 sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
             glint = 0.0
             if sun_irradiance is not None:
-                if visibility[i, j] > 0.0:
+                if sun_visibility[i, j] > 0.0:
                     sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                     eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                    glint = visibility[i, j] * _glint(cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope)
+                    glint = sun_visibility[i, j] * _glint_share(cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope)
             for k in range(3):
                 value = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored_color[k]
                 if sun_irradiance is not None:

@@ -33,7 +33,7 @@ def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeIn
     return tuple(facts)
 
 
-def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
+def drawn_trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
     """Return the trees as a view draws them, or ``None`` if the level has none. A map uses the local frame at the anchor."""
     if isinstance(view, PerspectiveView):
         return tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
@@ -76,7 +76,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
 @cached("scene", MIB)
 def _mesh_facts(objects: SceneObjects) -> CasterFacts:
     assert objects.placement is not None
-    casting = objects.placement.casting
+    casting = objects.placement.casting_bodies
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
     closed = closed_caster_mask(objects)
     return CasterFacts(
@@ -88,8 +88,8 @@ def _mesh_facts(objects: SceneObjects) -> CasterFacts:
 @cached("scene", MIB)
 def _forest_facts(trees: TreeInstances) -> CasterFacts:
     """Return the facts of the trees as drawn. Where trees are decimated, the remaining ones are larger."""
-    sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
-    gaps = leaf_gaps()[2 * trees.variant] * trees.shape[:, 2] if len(trees) else np.zeros(1)
+    sizes = np.median(trees.quad_sizes_m, axis=0) if len(trees) else np.zeros(4)
+    gaps = leaf_gap_shares()[2 * trees.variant] * trees.quad_sizes_m[:, 2] if len(trees) else np.zeros(1)
     return CasterFacts(
         kind="forest", count=len(trees), triangles=TRIANGLES_PER_TREE * len(trees), alpha_share=1.0,
         height_m=float(sizes[2]), width_m=2.0 * float(sizes[0]), leaf_gap_m=float(np.median(gaps)),
@@ -97,7 +97,7 @@ def _forest_facts(trees: TreeInstances) -> CasterFacts:
 
 
 @cached("process", MIB)
-def leaf_gaps() -> np.ndarray:
+def leaf_gap_shares() -> np.ndarray:
     """Return the mean width (2 * variants,) of leaves and gaps in each picture of a tree, as a share of the picture's side.
 
     The width is the mean length of successive leaf texels, or of successive gap texels, along the rows within the tree's outline.

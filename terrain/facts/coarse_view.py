@@ -20,7 +20,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.antialias import NEIGHBOUR_OFFSETS, edge_mask, edge_mask_of_neighbours, mesh_normals
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from skugga.terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M, IdBuffer
 from skugga.terrain.gbuffer.view_geometry import resolve_buffer, solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.world import LocalFrame
@@ -138,7 +138,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
     )
     id_buffer = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if edge_samples is None:
-        row, col = (step_px * index.ravel() for index in np.indices(id_buffer.number.shape))
+        row, col = (step_px * index.ravel() for index in np.indices(id_buffer.triangle_number.shape))
         shape, normals = (len(row), len(NEIGHBOUR_OFFSETS)), mesh_normals(scene.objects)
         edge_samples = NeighbourSamples(
             view, row, col, number.reshape(shape), depth_m.reshape(shape), len(ground.triangles), normals
@@ -147,8 +147,10 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
             edge_samples.triangle_number, edge_samples.distance_m, edge_samples.ground_triangle_count, edge_samples.face_normals
         )
     else:
-        depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        has_edge = edge_mask(id_buffer.number, depth, edge_samples.ground_triangle_count, edge_samples.face_normals, NEAR_M)
+        depth = (NEAR_PLANE_M / depth_m[..., 0]).astype(np.float32)
+        has_edge = edge_mask(
+            id_buffer.triangle_number, depth, edge_samples.ground_triangle_count, edge_samples.face_normals, NEAR_PLANE_M
+        )
     geometry = resolve_buffer(scene, coarse_camera, _CoarseRaster(frame, ground, solids, id_buffer))
     points = geometry.position_frame_m[geometry.valid]
     eye, _ = view.in_frame(frame)
@@ -181,7 +183,7 @@ def rasterize_triangles(
     first = 1
     for vertices, triangles in meshes:
         in_camera, pixel = _project_vertices(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
+        _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_PLANE_M, first, number, depth)
         first += len(triangles)
     return number, depth
 

@@ -21,7 +21,7 @@ from skugga.terrain.geo.world import LocalFrame
 MAX_PROBES = 1000
 """Maximum number of probes that send rays to a light."""
 
-MIN_CAST_SHARE = 0.5 / MAX_PROBES
+MIN_CAST_SHADOW_SHARE = 0.5 / MAX_PROBES
 """Share of shadows to assume where no probe lies in shadow: half the share of one probe."""
 
 MAX_PROBES_AMONG_TREES = 500
@@ -121,7 +121,7 @@ def quasirandom(sequence_index: np.ndarray) -> np.ndarray:
     return (0.5 + (np.asarray(sequence_index, np.float64)[:, None] + 1.0) * _R2_INCREMENTS) % 1.0
 
 
-def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
+def rays_to_light(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
     """Return the rays from probes, and from places beside them, to a light.
 
     ``direction_frame`` (n, 3) holds the unit directions from the probes to the light, ``length_m`` (n,) the distances.

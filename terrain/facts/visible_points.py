@@ -40,7 +40,7 @@ def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> 
 
     There is one in each of ``MAP_STRATA_PER_SIDE`` squared strata of the raster.
     """
-    probes = _points_in_map(scene.objects, trees)
+    probes = _visible_map_probes(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
 
@@ -144,7 +144,7 @@ def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
 
 
 @cached("scene", 64 * MIB)
-def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
+def _visible_map_probes(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
     ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_object_m
     horizontal_slope = objects.world.curvature * ground_probes.point_frame_m[:, :2]
     up = (

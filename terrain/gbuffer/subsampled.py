@@ -11,7 +11,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 
-PIXEL_ARRAYS = (
+PIXEL_ARRAY_NAMES = (
     "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "kind", "triangle",
     "corners_frame_m", "lift_m", "is_lifted",
 )  # fmt: skip
@@ -33,7 +33,7 @@ def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int
     """
     row, col = first
     view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), stride)
-    arrays = {name: getattr(buffer, name) for name in PIXEL_ARRAYS}
+    arrays = {name: getattr(buffer, name) for name in PIXEL_ARRAY_NAMES}
     subsampled: dict[str, Any] = {
         name: None if array is None else np.ascontiguousarray(array[row::stride, col::stride]) for name, array in arrays.items()
     }

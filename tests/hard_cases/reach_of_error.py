@@ -94,7 +94,7 @@ def _unexplained(rendered: RenderedView, pixel_indices: np.ndarray, dark: np.nda
             a.reshape(-1, 3)[pixel_indices].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, lifts)
         )
         for moves in _candidate_moves(rendered, step, pixel_indices, to_sun, points, normals, facing.crease.ravel()[pixel_indices]):
-            unexplained &= rays.blocked(points + moves + rays.offset_m * lift, to_sun) != dark
+            unexplained &= rays.is_blocked(points + moves + rays.offset_m * lift, to_sun) != dark
     return unexplained
 
 

@@ -244,7 +244,7 @@ def test_stands(trial: Trial) -> dict[str, float]:
     eye = np.array([0.0, -0.75 * side_m, 0.3 * side_m])
     view = look_at(eye, np.array([0.0, -0.1 * side_m, 0.0]), UP, 40.0, *_size(trial))
     assert scene.objects.trees is not None
-    count = len(scene.objects.trees.rank)
+    count = len(scene.objects.trees.thinning_rank)
     assert count > (990_000 if trial.thorough else 19_000)
     rendered = trial.render_view(scene, view.finer(SAMPLES_PER_SIDE), map_size=texels)
     error, shadow = shadow_coverage_error(rendered, blocks)

@@ -97,13 +97,13 @@ def test_horizon_of_a_tree_is_its_highest_leaf(village):
     assert sees_sun(surroundings, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
     assert not sees_sun(surroundings, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
     frame = scene.world.frame_near_earth(surroundings.place.eye_earth_m)
-    rays = RayScene(alpha=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
+    rays = RayScene(alpha_meshes=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
     rng = np.random.default_rng(3)
     azimuth, altitude = rng.uniform(176.5, 183.5, 4000), rng.uniform(0.5, 19.0, 4000)
     enu = np.stack([direction_enu(*angles) for angles in zip(azimuth, altitude, strict=True)])
     directions = frame.directions_from_earth(enu @ surroundings.place.earth_from_enu.T)
     start = np.repeat(frame.points_from_earth(surroundings.place.eye_earth_m)[None], len(enu), axis=0)
-    blocked = rays.blocked(start, directions)
+    blocked = rays.is_blocked(start, directions)
     assert 300 < blocked.sum() < 3700
     assert (sees_sun(surroundings, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
 

@@ -54,10 +54,10 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
     nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
     point_casters = find_casters(scene, buffer)
     point_casters = replace(
-        point_casters, culled=frozenset(point_casters.patches)
+        point_casters, culled_patches=frozenset(point_casters.patches)
     )  # the sheet keeps its size, and has no ground in those patches
     node_casters = Casters(find_sun_casters(scene, nodes), point_casters.reach)
-    node_casters = replace(node_casters, culled=frozenset(node_casters.patches))
+    node_casters = replace(node_casters, culled_patches=frozenset(node_casters.patches))
 
     def sweep_results() -> list[np.ndarray]:
         return [

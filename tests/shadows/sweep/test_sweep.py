@@ -244,7 +244,7 @@ def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
     to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
     for offset_m, is_lit in ((1.0, True), (-1.0, False)):
         start_points = buffer.position_frame_m[deep_shadow] + (height_m - buffer.height_m + offset_m)[deep_shadow][:, None] * up
-        assert (~rays.blocked(start_points, to_sun) == is_lit).mean() > 0.98
+        assert (~rays.is_blocked(start_points, to_sun) == is_lit).mean() > 0.98
 
 
 def test_sweep_is_independent_of_the_number_of_cores(jacksboro, tile, monkeypatch):

@@ -64,7 +64,7 @@ def make_block(write_raster, make_scene):
         view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
         buffer = geometry_buffer(scene, view)
         casters = find_casters(scene, buffer)
-        return scene, buffer, replace(casters, culled=culled_patches(scene, buffer, casters.patches))
+        return scene, buffer, replace(casters, culled_patches=culled_patches(scene, buffer, casters.patches))
 
     return make
 
@@ -117,12 +117,12 @@ def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene)
     view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
     buffer = geometry_buffer(scene, view)
     unculled_casters = find_casters(scene, buffer)
-    casters = replace(unculled_casters, culled=culled_patches(scene, buffer, unculled_casters.patches))
+    casters = replace(unculled_casters, culled_patches=culled_patches(scene, buffer, unculled_casters.patches))
     unculled_light, culled_light = (
         fill(buffer, scene, SUN, ("relief",), tested_casters, SweepSettings(), PassLog())
         for tested_casters in (unculled_casters, casters)
     )
-    assert casters.culled and 0.05 < (unculled_light == 0.0).mean() < 0.95
+    assert casters.culled_patches and 0.05 < (unculled_light == 0.0).mean() < 0.95
     assert np.array_equal(unculled_light, culled_light)
 
 
@@ -135,7 +135,7 @@ def test_culling_keeps_a_wall_only_if_its_shadow_reaches(write_raster, make_scen
     view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    casters = replace(casters, culled=culled_patches(scene, buffer, casters.patches))
+    casters = replace(casters, culled_patches=culled_patches(scene, buffer, casters.patches))
     lit = lit_at_altitude(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
-    assert bool(casters.casting) == casts == (not lit.all())
+    assert bool(casters.casting_patches) == casts == (not lit.all())
     assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, 5.0))

@@ -141,16 +141,16 @@ def test_trees_do_not_stand_in_water(make_lake, tmp_path):
     path = tmp_path / "trees.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
     trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).objects.trees for m in (0.0, WATER_LEVEL_M)]
-    assert [len(tree_set.rank) for tree_set in trees] == [2, 1]
+    assert [len(tree_set.thinning_rank) for tree_set in trees] == [2, 1]
 
 
 @given(cosine=st.floats(0.0, 1.0))
 def test_seen_facets_match_integrals_over_all_facets(cosine):
-    s = np.sqrt(0.5 * water.MEAN_SQUARE_SLOPE)
+    s = np.sqrt(0.5 * water.MEAN_SQUARE_WAVE_SLOPE)
     sine = np.sqrt(1.0 - cosine * cosine)
     z = np.linspace(-8.0 * s, 8.0 * s, 20001)
     visible_density = np.exp(-0.5 * (z / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) * np.maximum(cosine + z * sine, 0.0)
-    area, slope = water._visible_facets(cosine, water.MEAN_SQUARE_SLOPE)
+    area, slope = water._visible_facet_area_and_slope(cosine, water.MEAN_SQUARE_WAVE_SLOPE)
     assert area == pytest.approx(np.trapezoid(visible_density, z), rel=1e-4, abs=1e-6)
     assert slope == pytest.approx(np.trapezoid(z * visible_density, z) / np.trapezoid(visible_density, z), rel=1e-3, abs=1e-6)
 
@@ -167,11 +167,17 @@ def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
     def radiance(azimuth, eye_up_cosine):
         eye_horizontal = np.sqrt(1.0 - eye_up_cosine * eye_up_cosine)
         eye_sun_cosine = eye_horizontal * np.cos(azimuth) * sun[0] + eye_up_cosine * sun[2]
-        area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
-        return water._glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up_cosine
+        area, _ = water._visible_facet_area_and_slope(eye_up_cosine, water.MEAN_SQUARE_WAVE_SLOPE)
+        return (
+            water._glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_WAVE_SLOPE)
+            / np.pi
+            * eye_up_cosine
+        )
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
-    flat = sun_up_cosine * (water.NORMAL_REFLECTANCE + (1.0 - water.NORMAL_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5)
+    flat = sun_up_cosine * (
+        water.NORMAL_INCIDENCE_REFLECTANCE + (1.0 - water.NORMAL_INCIDENCE_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5
+    )
     assert 0.8 * flat < power < 1.25 * flat
 
 
@@ -180,23 +186,25 @@ def test_water_seen_vertically_reflects_a_fiftieth():
     foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
     sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
     valid, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
-    water._add_reflections(color, valid, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
+    water._add_reflections(
+        color, valid, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_WAVE_SLOPE, np.zeros(3), None, None
+    )
     share = 1.0 - np.exp(-4.0)
     np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 
 
 def test_glint_peaks_under_the_sun_and_is_symmetric():
     sun_up_cosine, eye_up_cosine = np.sin(np.radians([30.0, 25.0]))
-    area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
+    area, _ = water._visible_facet_area_and_slope(eye_up_cosine, water.MEAN_SQUARE_WAVE_SLOPE)
     horizontal_product = np.sqrt((1.0 - sun_up_cosine**2) * (1.0 - eye_up_cosine**2))
     off_deg = np.arange(-90.0, 91.0, 5.0)  # angle between the eye's azimuth and the sun's
     glint = [
-        water._glint(
+        water._glint_share(
             eye_up_cosine,
             sun_up_cosine,
             sun_up_cosine * eye_up_cosine - horizontal_product * np.cos(np.radians(offset_deg)),
             area,
-            water.MEAN_SQUARE_SLOPE,
+            water.MEAN_SQUARE_WAVE_SLOPE,
         )
         for offset_deg in off_deg
     ]

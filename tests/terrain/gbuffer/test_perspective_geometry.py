@@ -157,9 +157,13 @@ def test_points_on_the_globe_lie_on_the_visible_triangle(gl, hills, make_scene):
     visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = resolve_buffer(scene, view, visible)
     valid = buffer.valid
-    assert valid.mean() > 0.4 and (visible.id_buffer.number[valid] > 0).all() and (visible.id_buffer.number[~valid] == 0).all()
+    assert (
+        valid.mean() > 0.4
+        and (visible.id_buffer.triangle_number[valid] > 0).all()
+        and (visible.id_buffer.triangle_number[~valid] == 0).all()
+    )
     ground = visible.ground
-    corner_numbers = ground.triangles[visible.id_buffer.number[valid].astype(int) - 1]
+    corner_numbers = ground.triangles[visible.id_buffer.triangle_number[valid].astype(int) - 1]
     corners = ground.position_frame_m[corner_numbers]
     point = buffer.position_frame_m[valid]
     e, g = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -183,7 +187,7 @@ def test_points_on_the_globe_lie_on_the_visible_triangle(gl, hills, make_scene):
     rays = RayScene(meshes=[(ground.position_frame_m, ground.triangles)])
     to_point = point - eye
     length = np.linalg.norm(to_point, axis=1)
-    is_occluded = rays.blocked(np.tile(eye, (len(to_point), 1)), to_point / length[:, None], length * (1 - 1e-4) - 0.01)
+    is_occluded = rays.is_blocked(np.tile(eye, (len(to_point), 1)), to_point / length[:, None], length * (1 - 1e-4) - 0.01)
     assert is_occluded.mean() < 0.002
 
 
@@ -258,7 +262,7 @@ def test_depth_is_along_the_axis_and_position_in_the_map_s_crs(gl, hills, make_s
     np.testing.assert_allclose(depth[valid], camera_points[valid, 2], rtol=1e-6)
     x = (view.col0 + np.arange(view.cols)) / view.focal_px
     np.testing.assert_allclose(
-        (camera_points[..., 0] / depth)[valid], np.broadcast_to(x, depth.shape)[valid], atol=0.1 * view.pixel
+        (camera_points[..., 0] / depth)[valid], np.broadcast_to(x, depth.shape)[valid], atol=0.1 * view.pixel_tangent
     )
     assert np.isnan(depth[~valid]).all() and depth[valid].min() > 0.0
 
