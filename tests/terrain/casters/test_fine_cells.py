@@ -67,6 +67,8 @@ def test_fine_cells_nest_in_the_overview_cells(write_raster, make_scene, monkeyp
         write_raster(relief_heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
     ).elevation.overview
     assert raster_overview.lod == 7 and raster_overview.fine_lod == 4 and raster_overview.fine_max_heights_m is not None
-    np.testing.assert_array_equal(raster_overview.fine_max_heights_m.reshape(8, 8, 8, 8).max(axis=(1, 3)), raster_overview.max_heights_m)
+    np.testing.assert_array_equal(
+        raster_overview.fine_max_heights_m.reshape(8, 8, 8, 8).max(axis=(1, 3)), raster_overview.max_heights_m
+    )
     highest = relief_heights().reshape(64, 16, 64, 16).max(axis=(1, 3))
     assert (raster_overview.fine_max_heights_m >= highest - 60.0).all()

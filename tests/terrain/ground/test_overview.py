@@ -45,7 +45,9 @@ def test_max_heights_are_at_least_the_mean_and_nan_in_holes(big_raster):
     raster_overview = big_raster.overview
     valid = np.isfinite(raster_overview.mean_heights_m)
     assert (raster_overview.max_heights_m[valid] >= raster_overview.mean_heights_m[valid] - 1e-3).all()
-    assert np.isnan(raster_overview.max_heights_m[26:29, 26:29]).all() and np.isnan(raster_overview.mean_heights_m[25:30, 25:30]).all()
+    assert (
+        np.isnan(raster_overview.max_heights_m[26:29, 26:29]).all() and np.isnan(raster_overview.mean_heights_m[25:30, 25:30]).all()
+    )
     assert (raster_overview.max_heights_m[2:8, 22:30] == 500.0).all()
 
 
