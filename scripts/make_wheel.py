@@ -23,10 +23,10 @@ import shutil, subprocess, sys
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.compiling.farm import named_tasks
 from skugga.terrain.compiling.loop_cache import loop_store
-from skugga.terrain.compiling.store import SUFFIX
+from skugga.terrain.compiling.store import ENTRY_SUFFIX
 compile_ahead(PRODUCTS, int(sys.argv[1]))
 for _, name in named_tasks(PRODUCTS):
-    shutil.copy(loop_store().folder / (name + SUFFIX), sys.argv[2])
+    shutil.copy(loop_store().folder / (name + ENTRY_SUFFIX), sys.argv[2])
 """
 """Python code of a subprocess: compile all loops for ``NUMBA_TARGET`` and copy the machine code into a folder.
 

@@ -267,7 +267,7 @@ def _unset_variable(variable: str) -> Iterator[None]:
 
 def probe_device(index: int) -> ProbedDevice:
     """Probe a device in a subprocess, which takes a fraction of a second."""
-    code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
+    code = f"from skugga.terrain.gl.egl_devices import print_probe_result; print_probe_result({index})"
     try:
         process = subprocess.run(
             [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S
