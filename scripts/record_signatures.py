@@ -169,7 +169,7 @@ def compute_points(rasters: Sequence[Path], folder: Path) -> None:
     for source in [*rasters, find_level("jacksboro_wooded")]:
         with_trees = source.stem == "jacksboro_wooded"
         scene = build_scene(load_level(source))
-        flat = scene.world.flat
+        flat = scene.world.is_flat
         lon, lat = (750.0, -900.0) if flat else (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
         point_report(scene, PointQuery(lon=lon, lat=lat, date=None if flat else date(2024, 3, 20)))
         if not flat and not with_trees:

@@ -137,7 +137,7 @@ def frame_moments(
         raise InputError("frames", span.frames, f"1 to {max_frames} frames")
     if span.start is not None:
         scene.with_sun(SunSpec(time=span.start))  # raises an error in a flat world, which has no dates
-    first_second = scene.seconds if span.first_second is None else span.first_second
+    first_second = scene.clock_seconds if span.first_second is None else span.first_second
     path = None if request.path is None else camera_path(request.path, scene.geolocator, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []

@@ -44,7 +44,7 @@ SAMPLED_PART_PX = BLOCK_PX // EDGE_SAMPLES_PER_SIDE
 
 SAMPLES_PER_PIXEL = EDGE_SAMPLES_PER_SIDE * EDGE_SAMPLES_PER_SIDE
 
-SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
+SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "surface_kind", "albedo")
 """Arrays of a geometry buffer that shading reads."""
 
 
@@ -88,7 +88,7 @@ def _edge_sampled(
     row, col = np.concatenate(pixels).T
     arrays = {name: np.concatenate([part_arrays[name] for part_arrays in samples]) for name in samples[0]}
     missing = ~arrays["valid"]  # beyond the ground's rim the pixel's own point replaces the sample
-    differ = arrays["kind"] != block_buffer.kind[row, col][:, None]
+    differ = arrays["surface_kind"] != block_buffer.surface_kind[row, col][:, None]
     for light, visibility in visibilities.items():
         differ |= arrays[light] != visibility[row, col][:, None]
     is_edge = (differ & ~missing).any(axis=1)
@@ -129,7 +129,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     They include all pixels along the block's sides, unless ``visibilities`` is empty.
     """
     edges = np.zeros(buffer.valid.shape, np.bool_)
-    _mark_changes(buffer.kind, 0.0, edges)
+    _mark_changes(buffer.surface_kind, 0.0, edges)
     for visibility in visibilities:
         _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), MIN_EDGE_VISIBILITY_CHANGE, edges)
     if visibilities:

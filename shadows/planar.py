@@ -103,7 +103,7 @@ def fill(
     """
     passes = log.pass_names(light, kinds, PASSES)
     projection = _make_projection(buffer, scene, light, kinds)
-    view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
+    view, ground = buffer.view, buffer.valid & (buffer.surface_kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
     stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projection, passes, log)
     if buffer.sample_pixels is not None:
@@ -142,7 +142,7 @@ def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tu
     """
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
-        middle, _ = scene.world.ground(view.grid.crs, *view.centre)
+        middle, _ = scene.world.points_at_zero_height(view.grid.crs, *view.centre)
     else:
         middle = view.eye_earth_m
     origin = frame.points_from_earth(middle)

@@ -79,7 +79,7 @@ class Supersampling:
         if not self.heights_only:
             return MAX_BUFFER_NODES_PER_PART, BLOCK_PX * 8
         max_side = BLOCK_PX * 8
-        if not self.scene.world.flat:
+        if not self.scene.world.is_flat:
             max_side = max(min(max_side, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
         return MAX_BARE_NODES_PER_PART, max_side
 
@@ -104,7 +104,7 @@ def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling
     Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where heights alone do not suffice, and
     where a block is too wide for parallel rays.
     """
-    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
+    narrow = scene.world.is_flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
     if not (narrow and plan.steps and needs_heights_only(scene, plan)):
         return None
     return Supersampling(scene, plan, view.grid.refined(), 2, heights_only=True)

@@ -98,7 +98,7 @@ def camera_path(spec: CameraPathSpec, geolocator: Geolocator, start: datetime | 
             if not np.isfinite(ground_m):
                 raise InputError(f"keys.{number}.{name}", position, "a position on the terrain's data")
             out[number] = *position[:2], ground_m + position[2]
-    if not geolocator.world.flat:  # take the shorter way round the earth between keyframes
+    if not geolocator.world.is_flat:  # take the shorter way round the earth between keyframes
         eyes[:, 0] = np.unwrap(eyes[:, 0], period=360.0)
         targets[:, 0] = np.unwrap(targets[:, 0], period=360.0)
     return CameraPath(geolocator, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))

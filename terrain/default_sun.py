@@ -50,7 +50,7 @@ def default_sun(world: World, elevation: Elevation) -> SunSpec:
             if steepness_deg < MAX_LEVEL_GROUND_SLOPE_DEG
             else float(np.clip(steepness_deg, min_deg, MAX_SUN_ALTITUDE_DEG))
         )
-        if not world.flat:
+        if not world.is_flat:
             azimuth, altitude = _afternoon_sun_position(world.anchor_lat_deg, altitude)
             min_deg = min(MIN_SUN_ALTITUDE_DEG + _far_side_distance_deg(world, elevation, azimuth), MAX_SUN_ALTITUDE_DEG)
     return SunSpec(azimuth=round(azimuth) % 360, altitude=round(altitude))

@@ -68,7 +68,7 @@ def describe(
         view_facts = _perspective_facts(scene, view, coarse_view)
         probes, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
     return Descriptor(
-        view=name, flat_world=scene.world.flat, radius_m=scene.world.radius_m, casters=scene.objects.caster_kinds, lamps=lamps,
+        view=name, flat_world=scene.world.is_flat, radius_m=scene.world.radius_m, casters=scene.objects.caster_kinds, lamps=lamps,
         relief_m=high - low, rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
         pieces=pieces, stands=caster_facts_of(scene, sampled_view, trees), moves=bool(scene.loaded.level.moving_keys),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
@@ -230,7 +230,7 @@ def _max_receiver_extent_m(scene: Scene, view: MapView, relief_m: float) -> tupl
         mean_height_m, offsets = float(np.mean(scene.height_range_m)), np.linspace(-0.5, 0.5, 17)
         rows = (mid_rows[:, None] + offsets * height)[:, None, :, None]
         cols = (mid_cols[:, None] + offsets * width)[None, :, None, :]
-        point, up = scene.world.ground(view.grid.crs, *np.broadcast_arrays(view.grid.x(cols), view.grid.y(rows)))
+        point, up = scene.world.points_at_zero_height(view.grid.crs, *np.broadcast_arrays(view.grid.x(cols), view.grid.y(rows)))
         points = scene.light_space.points_from_earth(point + mean_height_m * up).reshape(9, -1, 3)
         valid = np.isfinite(points).all(axis=2, keepdims=True)
         ends = np.where(valid, points, -np.inf).max(axis=1) - np.where(valid, points, np.inf).min(axis=1)

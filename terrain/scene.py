@@ -77,7 +77,7 @@ class Scene:
         The sun, or ``None``.
     objects
         Trees, meshes and lamps.
-    seconds
+    clock_seconds
         The time of the level's clock in seconds. Meshes, lamps and clouds have their positions of this time.
     lamp_overrides
         Lamps by name that replace the level's; empty for the level's own.
@@ -92,7 +92,7 @@ class Scene:
     elevation: Elevation
     sun: Sun | None
     objects: SceneObjects
-    seconds: float = 0.0
+    clock_seconds: float = 0.0
     lamp_overrides: Mapping[str, Lamp] = field(default_factory=dict)
     style_spec: StyleSpec | None = None
     sun_is_default: bool = False
@@ -107,7 +107,7 @@ class Scene:
         """The lights besides the sun by name."""
         if self.lamp_overrides:
             return dict(self.lamp_overrides)
-        return {name: rig.at_second(self.seconds) for name, rig in self.objects.animated_lamps.items()}
+        return {name: rig.at_second(self.clock_seconds) for name, rig in self.objects.animated_lamps.items()}
 
     @cached_property
     def style(self) -> Style:
@@ -155,9 +155,9 @@ class Scene:
 
         Returns the scene itself if nothing in it depends on the clock.
         """
-        if seconds is None or seconds == self.seconds or not self.loaded.level.moving_keys:
+        if seconds is None or seconds == self.clock_seconds or not self.loaded.level.moving_keys:
             return self
-        return replace(self, objects=self.objects.at_second(seconds), seconds=seconds)
+        return replace(self, objects=self.objects.at_second(seconds), clock_seconds=seconds)
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """Return the same scene under another sun (``None``: the level's)."""
@@ -203,7 +203,7 @@ class Scene:
 
         ``None`` in a flat world. The east is above 180 if the part crosses the antimeridian.
         """
-        if self.world.flat:
+        if self.world.is_flat:
             return None
         level_bounds = self.loaded.level.terrain.bounds
         if level_bounds is not None:
@@ -224,11 +224,11 @@ class Scene:
         """The sun's largest altitude anywhere over the level in degrees. ``None`` without a sun."""
         if self.sun is None:
             return None
-        if self.world.flat:
+        if self.world.is_flat:
             return self.sun.altitude_deg
         west, south, east, north = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         lon, lat = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
-        point, up = self.world.ground(LONGITUDE_LATITUDE, lon, lat)
+        point, up = self.world.points_at_zero_height(LONGITUDE_LATITUDE, lon, lat)
         rotations = (self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True))
         return max(self.sun.altitude_deg, *(azimuth_and_altitude(self.sun.to_sun_earth, r)[1] for r in rotations))
 
@@ -248,7 +248,7 @@ class Scene:
         - On another celestial body the raster's CRS, or the body's longitude and latitude if the axes run in other directions.
         """
         source_crs = self.elevation.crs
-        if self.world.flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
+        if self.world.is_flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
             return source_crs
         if not self.world.is_on_earth:
             return source_crs if axes_of(source_crs).are_standard else longitude_latitude_of(source_crs)
@@ -361,7 +361,7 @@ class Scene:
             crs = CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
         except CRSError:
             raise InputError("crs", text, "a CRS that PROJ knows, such as EPSG:32616") from None
-        if self.world.flat and crs != self.world.crs:
+        if self.world.is_flat and crs != self.world.crs:
             raise InputError("crs", text, f"the level's own engineering CRS '{self.world.crs.name}'")
         if not (crs.is_projected or crs.is_geographic or crs.is_engineering):
             raise InputError("crs", text, "a projected or geographic CRS")
@@ -379,7 +379,7 @@ class Scene:
         if crs == source_crs:
             return
         try:
-            if not self.world.flat and is_on_earth(crs) == self.world.is_on_earth:
+            if not self.world.is_flat and is_on_earth(crs) == self.world.is_on_earth:
                 transformer(source_crs, crs), transformer(crs, LONGITUDE_LATITUDE)
                 return
         except ProjError:
@@ -391,7 +391,7 @@ class Scene:
 
         Raises ``InputError``.
         """
-        if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
+        if self.world.is_flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
             west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None

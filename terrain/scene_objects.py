@@ -36,7 +36,7 @@ class SceneObjects:
     loaded: LoadedLevel
     world: World
     elevation: Elevation
-    seconds: float = 0.0
+    clock_seconds: float = 0.0
 
     def close(self) -> None:
         """Release the trees and meshes that were read."""
@@ -49,9 +49,9 @@ class SceneObjects:
 
         Both share the properties that do not depend on the clock, so that no file is read twice.
         """
-        if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
+        if seconds == self.clock_seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
-        other = replace(self, seconds=seconds)
+        other = replace(self, clock_seconds=seconds)
         other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_creases", "animated_lamps")})
         return other
 
@@ -104,7 +104,7 @@ class SceneObjects:
             return None
         from skugga.terrain.meshes.assemble import solids
 
-        placed = solids(self.placement, self.seconds)
+        placed = solids(self.placement, self.clock_seconds)
         return placed if len(placed.triangles) else None
 
     @cached_property

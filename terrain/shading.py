@@ -132,7 +132,7 @@ def tints_of(scene: Scene) -> Tints:
     Level ground without relief has the grey ``FLAT_GROUND_ALBEDO``.
     """
     style, (low, high) = scene.style, scene.height_range_m
-    return _tints(style.ramp, style.has_latitude_tints and not scene.world.flat) if high > low else _tints(None, False)
+    return _tints(style.ramp, style.has_latitude_tints and not scene.world.is_flat) if high > low else _tints(None, False)
 
 
 @cached("process", 16 * MIB)
@@ -244,7 +244,7 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 def water_mask(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the mask (rows, cols) of pixels that show standing water: ground at the water's height."""
-    return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= WATER_HEIGHT_TOLERANCE_M)
+    return (buffer.surface_kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= WATER_HEIGHT_TOLERANCE_M)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

@@ -146,7 +146,7 @@ def sky_pixel_colors(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols
 
     Colours are dithered by up to half an 8-bit step.
     """
-    up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+    up = np.array([0.0, 0.0, 1.0]) if scene.world.is_flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     horizontal_to_sun = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step_px])
     axes = view.earth_from_camera.T

@@ -135,7 +135,7 @@ def _level_coordinates(world: World, elevation: Elevation, points_earth_m: np.nd
 
     Rounded to a tenth of a cell.
     """
-    if world.flat:
+    if world.is_flat:
         return [(round(float(east), 2), round(float(north), 2)) for east, north, _ in points_earth_m]
     cell_deg = elevation.cell_size_m(world.metres_per_unit) / 111_320.0
     digits = int(np.clip(np.ceil(-np.log10(cell_deg / 10.0)), 3, 8))
@@ -154,7 +154,7 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     step_m = max(max(high_m, wide_m) / (LATTICE_SIDE_NODES - 1), cell_m)
     rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
     x, y = (float(v) for v in elevation.xy(row, col))
-    origin, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    origin, up = world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))
     axes = world.earth_from_enu(origin, up)
     north, east = np.meshgrid(
         (np.arange(rows)[::-1] - (rows - 1) / 2) * step_m, (np.arange(cols) - (cols - 1) / 2) * step_m, indexing="ij"
@@ -191,7 +191,7 @@ def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, side_
     scores = np.where(valid, spread * share**4, -1.0)
     if sun is not None:
         cell_positions = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
-        _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*cell_positions, indexing="ij")))
+        _, up = world.points_at_zero_height(elevation.crs, *elevation.xy(*np.meshgrid(*cell_positions, indexing="ij")))
         scores *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
     row, col = np.unravel_index(scores.argmax(), scores.shape)
     return (float(row) + 0.5) * factor - 0.5, (float(col) + 0.5) * factor - 0.5

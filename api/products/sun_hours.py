@@ -187,7 +187,7 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
         return blocks_of(view)
     nodes = view.with_pixels_as_nodes()
     side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_NODES
-    if not scene.world.flat:
+    if not scene.world.is_flat:
         side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
     limits: Sequence[tuple[int, int]] = [
         (int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side)))

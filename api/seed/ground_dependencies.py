@@ -205,7 +205,7 @@ class GroundDependencies:
             float(self._chunks.high_m[with_heights].max()) + sunlit.object_height_m,
         )
         map_x, map_y = _lattice(grid, x, y)
-        point, up = (values.reshape(-1, 3) for values in scene.world.ground(grid.crs, map_x, map_y))
+        point, up = (values.reshape(-1, 3) for values in scene.world.points_at_zero_height(grid.crs, map_x, map_y))
         valid = np.isfinite(point).all(axis=1)
         if not valid.any():
             return np.ones(visible_chunks.shape, np.bool_)
@@ -250,9 +250,9 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
     elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
     ends = [np.minimum(np.arange(count + 1) * side, size) - 0.5 for count, size in ((rows, elevation.rows), (cols, elevation.cols))]
     corner_col, corner_row = np.meshgrid(ends[1], ends[0])
-    corners, _ = scene.world.ground(elevation.crs, *elevation.xy(corner_row, corner_col))
+    corners, _ = scene.world.points_at_zero_height(elevation.crs, *elevation.xy(corner_row, corner_col))
     middle_col, middle_row = np.meshgrid((ends[1][1:] + ends[1][:-1]) / 2, (ends[0][1:] + ends[0][:-1]) / 2)
-    middles, up = scene.world.ground(elevation.crs, *elevation.xy(middle_row, middle_col))
+    middles, up = scene.world.points_at_zero_height(elevation.crs, *elevation.xy(middle_row, middle_col))
     half_diagonal_m = np.max(
         [np.linalg.norm(corners[i : i + rows, j : j + cols] - middles, axis=-1) for i in (0, 1) for j in (0, 1)], axis=0
     )

@@ -70,7 +70,9 @@ def algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = TH
         figures = truth_view.errors(visibility, texels_px)
         wrong_pixels = truth_view.truth.decidable & ~truth_view.truth.attached & ((visibility < 0.5) == truth_view.truth.lit)
         result[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
-        result[key]["on_foliage"] = float((truth_view.buffer.kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
+        result[key]["on_foliage"] = (
+            float((truth_view.buffer.surface_kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
+        )
         result[key]["texel_px"] = float(np.median(texels_px[wrong_pixels])) if wrong_pixels.any() else 0.0
     return result
 

@@ -123,7 +123,7 @@ def _caster_mask(
     solids, result = scene.objects.solids, np.zeros(receiver_mask.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
         return result
-    pixels = np.flatnonzero(receiver_mask & (buffer.kind == MESHES))
+    pixels = np.flatnonzero(receiver_mask & (buffer.surface_kind == MESHES))
     if len(pixels) and buffer.corners_frame_m is not None:
         a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[pixels].astype(np.float64).transpose(1, 0, 2)
         source = np.array(scene.light_position(light, buffer.frame))

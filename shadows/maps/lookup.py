@@ -63,7 +63,7 @@ def look_up(
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _bind_min_depths(gl, depth_map, target, settings):
         if isinstance(view, MapView) and buffer.columns is not None:
-            top_crease = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
+            top_crease = np.where(buffer.surface_kind == RELIEF, np.float32(-1.0), buffer.crease)
             normal_and_crease = np.concatenate([buffer.normal_frame, top_crease[..., None]], axis=-1)
             arrays = [buffer.position_frame_m, normal_and_crease, column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3)]
             program = _program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})

@@ -190,10 +190,10 @@ def farthest_m(scene: Scene, place: PointPlace) -> float:
     """
     bounds = scene.elevation.bounds
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)))
-    corners, _ = scene.world.ground(scene.elevation.crs, x, y)
+    corners, _ = scene.world.points_at_zero_height(scene.elevation.crs, x, y)
     corner_distance_m = np.linalg.norm(corners - place.eye_earth_m, axis=-1)
     margin = 1.1 * float(np.nanmax(corner_distance_m, initial=0.0)) + 4.0 * scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    if scene.world.flat:
+    if scene.world.is_flat:
         return margin
     low, high = scene.height_range_m
     radius_m = scene.world.radius_m

@@ -65,7 +65,7 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
     """
     count = max(int(np.ceil(np.log(max(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))), 1)
     distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
-    if ground.world.flat:
+    if ground.world.is_flat:
         row, col = _flat_nodes(ground, place, azimuth_deg, distance)
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
     polynomials = _azimuth_polynomials(ground.world, ground.elevation, ground.grid, place, count)

@@ -144,7 +144,7 @@ def sun_track(
     row, col = (values.ravel() for values in block_sample_positions(view))
     steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
     rows, cols = view.row0 + row + steps[:, :1], view.col0 + col + steps[:, 1:]
-    point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
+    point, up = world.points_at_zero_height(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
     up, down, right = up[0], point[2] - point[1], point[4] - point[3]
     towards = np.empty((3, TRACK_TIMES, len(row)))
     for n, sun in enumerate(day.direction(np.linspace(*time_range_min, TRACK_TIMES))):

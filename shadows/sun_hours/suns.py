@@ -152,7 +152,7 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     """
     row, col = block_sample_positions(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
-    _, up = world.ground(view.grid.crs, x, y)
+    _, up = world.points_at_zero_height(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
     heights = refracted_sine(day.to_sun_unrefracted_earth @ up.T) - floor
     spells = []

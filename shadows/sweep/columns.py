@@ -215,7 +215,7 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
     point_index, pixel = _number_points(buffer, placed, window.height_m.size)
     t, ray_height_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
-    on_columns = buffer.kind.ravel()[pixel] == RELIEF
+    on_columns = buffer.surface_kind.ravel()[pixel] == RELIEF
     ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
@@ -230,7 +230,7 @@ def _number_points(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) ->
     Pixels that show the same column share one point. Each pixel that shows anything else has its own point. A pixel without a
     surface has the number -1. ``cells`` is the number of columns.
     """
-    valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.kind == RELIEF)).ravel()
+    valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.surface_kind == RELIEF)).ravel()
     key = np.full(valid.size, -1, np.int64)
     cell = placed.row.astype(np.int64) * placed.window.height_m.shape[1] + placed.col
     key[ground] = cell.ravel()[ground]
@@ -263,7 +263,7 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
         row, col = rays.orientation.from_turned(i, j, rows, cols)
-        point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
+        point, up = rays.scene.world.points_at_zero_height(grid.crs, grid.x(col + col0), grid.y(row + row0))
         light, upwards = rays.light.points_from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (light[..., 0] - rays.right_m) / (rays.cell_m * side), upwards[..., 0] / (rays.cell_m * side)
         return np.stack([

@@ -149,7 +149,7 @@ class SunRays:
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
             row, col = self.orientation.from_turned(i, j, rows, cols)
-            point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
+            point, up = self.scene.world.points_at_zero_height(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.points_from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
         return position_cubics(t_of, *((cols, rows) if self.orientation.swapped else (rows, cols)), self.grid.crs.name)
@@ -171,7 +171,7 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     """Return the sun's rays over a grid, with ``row`` and ``col`` as the reference position of their coordinates."""
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
-    point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
+    point, up = scene.world.points_at_zero_height(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
     assert scene.light_space is not None
     light = with_upright_axes(scene.light_space, up[0])
     space = light.points_from_earth(point + height_m * up)

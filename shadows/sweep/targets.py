@@ -88,7 +88,9 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
     """Return the nodes and points at which a buffer's pixels show a surface."""
     view = buffer.view
     on_nodes = isinstance(view, MapView) and view.is_on_nodes
-    on_triangles = buffer.kind == RELIEF if buffer.is_lifted is None else (buffer.kind == RELIEF) & ~buffer.is_lifted
+    on_triangles = (
+        buffer.surface_kind == RELIEF if buffer.is_lifted is None else (buffer.surface_kind == RELIEF) & ~buffer.is_lifted
+    )
     nodes = buffer.valid & on_triangles & on_nodes
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))

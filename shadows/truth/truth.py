@@ -190,7 +190,7 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
         ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
-        facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
+        facing = np.where(buffer.surface_kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
         reached_mask = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
         visibility += _unblocked_mask(buffer, rays, reached_mask, normals, ray, 1.0)
     return visibility / np.float32(samples)
@@ -367,7 +367,7 @@ def lit_mask_towards(
     source = light_position(direction, 0.0)
     buffer = move_to_smooth_ground(buffer, source)
     normals = facing_normals(buffer, source)
-    facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.surface_kind == FOREST, direction)
     if receiver_mask is not None:
         facing &= receiver_mask
     start = _offset_origins(buffer, facing, normals, direction, offset_factor * rays.offset_m)

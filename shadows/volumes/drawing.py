@@ -94,7 +94,7 @@ def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> 
     therefore counted a second time, rotated by half a turn, where the centre falls to the other side.
     """
     view = buffer.view
-    if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
+    if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.is_flat:
         return False
     columns = buffer.columns
     steps = (

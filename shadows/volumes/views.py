@@ -90,8 +90,8 @@ def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: f
     for each cell. A point on a column lies at the middle of its top.
     """
     if buffer.columns is not None:
-        yield from _top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
-        mask = mask & (buffer.kind != RELIEF)
+        yield from _top_points(buffer, scene, mask & (buffer.surface_kind == RELIEF), near_m)
+        mask = mask & (buffer.surface_kind != RELIEF)
     yield from pixel_points(buffer, scene, mask, near_m)
 
 
@@ -205,13 +205,15 @@ def _visible_points(
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
-    bends = not (scene.world.flat or isinstance(view, PerspectiveView) or buffer.columns is not None)  # columns have no cap on top
+    bends = not (
+        scene.world.is_flat or isinstance(view, PerspectiveView) or buffer.columns is not None
+    )  # columns have no cap on top
     draws_ground = ground_has_gaps(buffer, scene) or bends
     ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
-    is_drawn = buffer.kind.ravel()[indices] == MESHES
+    is_drawn = buffer.surface_kind.ravel()[indices] == MESHES
     if draws_ground:
-        is_drawn |= buffer.kind.ravel()[indices] == RELIEF
+        is_drawn |= buffer.surface_kind.ravel()[indices] == RELIEF
     if buffer.is_lifted is not None:
         is_drawn &= ~buffer.is_lifted.ravel()[indices]
     return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)

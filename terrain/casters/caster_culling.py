@@ -239,9 +239,9 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     to_sun = -scene.light_space.light_from_earth[2]
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
     row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(PATCH_SAMPLE_POSITIONS))
-    _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
+    _, up = scene.world.points_at_zero_height(grid.crs, grid.x(col), grid.y(row))
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
-    points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
+    points = [scene.world.points_at_zero_height(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
     right, down = points[0] - points[1], points[2] - points[3]
     constant_term, right_weight, down_weight = (
         (np.cross(first_side, second_side) @ to_sun)[:, None]
@@ -298,13 +298,15 @@ def _light_space_bounds(
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
     offset = np.arange(parts_per_side + 1) * (PATCH_QUADS / parts_per_side)
     row, col = np.broadcast_arrays(corner[:, :1, None] + offset[:, None], corner[:, 1:, None] + offset)
-    point, up = (_part_corners(values, parts_per_side) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    point, up = (
+        _part_corners(values, parts_per_side) for values in scene.world.points_at_zero_height(grid.crs, grid.x(col), grid.y(row))
+    )
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
     in_light = scene.light_space.points_from_earth(ends)
     in_light = np.concatenate([in_light, scene.light_space.horizontal_sunward_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if reference_height == "lowest" else 1, ..., 1]
     bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
-    if not scene.world.flat:
+    if not scene.world.is_flat:
         bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
     low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)

@@ -48,7 +48,7 @@ def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[Ma
 
     Only a map on a globe has several parts.
     """
-    if world.flat or isinstance(view, PerspectiveView):
+    if world.is_flat or isinstance(view, PerspectiveView):
         return [(view, 0, 0)]
     corners = [(row, col) for row in range(0, view.rows, AFFINE_PART_PX) for col in range(0, view.cols, AFFINE_PART_PX)]
     return [
@@ -87,7 +87,7 @@ def affine_camera_error_px(scene: Scene, grid: Grid, row_step: float, col_step: 
     beyond the area of the CRS, and 0 in a flat world. ``row_step`` and ``col_step`` are the distances of neighbouring pixels in
     nodes.
     """
-    if scene.world.flat:
+    if scene.world.is_flat:
         return 0.0
     row, col, _ = overview_on_grid(scene.world, scene.elevation, grid)
     valid = np.isfinite(row) & np.isfinite(col)
@@ -121,7 +121,7 @@ def _map_samples(
     row, col = np.meshgrid(*(np.linspace(0.0, size, FIT_POINTS_PER_SIDE) for size in (view.rows, view.cols)), indexing="ij")
     x = view.grid.x(view.col0 + (col - 0.5) * view.col_step)
     y = view.grid.y(view.row0 + (row - 0.5) * view.row_step)
-    ground, up = world.ground(view.grid.crs, x.ravel(), y.ravel())
+    ground, up = world.points_at_zero_height(view.grid.crs, x.ravel(), y.ravel())
     ground, up = frame.points_from_earth(ground), frame.directions_from_earth(up)
     points = []
     for height in (low_m, max(high_m, low_m + 1.0)):

@@ -76,7 +76,7 @@ def fine_cells(
     valid = np.isfinite(high)
     factor = 2**overview.fine_lod
     x, y = elevation.xy((i[valid] + 0.5) * factor - 0.5, (j[valid] + 0.5) * factor - 0.5)
-    point, up = scene.world.ground(elevation.crs, x, y)
+    point, up = scene.world.points_at_zero_height(elevation.crs, x, y)
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
     col_above, half_above = (np.repeat(v, ratio * ratio)[valid] for v in parent_extent)

@@ -28,7 +28,7 @@ def overview_light_space(scene: Scene) -> tuple[np.ndarray, float]:
 
 @cached("scene", 256 * MIB)
 def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    return world.ground(elevation.crs, *_overview_xy(elevation))
+    return world.points_at_zero_height(elevation.crs, *_overview_xy(elevation))
 
 
 def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:

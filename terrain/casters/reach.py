@@ -378,7 +378,7 @@ def _occluder_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...
     assert scene.light_space is not None
     caster_m = _sunward_extent_m(scene, buffer, outside)
     relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light_space.altitude_deg
-    longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
+    longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.is_flat, scene.world.radius_m)
     farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent_nodes.max(
         initial=0.0
     )
@@ -428,7 +428,7 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     assert scene.light_space is not None
     (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].lod
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
-    point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
+    point, up = scene.world.points_at_zero_height(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light_space.transform_from_frame(buffer.frame))
     in_light = scene.light_space.points_from_earth(point + scene.height_range_m[1] * up)
     slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
@@ -509,14 +509,14 @@ def _data_and_shadow_limits_m(scene: Scene, buffer: GeometryBuffer | BareNodes) 
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
     crs, x, y, middle = _ray_origins(scene, buffer)
-    if scene.world.flat:
+    if scene.world.is_flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:
-        point, up = scene.world.ground(crs, *middle)
+        point, up = scene.world.points_at_zero_height(crs, *middle)
         azimuth, altitude = azimuth_and_altitude(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
-    needed_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
+    needed_m = min(longest_shadow_m(relief, altitude, not scene.world.is_flat, scene.world.radius_m), 1e6)
     along_m = np.linspace(0.0, needed_m, 65)
-    if scene.world.flat:
+    if scene.world.is_flat:
         unit = scene.world.metres_per_unit
         x = x[:, None] + along_m * np.sin(np.radians(azimuth)) / unit
         y = y[:, None] + along_m * np.cos(np.radians(azimuth)) / unit

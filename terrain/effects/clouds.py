@@ -118,11 +118,11 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     world, cover = scene.world, scene.loaded.level.weather.cloud_cover
     anchor_from_earth = world.earth_from_anchor.T
     assert scene.sun is not None
-    centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
+    centre = np.array([0.0, 0.0, -1e12]) if world.is_flat else -anchor_from_earth @ world.anchor_earth_m
     return CloudLayer(
         cover, noise_threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
         max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLOUD_CLEARANCE_M),
-        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(CLOUD_DRIFT_M_PER_S),
+        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.clock_seconds * np.array(CLOUD_DRIFT_M_PER_S),
     )  # fmt: skip
 
 
@@ -329,7 +329,7 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     """Return the bounds, in the cloud layer, of the rays from the ground of some cells and the objects on it to the sun."""
     row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
     x, y = scene.elevation.xy(row, col)
-    point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
+    point, up = (values.reshape(-1, 3) for values in scene.world.points_at_zero_height(scene.elevation.crs, x, y))
     low, high = scene.height_range_m
     heights = np.repeat([low, high + scene.objects.tallest_object_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m

@@ -78,7 +78,7 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
-    pixels = np.flatnonzero((buffer.kind == FOREST) & (sunlight < 1.0))
+    pixels = np.flatnonzero((buffer.surface_kind == FOREST) & (sunlight < 1.0))
     if not len(pixels):
         return
     points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)

@@ -95,7 +95,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if coarse_view is None or isinstance(view, MapView):
         return {"draped": draped, "nearest_m": None, "share": None}
     buffer = coarse_view.buffer
-    ground = buffer.kind[buffer.valid] == RELIEF
+    ground = buffer.surface_kind[buffer.valid] == RELIEF
     distance_m = coarse_view.distance_m[ground]
     if not len(distance_m):
         return {"draped": draped, "nearest_m": None, "share": None}

@@ -120,7 +120,7 @@ def visibility_m_of(scene: Scene, view: MapView | PerspectiveView) -> float:
         return visibility_m
     if isinstance(view, MapView):
         return CLEAR_AIR_VISIBILITY_M
-    height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
+    height_m = float(view.eye_earth_m[2] if scene.world.is_flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
     up = max(height_m - scene.height_range_m[0], 1e-3) / AIR_SCALE_HEIGHT_M
     return CLEAR_AIR_VISIBILITY_M * up / -float(np.expm1(-up))
 

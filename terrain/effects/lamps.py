@@ -94,7 +94,7 @@ def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, c
     distance_m = np.linalg.norm(to_points, axis=-1)
     near_m = np.maximum(distance_m - slack_m, 1e-3)
     light = strength / near_m**2
-    if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.caster_kinds == ("relief",):
+    if scene.world.is_flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.caster_kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
     shines = light > 0.0  # False for NaN points
     if lamp.kind == "spot":
@@ -136,7 +136,9 @@ def _highest_points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray
     cell_mask[block_slices(cells, factor, overview.max_heights_m.shape)] = True
     row, col = np.nonzero(cell_mask & np.isfinite(overview.max_heights_m))
     high, mean = overview.max_heights_m[row, col], overview.mean_heights_m[row, col]
-    point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+    point, up = scene.world.points_at_zero_height(
+        elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5)
+    )
     cell_width_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
     return point + up * high[:, None], cell_width_m + 2.0 * np.nan_to_num(high - mean)
 

@@ -56,7 +56,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if scene.sun is None:
         return {}
     tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_object_m
-    altitude, curved = scene.sun.altitude_deg, not scene.world.flat
+    altitude, curved = scene.sun.altitude_deg, not scene.world.is_flat
     longer_m = longest_shadow_m(tallest_m, altitude - scene.sun.refraction_deg, curved) - longest_shadow_m(
         tallest_m, altitude, curved
     )

@@ -279,7 +279,7 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         to_eye = -np.stack([x, y, np.ones_like(x)], axis=-1) @ view.earth_from_camera.T
         to_eye /= np.linalg.norm(to_eye, axis=-1, keepdims=True)
         to_sun = scene.sun.to_sun_earth
-        up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+        up = np.array([0.0, 0.0, 1.0]) if scene.world.is_flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     brightest = float(daylight_of(scene).sun_irradiance.max())
     return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_WAVE_SLOPE) > MAX_INVISIBLE_GLINT)
 

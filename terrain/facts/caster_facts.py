@@ -62,7 +62,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
         return 0
     level_m = float(np.hypot(*scene.elevation.shape)) * scene.elevation.cell_size_m(scene.world.metres_per_unit)
     relief_m, world = float(np.ptp(scene.height_range_m)), scene.world
-    longest_m = longest_shadow_m(relief_m, scene.light_space.altitude_deg, not world.flat, world.radius_m)
+    longest_m = longest_shadow_m(relief_m, scene.light_space.altitude_deg, not world.is_flat, world.radius_m)
     far = min(longest_m, max(level_m - min(rows, cols) * node_m, 0.0)) / node_m
     total, near, level = 0.0, 0.0, 0
     while near < far:

@@ -164,7 +164,7 @@ def _find_lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count:
         direction = to_lamp / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
-    indices = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > MIN_INCIDENCE_SINE) & inside)
+    indices = np.flatnonzero((np.where(probes.surface_kind == FOREST, np.abs(facing), facing) > MIN_INCIDENCE_SINE) & inside)
     chosen = indices[stratified_indices(len(indices), max_count)]
     return LitProbes(probes.select(chosen), direction[chosen], length[chosen]), len(indices) / len(probes)
 
@@ -247,7 +247,7 @@ def _cast_shadows(lit_probes: LitProbes, occlusion: RayOcclusion, facing_share: 
         )
         for i, number in enumerate(octave.tolist())
     )  # fmt: skip
-    on_bodies = float((occlusion.is_probe_occluded & (probes.kind != RELIEF)).mean())
+    on_bodies = float((occlusion.is_probe_occluded & (probes.surface_kind != RELIEF)).mean())
     thrown_m = (
         float(np.median(occlusion.occluder_distance_m))
         if occlusion.occluder_distance_m is not None and len(occlusion.occluder_distance_m)

@@ -52,7 +52,7 @@ class Probes:
         Side of a pixel at each point (n,), metres.
     distance_m
         Distance from the eye (n,), metres; 0 in a map.
-    kind
+    surface_kind
         Kind of surface (n,), as in ``skugga.terrain.gbuffer.resolve``.
     sequence_index
         Index of each probe in the quasirandom sequence (n,), int.
@@ -63,7 +63,7 @@ class Probes:
     normal_frame: np.ndarray
     pixel_m: np.ndarray
     distance_m: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     sequence_index: np.ndarray
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Probes:
 
     def select(self, index: np.ndarray) -> Probes:
         """Return the probes at some indices or in a mask."""
-        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "sequence_index")
+        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "surface_kind", "sequence_index")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     @property

@@ -76,7 +76,7 @@ def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, p
     factor = 2**elevation.overview.lod
     row, col = elevation.cell_of(x, y)
     half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
-    point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
+    point, up = world.points_at_zero_height(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
     to_frame = frame.directions_from_earth
     south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))

@@ -30,7 +30,7 @@ def row_width_ratio(scene: Scene, grid: Grid, view: MapView | None = None) -> fl
     shadow. Without a view, the only window is the level. Rows are columns if the sun's rays run more along rows. The result is 1
     without a sun and in a flat world.
     """
-    if scene.light_space is None or scene.world.flat:
+    if scene.light_space is None or scene.world.is_flat:
         return 1.0
     row, col, _ = overview_on_grid(scene.world, scene.elevation, grid)
     valid = np.isfinite(row) & np.isfinite(col)
@@ -82,4 +82,4 @@ def _width_ratio(scene: Scene, grid: Grid, window: tuple[NodeSpan, NodeSpan], le
 def _earth_points(scene: Scene, grid: Grid, rows: NodeSpan, cols: NodeSpan, samples: int) -> np.ndarray:
     """Return points (samples, samples, 3) of the earth's surface on evenly spaced rows and columns of a grid."""
     row, col = np.meshgrid(np.linspace(*rows, samples), np.linspace(*cols, samples), indexing="ij")
-    return scene.world.ground(grid.crs, grid.x(col), grid.y(row))[0]
+    return scene.world.points_at_zero_height(grid.crs, grid.x(col), grid.y(row))[0]

@@ -62,7 +62,8 @@ def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
     return Probes(
         frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
         normal_frame=coarse_view.buffer.normal_frame[valid].astype(np.float64),
-        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m, kind=coarse_view.buffer.kind[valid],
+        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m,
+        surface_kind=coarse_view.buffer.surface_kind[valid],
         sequence_index=np.arange(len(coarse_view.distance_m)),
     )  # fmt: skip
 
@@ -136,7 +137,7 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
 
 def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
     """Concatenate two sets of probes and renumber them."""
-    names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind")
+    names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "surface_kind")
     merged_fields: dict[str, Any] = {
         name: np.concatenate([getattr(surface_probes, name), getattr(leaf_probes, name)]) for name in names
     }
@@ -161,7 +162,7 @@ def _visible_map_probes(objects: SceneObjects, trees: TreeInstances | None) -> P
     leaf_probes = ground_probes.select(is_leaf)
     leaf_points = replace(
         leaf_probes, point_frame_m=start[is_leaf] - hit_m[is_leaf, None] * up[is_leaf], normal_frame=normal[is_leaf],
-        kind=np.full(len(leaf_probes), FOREST, np.uint8),
+        surface_kind=np.full(len(leaf_probes), FOREST, np.uint8),
     )  # fmt: skip
     return _concatenate_probes(ground_probes.select(~is_leaf), leaf_points)
 
@@ -179,7 +180,7 @@ def _move_to_roofs(
     return replace(
         ground_probes, point_frame_m=np.where(is_roof[:, None], start + length[:, None] * down, ground_probes.point_frame_m),
         normal_frame=np.where(is_roof[:, None], normal, ground_probes.normal_frame),
-        kind=np.where(is_roof, np.uint8(MESHES), ground_probes.kind),
+        surface_kind=np.where(is_roof, np.uint8(MESHES), ground_probes.surface_kind),
     ), length  # fmt: skip
 
 
@@ -197,7 +198,9 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
     frame = world.frame_near_earth(world.anchor_earth_m)
 
     def point_at(row: np.ndarray, col: np.ndarray) -> np.ndarray:
-        point, up = world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+        point, up = world.points_at_zero_height(
+            elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5)
+        )
         return frame.points_from_earth(point + bilinear(heights, row, col)[:, None] * up)
 
     # The slope is the difference over a hundredth of a cell, always inside the same cell.

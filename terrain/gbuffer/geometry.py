@@ -34,7 +34,7 @@ class ShadingInputs(NamedTuple):
     """The arrays of a ``GeometryBuffer`` that shading loops read."""
 
     valid: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     position_frame_m: np.ndarray
     height_m: np.ndarray
     shading_normal_frame: np.ndarray
@@ -65,7 +65,7 @@ class GeometryBuffer:
     crease
         float32, the bend of the surface: the largest distance between the triangle's unit normal and the unit normals of the
         triangles round the nearest node; 0 on a plane. Algorithms that sample beside the point derive their bias from it.
-    kind
+    surface_kind
         uint8, the kind of surface: NO_SURFACE, RELIEF, MESHES or FOREST of ``skugga.terrain.gbuffer.resolve``.
     triangle
         int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the
@@ -107,7 +107,7 @@ class GeometryBuffer:
     normal_frame: np.ndarray
     shading_normal_frame: np.ndarray
     crease: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     triangle: np.ndarray | None = None
     surface: SurfaceWindow | None = None
     ground: GroundMesh | None = None
@@ -124,7 +124,7 @@ class GeometryBuffer:
     @property
     def shading_inputs(self) -> ShadingInputs:
         """The arrays that shading loops read."""
-        return ShadingInputs(self.valid, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
+        return ShadingInputs(self.valid, self.surface_kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 @dataclass(frozen=True, eq=False)

@@ -201,7 +201,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     is_complete = 2 * (rows - 1) * (cols - 1) <= (
         MAX_UNDECIMATED_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles
     )
-    return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.flat))
+    return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.is_flat))
 
 
 def _node_window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:

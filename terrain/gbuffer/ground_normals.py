@@ -43,7 +43,7 @@ def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
     the ellipsoid.
     """
     normal_frame, frame = ground_normals(scene, view)
-    if scene.world.flat:
+    if scene.world.is_flat:
         return normal_frame
     rows, cols = np.mgrid[: view.rows, : view.cols]
     x = view.grid.x(view.col0 + cols * view.col_step)

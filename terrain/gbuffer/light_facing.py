@@ -88,7 +88,7 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
 def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
     if not _is_position_independent(buffer, light):
         return buffer, light
-    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.kind, buffer.lift_m, light
+    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
 
 
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
@@ -96,7 +96,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
     """Return the normals that a light uses at a buffer's points. Values in pixels without a surface are undefined."""
     nowhere = np.zeros(buffer.valid.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
-    view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
+    view, surface, ground = buffer.view, buffer.surface, buffer.surface_kind == RELIEF
     if not _is_position_independent(buffer, light):
         ground &= buffer.valid
     if surface is not None and isinstance(view, MapView):

@@ -40,7 +40,7 @@ class ResolvedPoints(NamedTuple):
     normal: np.ndarray
     shading_normal: np.ndarray
     crease: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     albedo: np.ndarray
     corners: np.ndarray
     imagery_cells: np.ndarray

@@ -12,7 +12,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 
 PIXEL_ARRAY_NAMES = (
-    "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "kind", "triangle",
+    "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "surface_kind", "triangle",
     "corners_frame_m", "lift_m", "is_lifted",
 )  # fmt: skip
 

@@ -71,7 +71,7 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
     block = max_ground_pixels(scene, view)
     count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
     while count > 0:
-        is_narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
+        is_narrow = scene.world.is_flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
         if 4.0**count * block <= (MAX_TERRAIN_ONLY_NODES if is_narrow and is_terrain_only(scene) else MAX_BLOCK_NODES):
             break
         count -= 1

@@ -192,10 +192,10 @@ def resolve_buffer(
     if image is not None:
         cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel_tangent / image.cell_m(scene.world)
         draped = image.albedo(points.imagery_cells, np.nan_to_num(cells_per_pixel, nan=1.0))
-        albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
+        albedo = np.where((points.surface_kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
         view, rasterised.frame, points.valid, points.position, points.height, points.normal, points.shading_normal, points.crease,
-        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
+        points.surface_kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=rasterised.solids,
         first_sample_row=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
         lift_m=points.lift_m,
@@ -237,7 +237,7 @@ def _map_buffer(
         tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.quad_sizes_m, trees.yaw_cos_sin, curvature, px_from_m)
     points = ResolvedPoints(
         buffer.valid, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
-        buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
+        buffer.crease, buffer.surface_kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(
         id_buffer.triangle_number if pixel_mask is None else np.where(pixel_mask, id_buffer.triangle_number, 0),
@@ -280,7 +280,7 @@ def _pixel_positions(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
 
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     """Return the matrix (2, 2) of pixels (column, row) per metre along a frame's first two axes, at a view's middle."""
-    point, _ = scene.world.ground(view.grid.crs, *view.centre)
+    point, _ = scene.world.points_at_zero_height(view.grid.crs, *view.centre)
     middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
     map_xyz = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)

@@ -230,7 +230,7 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 
     The distance between its nodes is the largest power-of-two resolution (see the module) that does not exceed ``resolution``.
     """
-    name = None if world.flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
+    name = None if world.is_flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
     if name is not None:
         from morecantile import tms as matrix_sets  # imported here: takes 0.2 s, and maps in other CRSs do not need it
 
@@ -253,7 +253,7 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
     The anchor is the centre of the level's bounds. One value serves the whole level, so that all its tiles choose the same detail.
     """
-    if world.flat:
+    if world.is_flat:
         return grid.step * world.metres_per_unit * float(np.sqrt(grid.y_to_x_step_ratio))
     if grid.crs == world.crs:
         x, y = world.anchor_x, world.anchor_y
@@ -261,7 +261,7 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
     half = grid.step / 2
     down = half * grid.y_to_x_step_ratio
-    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
+    point, _ = world.points_at_zero_height(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
 

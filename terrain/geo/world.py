@@ -173,7 +173,7 @@ class World:
     ----------
     crs
         The CRS of the elevation source.
-    flat
+    is_flat
         Whether the world is flat (an engineering CRS).
     anchor_x, anchor_y
         The anchor in ``crs``: the centre of the level's bounds. All lattices (frames, texels, map samples outside tile matrices)
@@ -185,7 +185,7 @@ class World:
     """
 
     crs: CRS
-    flat: bool
+    is_flat: bool
     anchor_x: float
     anchor_y: float
     anchor_lon_deg: float = 0.0
@@ -193,7 +193,7 @@ class World:
     metres_per_unit: float = 1.0
 
     def __hash__(self) -> int:
-        return hash((self.flat, self.anchor_x, self.anchor_y, self.metres_per_unit))
+        return hash((self.is_flat, self.anchor_x, self.anchor_y, self.metres_per_unit))
 
     @cached_property
     def ellipsoid(self) -> Geod:
@@ -210,22 +210,22 @@ class World:
     @property
     def is_on_earth(self) -> bool:
         """Whether the ground is on the earth or in a flat world, not on another celestial body."""
-        return self.flat or self.ellipsoid is WGS84
+        return self.is_flat or self.ellipsoid is WGS84
 
     @property
     def off_earth_reason(self) -> str | None:
         """The reason why the ground is not georeferenced on the earth; ``None`` on the earth. Dates and tiles need the earth."""
-        if self.flat:
+        if self.is_flat:
             return "an engineering CRS is not georeferenced"
         return None if self.is_on_earth else f"'{self.crs.name}' is not a CRS of the earth"
 
-    def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def points_at_zero_height(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return earth-fixed points (..., 3) at height 0, in metres, and the unit up vectors there, of map coordinates in ``crs``.
 
         Coordinates that cannot be transformed give NaN. A flat world raises ``UnsupportedError`` for any CRS but its own.
         """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-        if self.flat:
+        if self.is_flat:
             if crs != self.crs:
                 raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             east, north = (x - self.anchor_x) * self.metres_per_unit, (y - self.anchor_y) * self.metres_per_unit
@@ -249,7 +249,7 @@ class World:
 
         At a pole, where east is undefined, it uses the axes of the meridian ``polar_lon_deg``, by default Greenwich's.
         """
-        if self.flat:
+        if self.is_flat:
             return np.eye(3)
         east = np.array([-point_earth[1], point_earth[0], 0.0])
         length = np.hypot(east[0], east[1])
@@ -273,7 +273,7 @@ class World:
 
     @property
     def _anchor(self) -> tuple[np.ndarray, np.ndarray]:
-        if self.flat:
+        if self.is_flat:
             return np.zeros(3), np.array([0.0, 0.0, 1.0])
         return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg), self.ellipsoid)
 
@@ -283,8 +283,8 @@ class World:
         Origins form a lattice that is counted from the anchor. Raises ``UnsupportedError`` for a position outside of the CRS's
         area.
         """
-        if self.flat:
-            point, _ = self.ground(crs, np.float64(x), np.float64(y))
+        if self.is_flat:
+            point, _ = self.points_at_zero_height(crs, np.float64(x), np.float64(y))
             return self._flat_frame(point, FRAME_SPACING_M)
         lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
         if not np.isfinite(lon + lat):
@@ -296,7 +296,7 @@ class World:
 
         Origins form a lattice whose spacing is ``spacing_share`` times that for maps (``FRAME_SPACING_DEG``, ``FRAME_SPACING_M``).
         """
-        if self.flat:
+        if self.is_flat:
             return self._flat_frame(point_earth_m, FRAME_SPACING_M * spacing_share)
         lon, lat, _ = geodetic(point_earth_m, self.ellipsoid)
         return self._globe_frame(float(lon), float(lat), FRAME_SPACING_DEG * spacing_share)
@@ -315,8 +315,11 @@ class World:
         return float(max(np.cos(np.radians(self.anchor_lat_deg)), 0.01))
 
     def map_position(self, crs: CRS, point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` like ``ground``."""
-        if self.flat:
+        """Return x, y in a CRS and height in metres of earth-fixed points (..., 3).
+
+        A flat world raises ``UnsupportedError`` for any CRS but its own.
+        """
+        if self.is_flat:
             if crs != self.crs:
                 raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             scale = 1.0 / self.metres_per_unit
@@ -332,12 +335,12 @@ class World:
 
     def up_origin(self, frame: LocalFrame) -> np.ndarray:
         """Return the frame point (3,) from which "up" points away: the earth's centre, or a point far below a flat world."""
-        return np.array([0.0, 0.0, -1e12]) if self.flat else frame.points_from_earth(np.zeros(3))
+        return np.array([0.0, 0.0, -1e12]) if self.is_flat else frame.points_from_earth(np.zeros(3))
 
     @property
     def curvature(self) -> float:
         """Change of "up" per metre away from a frame's origin, in radians; 0 in a flat world."""
-        return 0.0 if self.flat else 1.0 / self.radius_m
+        return 0.0 if self.is_flat else 1.0 / self.radius_m
 
 
 @cached("process", MIB)
@@ -346,7 +349,7 @@ def _frame(world: World, i: int, j: int, spacing: float) -> LocalFrame:
 
     Cached, so that caches may compare frames by identity.
     """
-    if world.flat:
+    if world.is_flat:
         return LocalFrame((i, j), np.array([i * spacing, j * spacing, 0.0]), np.eye(3))
     lon = world.anchor_lon_deg + i * spacing / world._cos_anchor_lat
     origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * spacing), world.ellipsoid)

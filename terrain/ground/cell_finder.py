@@ -67,14 +67,14 @@ def cell_finder_of(elevation: Elevation, world: World) -> CellFinder:
     axes = world.earth_from_anchor.T
     rim = np.linspace(-0.5, elevation.rows - 0.5, 33), np.linspace(-0.5, elevation.cols - 0.5, 33)
     x, y = elevation.xy(*np.meshgrid(*rim, indexing="ij"))
-    if world.flat:
+    if world.is_flat:
         plane, count = FLAT_PLANE, 2
         x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
     elif is_longitude_latitude(elevation.crs) and not _is_local(elevation.bounds):
         plane, count = DEGREES_PLANE, 2
     else:
         plane, count = STEREOGRAPHIC_PLANE, LATTICE_SIDE_NODES
-        _, up = world.ground(elevation.crs, x, y)
+        _, up = world.points_at_zero_height(elevation.crs, x, y)
         east, north, upward = np.moveaxis(up @ axes.T, -1, 0)
         x, y = east / (1.0 + upward), north / (1.0 + upward)
     first = np.array([np.nanmin(x), np.nanmin(y)])

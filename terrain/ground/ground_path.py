@@ -123,7 +123,7 @@ class GroundPath:
         """Return earth-fixed points (n, 3) of height 0, up vectors (n, 3), and heights (n,) of path and ground, metres."""
         world, elevation = self.geolocator.world, self.geolocator.elevation
         x, y, _ = world.map_position(elevation.crs, self.horizontal_curve.at(seconds))
-        point, up = world.ground(elevation.crs, x, y)
+        point, up = world.points_at_zero_height(elevation.crs, x, y)
         ground_m = elevation.filled_ground_m(x, y)
         curve_height_m = self.height_curve.at(seconds)[:, 0]
         return point, up, curve_height_m + ground_m if self.height_reference == "ground" else curve_height_m, ground_m
@@ -143,7 +143,7 @@ def path_over_ground(
         x, y = geolocator.xy(position[:2])
         if not (np.isfinite([x, y]).all() and np.isfinite(elevation.filled_ground_m(x, y))):
             raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {geolocator.extent_text}")
-        points.append(world.ground(elevation.crs, np.float64(x), np.float64(y))[0])
+        points.append(world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))[0])
     times_s = np.array([seconds for seconds, _ in keys], np.float64)
     heights_m = np.array([[position[2]] for _, position in keys], np.float64)
     return GroundPath(

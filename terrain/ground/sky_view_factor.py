@@ -103,7 +103,7 @@ def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, en
 
     Where the CRS gives a cell no position, the result is the median of the other distances.
     """
-    points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
+    points = [world.points_at_zero_height(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
     distance_m = np.linalg.norm(points[1] - points[0], axis=-1)
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 

@@ -207,7 +207,7 @@ class Surface:
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = window_points(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
         valid &= np.isfinite(position[..., 2])
-        centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
+        centre = np.array([0.0, 0.0, -np.inf]) if self.world.is_flat else frame.points_from_earth(np.zeros(3))
         if is_rim is None:
             return SurfaceWindow(row0, col0, height, valid, position, centre)
         row, col = np.nonzero(is_rim)
@@ -221,7 +221,7 @@ class Surface:
         Also returns the row and column of the first exact node, divided by ``stride``.
         """
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
+        point, up = self.world.points_at_zero_height(self.grid.crs, x, y)
         return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
 
     def height_window(self, row0: int, col0: int, rows: int, cols: int, includes_rim: bool = False) -> NodeHeights:
@@ -276,7 +276,7 @@ class Surface:
         rows = max(window.row0 + window.shape[0] for window in windows) - row0
         cols = max(window.col0 + window.shape[1] for window in windows) - col0
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
+        point, up = self.world.points_at_zero_height(self.grid.crs, x, y)
         base, slope = (point - origin_earth_m) @ axis_earth, up @ axis_earth
         for window, array in zip(windows, out, strict=True):
             refined = isinstance(window, RefinedWindow)
@@ -380,7 +380,7 @@ def _exact_spacing_m(world: World) -> float:
     The error of cubic Lagrange interpolation on a circle of radius r, between points at a distance s, is at most
     3 / 128 r (s / r)^4.
     """
-    if world.flat:
+    if world.is_flat:
         return MAX_EXACT_NODE_SPACING_M
     min_radius_m = world.ellipsoid.b**2 / world.ellipsoid.a  # of curvature: along the meridian at the equator
     return float(min(MAX_EXACT_NODE_SPACING_M, (128.0 / 3.0 * MAX_CUBIC_ERROR_M * min_radius_m**3) ** 0.25))

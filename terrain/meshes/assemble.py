@@ -202,7 +202,7 @@ def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geoloc
         if position is None:
             raise LevelError.missing(f"{key_path}.at", f"Set a position on the terrain: within {geolocator.extent_text}")
         raise LevelError(f"{key_path}.at", position, f"a position on the terrain: within {geolocator.extent_text}")
-    point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    point, up = world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))
     return _Pose(point + height * up, world.earth_from_enu(point, up))
 
 

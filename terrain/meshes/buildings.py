@@ -358,7 +358,7 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
     xy, ring = shapely.get_coordinates(rings, return_index=True)
     is_corner = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
     xy, ring = xy[is_corner], ring[is_corner]
-    ground, up = world.ground(crs, xy[:, 0], xy[:, 1])
+    ground, up = world.points_at_zero_height(crs, xy[:, 0], xy[:, 1])
     ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
     start, first_ring, placed = 0, 0, []
     for i, (roof_m, base_m) in enumerate(zip(blocks.roof_m, blocks.base_m, strict=True)):
@@ -377,7 +377,7 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
             vertices = np.concatenate([ground[corner_slice] + height * up[corner_slice] for height in (roof_m, base_m)]) - origin
         else:
             order = start + (sloped.first_corner + np.arange(4)) % 4
-            ridge, ridge_up = world.ground(crs, *(sloped.ridge_weights @ xy[order]).T)
+            ridge, ridge_up = world.points_at_zero_height(crs, *(sloped.ridge_weights @ xy[order]).T)
             eaves_m = roof_m - sloped.rise_m
             corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
             triangles, is_roof = sloped_block_triangles(sloped)

@@ -111,7 +111,7 @@ class PlantingMap:
     @cached_property
     def crs(self) -> CRS:
         """The map's CRS."""
-        if self.world.flat:
+        if self.world.is_flat:
             return self.elevation.crs
         centre = LambertAzimuthalEqualAreaConversion(self.world.anchor_lat_deg, self.world.anchor_lon_deg)
         return ProjectedCRS(centre, name="equal-area map of the level", geodetic_crs=self._geodetic_crs)
@@ -123,7 +123,7 @@ class PlantingMap:
     @property
     def unit_m(self) -> float:
         """Unit of the map in metres."""
-        return self.world.metres_per_unit if self.world.flat else 1.0
+        return self.world.metres_per_unit if self.world.is_flat else 1.0
 
     @cached_property
     def outline(self) -> shapely.Polygon | None:
@@ -133,7 +133,7 @@ class PlantingMap:
         """
         cells = border_cells(*self.elevation.shape)
         x, y = _transform(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
-        if not self.world.flat and not (np.hypot(x, y) < MAX_OUTLINE_DISTANCE_M).all():
+        if not self.world.is_flat and not (np.hypot(x, y) < MAX_OUTLINE_DISTANCE_M).all():
             return None
         border = shapely.Polygon(np.column_stack([x, y]))
         margin = 1e-3 * np.sqrt(border.area)  # more than the border bends between its points
@@ -519,7 +519,7 @@ def _plant_stand(stems: Stems, species: Species, key_path: str, planting_map: Pl
         crown_m = crown_m if stems.growing_space_m is None else np.minimum(crown_m, stems.growing_space_m)
     else:
         crown_m = stems.crown_diameter_m
-    point, up = planting_map.world.ground(planting_map.elevation.crs, x, y)
+    point, up = planting_map.world.points_at_zero_height(planting_map.elevation.crs, x, y)
     return Trees(
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),

@@ -101,7 +101,7 @@ def closed_form_truth(rendered: RenderedView, hulls: Sequence[shapely.Polygon]) 
     """
     view = rendered.view
     assert isinstance(view, PerspectiveView)
-    valid = rendered.buffer.valid & (rendered.buffer.kind == RELIEF)
+    valid = rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF)
     dark, decidable = np.zeros(valid.shape, bool), valid.copy()
     dark[valid] = points_in_polygons(*ground_intersections(view, valid), hulls)
     for jittered in jittered_views(view, 4):

@@ -110,7 +110,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
                 options = {"map_size": round(side_m / texel_m) + 25, "filter": 1, "cascades": 1, "fit": "tight"}
                 rendered = trial.render_view(scene, view, **options)
             assert len(rendered.buffer.tree_instances) == len(places)
-            area = (rendered.dark & (rendered.buffer.kind == RELIEF)).sum() * (side_m / px) ** 2
+            area = (rendered.dark & (rendered.buffer.surface_kind == RELIEF)).sum() * (side_m / px) ** 2
             coverage_difference = area / (len(places) * CROWN_M**2) - share
             worst = max(worst, abs(coverage_difference))
     return {"coverage": worst}
@@ -131,13 +131,13 @@ def flicker_between(first: RenderedView, second: RenderedView) -> tuple[float, i
 
     The second result is the number of these points in shadow.
     """
-    row, col = np.nonzero(first.truth.decidable & (first.buffer.kind == RELIEF))
+    row, col = np.nonzero(first.truth.decidable & (first.buffer.surface_kind == RELIEF))
     frame = first.buffer.frame
     i, j = pixels_of(second.view, first.buffer.position_frame_m[row, col] @ frame.frame_from_earth + frame.origin_earth_m)  # type: ignore[arg-type]
     rows, cols = second.dark.shape
     inside = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
     row, col, i, j = row[inside], col[inside], i[inside], j[inside]
-    comparable = second.truth.decidable[i, j] & (second.buffer.kind[i, j] == RELIEF)
+    comparable = second.truth.decidable[i, j] & (second.buffer.surface_kind[i, j] == RELIEF)
     changed = flicker(first.dark[row, col], second.dark[i, j], ~first.truth.lit[row, col], ~second.truth.lit[i, j], comparable)
     return changed, int((comparable & ~first.truth.lit[row, col]).sum())
 

@@ -52,7 +52,7 @@ def random_windows(scene: Scene, random: np.random.Generator, count: int) -> Ite
     """Yield random windows on a level, on and off tile pixels, under suns of all altitudes."""
     for number in range(count):
         sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUN_ALTITUDES_DEG[number % len(SUN_ALTITUDES_DEG)])
-        if scene.world.flat:
+        if scene.world.is_flat:
             whole = scene.view()
             west, south, east, north = whole.bounds
             side = 0.3 * min(east - west, north - south)

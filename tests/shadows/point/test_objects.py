@@ -119,7 +119,7 @@ def test_sees_sun_agrees_with_truth(village):
         view = scene.view(bounds=(500_004.0, 5_299_756.0, 500_256.0, 5_299_996.0), size=(63, 60))
         buffer = geometry_buffer(scene, view)
         truth = trace_truth(buffer, scene, find_casters(scene, buffer))
-        decidable_cells = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.valid)
+        decidable_cells = np.argwhere(truth.decidable & (buffer.surface_kind == RELIEF) & buffer.valid)
         assert len(decidable_cells) > 1000
         for i, j in decidable_cells[:: len(decidable_cells) // 150]:
             xy = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))

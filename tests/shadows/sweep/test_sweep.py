@@ -198,7 +198,7 @@ def test_sweep_shades_trees_and_houses_by_hills():
     scene = with_sun_at(scene, 120.0, 6.0)
     view = scene.view("valley", size=(320, 256))
     buffer, casters, visibility = sweep_view(scene, view)
-    on_object = buffer.valid & (buffer.kind != RELIEF)
+    on_object = buffer.valid & (buffer.surface_kind != RELIEF)
     reference = trace_truth(buffer, scene, casters, kinds=("relief",))
     decidable_object = on_object & reference.decidable & ~reference.attached
     assert decidable_object.sum() > 1000 and (~reference.lit & decidable_object).sum() > 50

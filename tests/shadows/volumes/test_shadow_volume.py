@@ -319,7 +319,7 @@ def test_volumes_of_a_lamp_on_a_wall(gl, tmp_path):
     )
     case = shadow_case(scene)
     y = case.buffer.position_frame_m[..., 1]
-    ground = case.buffer.valid & (case.buffer.kind == RELIEF)
+    ground = case.buffer.valid & (case.buffer.surface_kind == RELIEF)
     visibility = case.volume_visibility()
     assert (ground & (y > 3.6)).mean() > 0.2 and (ground & (y < 2.9)).any()
     assert (visibility[ground & (y > 3.6)] == 0.0).all() and (visibility[ground & (y < 2.9)] == 1.0).all()

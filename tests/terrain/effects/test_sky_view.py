@@ -123,7 +123,7 @@ def test_sky_view_nodes_agree_with_proj(write_raster, make_scene, crs: str, x0: 
     rng = np.random.default_rng(1)
     scene = make_scene(write_raster(rng.normal(size=(60, 80)) * 100.0 + 1000.0, crs, x0, y0, cell))
     row, col, height = rng.uniform(0, 59, 200), rng.uniform(0, 79, 200), rng.uniform(0, 4000, 200)
-    point, up = scene.world.ground(scene.elevation.crs, *scene.elevation.xy(row, col))
+    point, up = scene.world.points_at_zero_height(scene.elevation.crs, *scene.elevation.xy(row, col))
     frame = scene.world.frame_near_earth(point[0])
     position = (point + height[:, None] * up - frame.origin_earth_m) @ frame.frame_from_earth.T
     nodes = sky_view_nodes(sky_view(scene.elevation, scene.world), frame, position, height)

@@ -50,7 +50,7 @@ def render_unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
 
 def mesh_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return the share of each pixel that shows a mesh, from 16 x 16 points."""
-    fine_mesh_mask = geometry_buffer(scene, view.finer(16)).kind == MESHES
+    fine_mesh_mask = geometry_buffer(scene, view.finer(16)).surface_kind == MESHES
     return fine_mesh_mask.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
 
 
@@ -58,10 +58,10 @@ def test_edge_pixels_are_blended_and_face_interiors_plain(gl, tower, monkeypatch
     """On the outline against the sky, colours lie between the sky's and the wall's. The interior of a face has one colour."""
     view = tower.view("eye")
     frame, unsampled_frame, buffer = render(tower, view), render_unsampled(monkeypatch, tower), geometry_buffer(tower, view)
-    wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
+    wall, sky = buffer.surface_kind == MESHES, buffer.surface_kind == NO_SURFACE
     assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
     share = mesh_share(tower, view)
-    partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.kind == RELIEF)
+    partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.surface_kind == RELIEF)
     low, high = minimum_filter(unsampled_frame.color[..., 0], 5), maximum_filter(unsampled_frame.color[..., 0], 5)
     contrast = partly & (high.astype(int) - low > 40)
     assert contrast.sum() > 40
@@ -82,7 +82,7 @@ def test_edge_means_match_the_covered_share_of_the_pixel(gl, tower):
     picture = multisampled(tower, view)
     row, col = picture.sampled_pixels
     assert len(row) > 100 and picture.sample_count == 4
-    mesh_samples = (picture.buffer.kind == MESHES).astype(float)[..., None]
+    mesh_samples = (picture.buffer.surface_kind == MESHES).astype(float)[..., None]
     sample_means = picture.average_samples(mesh_samples)[..., 0]
     covered_share = mesh_share(tower, view)
     single_samples = mesh_samples[: view.rows, :, 0]
@@ -212,7 +212,7 @@ def test_a_coarse_view_of_sky_alone_samples_every_pixel(gl, tower):
     The coarse view then samples all of them and finds their edges.
     """
     view = tower.view("eye")
-    wall = geometry_buffer(tower, view).kind == MESHES
+    wall = geometry_buffer(tower, view).surface_kind == MESHES
     row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
     part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
     valid = geometry_buffer(tower, part).valid

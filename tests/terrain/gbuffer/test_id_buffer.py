@@ -66,4 +66,4 @@ def test_multisampled_buffer_is_cached_across_suns(gl, landscape):
     sampled_buffer = multisampled(landscape, view)
     later_scene = landscape.at_second(2.0)
     assert multisampled(later_scene, view) is not sampled_buffer
-    assert (multisampled(later_scene, view).pixel_buffer.kind != sampled_buffer.pixel_buffer.kind).any()
+    assert (multisampled(later_scene, view).pixel_buffer.surface_kind != sampled_buffer.pixel_buffer.surface_kind).any()

@@ -165,7 +165,7 @@ def test_frames_are_true_to_north_and_scale_in_web_mercator():
     world = World(CRS.from_epsg(4326), False, 10.0, 60.0, 10.0, 60.0)
     frame = world.frame_near(CRS.from_epsg(4326), 10.0, 60.0)
     lon, lat, _ = Geod(ellps="WGS84").fwd(10.0, 60.0, 0.0, 1000.0)
-    point, _ = world.ground(CRS.from_epsg(4326), np.array(lon), np.array(lat))
+    point, _ = world.points_at_zero_height(CRS.from_epsg(4326), np.array(lon), np.array(lat))
     east, north, up = frame.frame_from_earth @ (point - frame.origin_earth_m)
     assert (east, north) == (pytest.approx(0.0, abs=1e-3), pytest.approx(1000.0, abs=0.01))
     assert up == pytest.approx(-(1000.0**2) / 2 / 6.38e6, abs=1e-3)  # the earth falls away
@@ -176,7 +176,7 @@ def test_neighbouring_frames_place_the_same_ground_alike():
     crs = CRS.from_epsg(4326)
     west_frame, east_frame = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
     assert west_frame.key != east_frame.key
-    point, _ = world.ground(crs, np.array(10.2), np.array(45.1))
+    point, _ = world.points_at_zero_height(crs, np.array(10.2), np.array(45.1))
     for frame in (west_frame, east_frame):
         local = frame.frame_from_earth @ (point - frame.origin_earth_m)
         assert np.abs(local).max() < 25_000

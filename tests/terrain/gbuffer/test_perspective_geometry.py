@@ -94,7 +94,7 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
     is_exact = relative_error < 1e-6
     offset_px = ray_distance_px(view, points, eye, ray[valid])
     assert is_exact.mean() > 0.97 and offset_px.max() < RASTER_TOLERANCE_PX and np.abs(points[:, 2]).max() < 1e-9
-    assert (buffer.kind[buffer.valid] == RELIEF).all() and (buffer.height_m[buffer.valid] == 0.0).all()
+    assert (buffer.surface_kind[buffer.valid] == RELIEF).all() and (buffer.height_m[buffer.valid] == 0.0).all()
     for normal in (buffer.normal_frame, buffer.shading_normal_frame):
         np.testing.assert_allclose(normal[buffer.valid], np.tile([0, 0, 1], (buffer.valid.sum(), 1)), atol=1e-6)
     assert np.isnan(buffer.position_frame_m[~buffer.valid]).all() and np.isnan(buffer.height_m[~buffer.valid]).all()
@@ -198,7 +198,7 @@ def test_a_box_shows_its_faces_with_outward_normals(gl, floor, make_scene, tmp_p
     scene = make_scene(floor, meshes=meshes, views=eye_view((0, 0, 25), (20, 30, 3), size=(120, 90), fov=30.0))
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
-    box = buffer.kind == MESHES
+    box = buffer.surface_kind == MESHES
     assert box.mean() > 0.1
     point = buffer.position_frame_m[box] + buffer.frame.origin_earth_m - [*box_position, 4.0]
     normal = buffer.normal_frame[box]
@@ -239,7 +239,7 @@ def test_a_sheet_s_normal_faces_the_eye_from_either_side(gl, floor, make_scene, 
             floor, meshes=[{"source": "sheet.obj", "at": [0, 0]}], views=eye_view((0, -60 * south, 12), (0, 0, 12), fov=20.0)
         )
         buffer = geometry_buffer(scene, scene.view("eye"))
-        on_mesh = buffer.kind == MESHES
+        on_mesh = buffer.surface_kind == MESHES
         assert on_mesh.mean() > 0.5
         np.testing.assert_allclose(buffer.normal_frame[on_mesh], np.tile([0, -south, 0], (on_mesh.sum(), 1)), atol=1e-6)
         np.testing.assert_allclose(buffer.shading_normal_frame[on_mesh], buffer.normal_frame[on_mesh], atol=1e-6)

@@ -108,7 +108,7 @@ def test_a_tree_shows_its_nearest_opaque_quad(gl, floor, make_wooded_scene, spec
         alpha = alpha_at(instances, np.zeros(len(uv), int), np.full(len(uv), part), uv).reshape(t.shape)
         is_hit = inside & (alpha >= ALPHA_THRESHOLD) & (t > 0) & (t < nearest)
         nearest[is_hit], expected[is_hit] = t[is_hit], part
-    tree = buffer.kind == FOREST
+    tree = buffer.surface_kind == FOREST
     first = len(visible.ground.triangles) + 1
     quad_index = np.where(tree, (visible.id_buffer.triangle_number.astype(int) - first) // 2, -1)
     assert {0, 1, 2} <= set(quad_index[tree].tolist()) <= {0, 1, 2} and 0.05 < tree.mean() < 0.6
@@ -127,7 +127,7 @@ def test_points_of_trees_lie_on_opaque_parts_of_their_quads(gl, floor, make_wood
     buffer = resolve_buffer(scene, view, visible)
     instances = visible.tree_instances
     assert instances is not None
-    on_tree = buffer.kind == FOREST
+    on_tree = buffer.surface_kind == FOREST
     number = visible.id_buffer.triangle_number[on_tree].astype(int) - 1 - len(visible.ground.triangles)
     tree, part = number // 6, number % 6 // 2
     assert len(set(tree.tolist())) > 30 and set(part.tolist()) == {0, 1, 2}

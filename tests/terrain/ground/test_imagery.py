@@ -82,7 +82,7 @@ def test_perspective_view_shows_imagery_at_its_points(gl, hill, write_raster, ma
     data = random_colors(2)
     scene = make_draped_scene(write_raster, make_scene, hill, data, views=eye_view())
     buffer = geometry_buffer(scene, near_view(scene))
-    ground = buffer.kind == RELIEF
+    ground = buffer.surface_kind == RELIEF
     assert ground.mean() > 0.4
     earth = buffer.position_frame_m[ground] @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
     x, y, _ = scene.world.map_position(scene.elevation.crs, earth)
@@ -105,7 +105,7 @@ def test_imagery_in_another_crs_is_aligned(gl, hill, write_raster, make_scene, c
         (geometry_buffer(scene, view), pixel_xy(view)),
         (geometry_buffer(scene, near_view(scene)), (None, None)),
     ):
-        ground = buffer.kind == RELIEF
+        ground = buffer.surface_kind == RELIEF
         if x is None:
             earth = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
             x, y, _ = scene.world.map_position(scene.elevation.crs, earth)
