@@ -24,7 +24,7 @@ from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import Reach
+from skugga.terrain.casters.caster_types import Reach
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView

@@ -17,7 +17,7 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer
 from skugga.terrain.geo.camera import PerspectiveView

@@ -12,7 +12,7 @@ from skugga.shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
-from skugga.terrain.casters.reach import Casters, Receivers
+from skugga.terrain.casters.caster_types import Casters, Receivers
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 

@@ -18,7 +18,8 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_reach_of_nodes
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import apply_sky_view
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground

@@ -24,7 +24,8 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_outside_casters
 from skugga.shadows.visibility import visibilities_at
 from skugga.terrain.casters.caster_culling import block_ground_faces_sun
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -34,9 +34,9 @@ from skugga.shadows.algorithm import COMPANION_MAP_SIZES, Accuracy, Algorithm, C
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.work import Work, Workload
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_trees
 from skugga.terrain.casters.clip_space import camera_clip, map_clip
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.facts.fact_types import Casting
 from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.gbuffer.antialias import finer_view

@@ -17,7 +17,8 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.supersampling import mean_visibilities, supersampling
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
-from skugga.terrain.casters.reach import Casters, Reach, find_casters, find_reach
+from skugga.terrain.casters.caster_types import Casters, Reach
+from skugga.terrain.casters.reach import find_casters, find_reach
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.effect import STAGES_BEFORE_SHADING, ShadingBlock, Stage
 from skugga.terrain.errors import InputError, RenderError, UnsupportedError

@@ -13,7 +13,8 @@ from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.supersampling import Supersampling, lit_nodes, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_reach_of_nodes
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import HALO_NODES, bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry

@@ -19,7 +19,8 @@ from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PI
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import visibilities_at
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters, find_sun_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -27,7 +27,8 @@ from skugga.shadows.ground_pictures import SKY_PASS
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from skugga.terrain.casters.caster_types import PATCH_QUADS
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space

@@ -21,7 +21,8 @@ from skugga.shadows.truth import truth as truth_module
 from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.visibility import fill_steps, with_apparent_sun
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer

@@ -14,8 +14,8 @@ from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMa
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.cache import IdentityKey
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import VerticesAndTriangles, caster_meshes, caster_sheets, closed_caster_mask
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
 from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances

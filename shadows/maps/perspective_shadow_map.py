@@ -34,8 +34,8 @@ from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MIN_NEAR_PLANE_SHARE, POSITION_ERROR, DepthMap, depth_steps
 from skugga.shadows.maps.work import perspective_map_work
 from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_trees, has_casters
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG

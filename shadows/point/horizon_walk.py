@@ -19,7 +19,8 @@ import numpy as np
 from skugga.shadows.point.place import PointPlace
 from skugga.shadows.point.relief_pages import TILE_QUADS, detail_distance_ranges, paged_relief, quad_height
 from skugga.shadows.point.sight_lines import SightLines, sight_lines
-from skugga.terrain.casters.reach import PATCH_QUADS, longest_shadow_m
+from skugga.terrain.casters.caster_types import PATCH_QUADS
+from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.scene import Scene
 

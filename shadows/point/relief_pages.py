@@ -14,8 +14,9 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.overview_cells import overview_on_grid
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import World, transformer

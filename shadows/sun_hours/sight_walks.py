@@ -18,7 +18,7 @@ from skugga.shadows.sun_hours.quadratics import evaluate_quadratic, quadratic_fi
 from skugga.shadows.sun_hours.suns import WindowSun, block_sample_positions
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.rays import patch_windows
-from skugga.terrain.casters.reach import Patch
+from skugga.terrain.casters.caster_types import Patch
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World

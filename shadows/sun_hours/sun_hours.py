@@ -40,7 +40,8 @@ from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_m
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
-from skugga.terrain.casters.reach import Patch, find_sun_casters
+from skugga.terrain.casters.caster_types import Patch
+from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes

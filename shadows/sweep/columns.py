@@ -25,7 +25,7 @@ import numpy as np
 from skugga.shadows.sweep.grid import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.points import evaluate_cubic
 from skugga.shadows.sweep.rays import SunRays, rays_at
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Casters
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF

@@ -20,7 +20,7 @@ from skugga.shadows.sweep.grid import (
 )
 from skugga.shadows.sweep.lines import TurnedGrid
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from skugga.terrain.geo.grid import Grid

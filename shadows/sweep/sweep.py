@@ -42,7 +42,7 @@ from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_view, gro
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.sweep.targets import SweepTargets, max_abs_ray_height_m, targets_of_buffer, targets_of_nodes
 from skugga.shadows.work import Work, Workload, is_decimated
-from skugga.terrain.casters.reach import Casters, Patch
+from skugga.terrain.casters.caster_types import Casters, Patch
 from skugga.terrain.compiled import CORES
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.sweep.rays import GroundWindow, SunRays
-from skugga.terrain.casters.reach import Receivers
+from skugga.terrain.casters.caster_types import Receivers
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -15,9 +15,9 @@ import numpy as np
 
 from skugga.shadows.truth.truth import ALL_KINDS, Truth, trace_truth
 from skugga.terrain.atomic_files import atomic_path
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
 from skugga.terrain.casters.rays import RAY_OFFSET_ULPS
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView

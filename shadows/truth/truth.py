@@ -22,9 +22,10 @@ from skugga.shadows.attached import attached, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, occluding_trees
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from skugga.terrain.gbuffer.light_facing import MIN_LIGHT_SINE, FacingNormals, facing_normals

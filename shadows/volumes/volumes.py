@@ -36,8 +36,8 @@ from skugga.shadows.volumes.silhouettes import (
     silhouette,
 )
 from skugga.terrain.cache import MIB, Cache, Missing, cached
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import VerticesAndTriangles, caster_sheets, caster_solids
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import ground_nodes, nodes_have_gaps
 from skugga.terrain.ground.sheet import Sheet, has_gaps

@@ -31,8 +31,8 @@ from typing import Literal
 import numpy as np
 
 from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch, Receivers
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, count_missing, gather_rises, write_rise_support
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch, Receivers
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG

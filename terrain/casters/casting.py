@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.grid import MapView

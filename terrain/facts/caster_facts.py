@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.casting import closed_caster_mask
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, longest_shadow_m
 from skugga.terrain.facts.fact_types import CasterFacts
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective

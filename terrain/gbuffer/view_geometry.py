@@ -14,8 +14,8 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geomet
 from skugga.terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
 from skugga.terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from skugga.terrain.gbuffer.map_columns import column_geometry
-from skugga.terrain.gbuffer.resolve import (
-    RELIEF,
+from skugga.terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
+from skugga.terrain.gbuffer.resolve_types import (
     Faces,
     GroundInPerspective,
     PixelCamera,
@@ -24,8 +24,6 @@ from skugga.terrain.gbuffer.resolve import (
     SolidsInPerspective,
     TreesInMap,
     TreesInPerspective,
-    resolve_map,
-    resolve_perspective,
 )
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from skugga.terrain.geo.camera import PerspectiveView

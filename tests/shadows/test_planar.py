@@ -21,7 +21,8 @@ from skugga.shadows.planar import clip_from_plane, plane_projection
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.truth import TruthSettings, trace_truth
 from skugga.shadows.truth.truth import fill as truth_fill
-from skugga.terrain.casters.reach import NO_CASTERS, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer

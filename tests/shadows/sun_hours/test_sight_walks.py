@@ -15,7 +15,7 @@ from skugga.shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, 
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.shadows.sweep.horizon import horizon_deg
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene

@@ -15,7 +15,8 @@ from skugga.shadows.sweep.grid import allocate_bordered_grid, fitted_cubics
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill, fill_nodes
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Casters, Patch
+from skugga.terrain.casters.reach import find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView

@@ -18,7 +18,8 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics, soft_error
 from skugga.shadows.truth.truth import ray_scene, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters import reach
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF

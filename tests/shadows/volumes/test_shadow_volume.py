@@ -26,7 +26,8 @@ from skugga.shadows.visibility import receivers_of
 from skugga.shadows.volumes import shadow_volume
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
