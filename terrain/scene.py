@@ -20,21 +20,14 @@ from skugga.terrain.geo.axes import axes_of, check_axes
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import Grid, MapView, map_view
 from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, sun_of
-from skugga.terrain.geo.world import (
-    LONGITUDE_LATITUDE,
-    LocalFrame,
-    World,
-    is_longitude_latitude,
-    is_on_earth,
-    longitude_latitude_of,
-    transformer,
-)
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, is_on_earth, longitude_latitude_of, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.raster_warnings import raster_warnings
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import SUN, LoadedLevel
 from skugga.terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
+from skugga.terrain.level_world import world_of_level
 from skugga.terrain.lights import Lamp, LightPosition, light_position
 from skugga.terrain.scene_objects import SceneObjects
 from skugga.terrain.style import Style, style_of, style_spec
@@ -52,8 +45,6 @@ MAX_PERSPECTIVE_SIDE_PX = 4096
 
 MAX_UTM_WIDTH_DEG = 18.0
 
-ROUND_TRIP_TOLERANCE_DEG = 0.05
-"""Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
 OVERLAP_SAMPLES_PER_SIDE = 33
 """Sample points along a side that decide whether a map shows anything of a level."""
@@ -444,7 +435,7 @@ def build_scene(loaded: LoadedLevel) -> Scene:
         raise LevelError(
             f"{loaded.path}: terrain.surface", "blocks", "smooth, since the raster's rows do not run from west to east"
         )
-    world = _world(loaded, elevation)
+    world = world_of_level(loaded, elevation)
     sun_is_default = loaded.level.sun is None
     loaded = with_default_sun(loaded, world, elevation)
     spec = loaded.level.sun
@@ -470,49 +461,3 @@ def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
     """
     zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg))
     return CRS.from_epsg(int(zones[0].code))
-
-
-def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
-    try:
-        return _world_at_level_centre(loaded, elevation)
-    except ProjError:
-        problem = f"PROJ cannot transform its CRS '{elevation.crs.name}' into longitude and latitude and back"
-        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
-
-
-def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
-    """Return whether a position is unchanged after a transformation into a CRS and back.
-
-    For a few CRSs PROJ applies the prime meridian in one direction only.
-    """
-    if is_longitude_latitude(crs):
-        return True
-    projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
-    restored = transformer(crs, LONGITUDE_LATITUDE).transform(*projected)
-    lon_error = (restored[0] - lon + 180.0) % 360.0 - 180.0
-    return bool(max(abs(lon_error) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < ROUND_TRIP_TOLERANCE_DEG)
-
-
-def _world_at_level_centre(loaded: LoadedLevel, elevation: Elevation) -> World:
-    crs, bounds = elevation.crs, loaded.level.terrain.bounds
-    x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
-    unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
-    if elevation.flat:
-        if bounds is not None:
-            degrees = Problem("bounds in degrees do not apply to an engineering CRS")
-            raise LevelError(f"{loaded.path}: terrain.bounds", degrees, "Remove the bounds")
-        return World(crs, True, x, y, metres_per_unit=unit)
-    metres = 1.0 if crs.is_geographic else unit
-    if bounds is not None:
-        lon, lat = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
-        x, y = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
-        cell = elevation.cell_of(x, y)
-        is_on_raster = -0.5 <= cell[0] <= elevation.rows - 0.5 and -0.5 <= cell[1] <= elevation.cols - 0.5
-        if not is_on_raster:
-            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
-    else:
-        lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    if not (np.isfinite([lon, lat]).all() and _survives_round_trip(crs, float(lon), float(lat))):
-        problem = f"PROJ cannot transform its CRS '{crs.name}' into longitude and latitude and back"
-        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform")
-    return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

@@ -26,12 +26,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.light_space import LightSpace, light_bounds
 from skugga.terrain.geo.sun import azimuth_and_altitude
-from skugga.terrain.geo.world import (
-    EARTH_RADIUS_M,
-    LONGITUDE_LATITUDE,
-    is_longitude_latitude,
-    transformer,
-)
+from skugga.terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, is_longitude_latitude, transformer
 from skugga.terrain.ground.columns import ColumnWindow
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene

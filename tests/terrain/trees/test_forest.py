@@ -17,7 +17,8 @@ from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.trees import forest as module
 from skugga.terrain.trees.crown_sizes import MAX_CROWN_DEVIATION_SHARE
 from skugga.terrain.trees.foliage import TREE_VARIANTS
-from skugga.terrain.trees.forest import PlantingMap, plant_trees
+from skugga.terrain.trees.forest import plant_trees
+from skugga.terrain.trees.planting_map import PlantingMap
 from skugga.terrain.trees.scatter import MIN_SPACING_CELLS, join_positions, pair_keys, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
