@@ -16,7 +16,7 @@ from skugga.shadows.sweep.sweep import fill
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
 from skugga.terrain.casters.caster_types import Casters
-from skugga.terrain.casters.casting import caster_sheets
+from skugga.terrain.casters.casting_patches import caster_sheets
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, rise_support
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -89,21 +89,21 @@ def test_no_ray_to_the_sun_s_disc_meets_culled_ground(make_block, seed, relief, 
     for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
         lit = lit_at_altitude(scene, buffer, unculled_casters, sun_deg)
         assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, sun_deg))
-        if not casters.casting and block_ground_casts_no_shadow(scene, buffer):
+        if not casters.casting_patches and block_ground_casts_no_shadow(scene, buffer):
             assert lit[buffer.valid].all()
 
 
 def test_culling_omits_gentle_ground_and_keeps_casters(make_block):
     """A high sun culls all ground beside a block of gentle hills. A low sun culls less, and shadows fall into the block."""
     scene, buffer, high_sun_casters = make_block(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
-    assert high_sun_casters.patches and not high_sun_casters.casting and block_ground_casts_no_shadow(scene, buffer)
+    assert high_sun_casters.patches and not high_sun_casters.casting_patches and block_ground_casts_no_shadow(scene, buffer)
     scene, buffer, low_sun_casters = make_block(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
-    assert low_sun_casters.casting and not block_ground_casts_no_shadow(scene, buffer)
+    assert low_sun_casters.casting_patches and not block_ground_casts_no_shadow(scene, buffer)
     empty_casters = Casters((), low_sun_casters.reach)
     assert (
         lit_at_altitude(scene, buffer, low_sun_casters, 6.0) != lit_at_altitude(scene, buffer, empty_casters, 6.0)
     ).mean() > 0.01
-    assert len([*caster_sheets(scene, buffer, low_sun_casters, ("relief",))]) == 1 + len(low_sun_casters.casting)
+    assert len([*caster_sheets(scene, buffer, low_sun_casters, ("relief",))]) == 1 + len(low_sun_casters.casting_patches)
 
 
 def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene):
