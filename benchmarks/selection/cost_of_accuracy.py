@@ -3,7 +3,8 @@
 For each view the price of a goal is a ratio of two times. The first is that of the cheapest plan that meets the goal. The second is
 that of the cheapest plan that meets the loosest goal. Plans meet a goal by the rule of ``benchmarks.selection.judge``. Where one
 plan is the cheapest for both, accuracy is free: a median over such views would say nothing, so they are counted separately. So are
-views where no plan meets both goals, or where truth is too noisy to tell.
+views where no plan meets both goals, or where truth is too noisy to tell. The sentence compares each view's loosest goal with the
+finest one that can be told and met there, so that views with noisy truth (woods) count with the goals that they can be judged by.
 """
 
 from __future__ import annotations
@@ -106,6 +107,57 @@ def prices(views: Sequence[Figures]) -> list[Price]:
     return result
 
 
+@dataclass(frozen=True)
+class FinestPrice:
+    """The price, over some views, of each view's finest goal: the finest that truth can tell and that some plan meets.
+
+    Attributes
+    ----------
+    ratios
+        Time of the cheapest plan for the finest goal divided by that for the loosest goal, of each view where these are two plans.
+    same_plan_views
+        Number of views where the same plan is the cheapest for both goals, so that accuracy costs nothing.
+    views_by_goal
+        Number of compared views by the name of their finest goal.
+    view_count
+        Number of all views.
+    """
+
+    ratios: np.ndarray
+    same_plan_views: int
+    views_by_goal: dict[str, int]
+    view_count: int
+
+    @property
+    def omitted_views(self) -> int:
+        """Number of views without two goals that can be told and met."""
+        return self.view_count - len(self.ratios) - self.same_plan_views
+
+    @property
+    def median(self) -> float:
+        return float(np.median(self.ratios)) if self.ratios.size else np.nan
+
+    @property
+    def p90(self) -> float:
+        return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
+
+
+def finest_price(views: Sequence[Figures]) -> FinestPrice:
+    """Return the price of each view's finest goal, over some views."""
+    ratios, same_plan_views, views_by_goal = [], 0, {goal.name: 0 for goal in reversed(FINER_GOALS)}
+    for rows in map(cheapest_rows, views):
+        finest = next((goal.name for goal in reversed(FINER_GOALS) if goal.name in rows), None)
+        if finest is None or LOOSEST_GOAL.name not in rows:
+            continue
+        views_by_goal[finest] += 1
+        (loose, loose_ms), (fine, fine_ms) = rows[LOOSEST_GOAL.name], rows[finest]
+        if fine == loose:
+            same_plan_views += 1
+        else:
+            ratios.append(fine_ms / loose_ms)
+    return FinestPrice(np.array(sorted(ratios)), same_plan_views, views_by_goal, len(views))
+
+
 def views_by_family(views: Sequence[Figures]) -> dict[str, list[Figures]]:
     """Group views by kind of scene (family)."""
     result: dict[str, list[Figures]] = {}
@@ -116,18 +168,18 @@ def views_by_family(views: Sequence[Figures]) -> dict[str, list[Figures]]:
 
 def format_sentence(views: Sequence[Figures], device: str) -> str:
     """Describe the price of accuracy in time, over all views and by kind of scene. ``device`` is the name of the device."""
-    finest = prices(views)[-1]
-    by_family = [(name, prices(family_views)[-1]) for name, family_views in views_by_family(views).items()]
-    priced = [f"{name}: {price.median:.1f}" for name, price in by_family if len(price.ratios) >= MIN_VIEWS_OF_MEDIAN]
+    price = finest_price(views)
+    by_family = [(name, finest_price(family_views)) for name, family_views in views_by_family(views).items()]
+    priced = [f"{name}: {of_family.median:.1f}" for name, of_family in by_family if len(of_family.ratios) >= MIN_VIEWS_OF_MEDIAN]
+    reached = ", ".join(f"{goal} in {count}" for goal, count in price.views_by_goal.items() if count)
+    omitted = ", ".join(f"{name}: {of_family.omitted_views}" for name, of_family in by_family if of_family.omitted_views)
     return (
-        f"**What accuracy costs:** in {finest.same_plan_views} of {finest.view_count} measured views nothing, since the fastest "
-        "shadows of which "
-        f"at most {LOOSEST_GOAL.name} is wrong are right to {finest.goal.name}, too. In {len(finest.ratios)} views it has a "
-        "price: there "
-        f"the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times as long in the median, "
-        f"and more than {finest.p90:.1f} times in one view of ten "
-        f"(medians by kind of scene, where it has a price: {'; '.join(priced)}; {device}). "
-        f"In the other {finest.view_count - finest.comparable_views} no plan meets both, or truth is too noisy to tell."
+        f"**What accuracy costs:** in {price.same_plan_views} of {price.view_count} measured views nothing: the fastest shadows of "
+        f"which at most {LOOSEST_GOAL.name} is wrong are right to the finest share, too, that ray-traced truth can tell and some "
+        f"plan reaches ({reached} views). In {len(price.ratios)} views it has a price: shadows right to that share take "
+        f"{price.median:.1f} times as long in the median, and more than {price.p90:.1f} times in one view of ten (medians by kind "
+        f"of scene, where it has a price: {'; '.join(priced)}; {device}). The other {price.omitted_views} are left out, since "
+        f"truth tells nothing finer than {LOOSEST_GOAL.name} there, or no plan reaches {FINER_GOALS[0].name} ({omitted})."
     )
 
 

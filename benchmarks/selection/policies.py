@@ -148,7 +148,7 @@ def replay_probe(
     known_options = recorded_options(light_options, [name if name in instance.rows else "" for name in names], record)
     if not known_options.numbers:
         return None, names
-    prober = RecordedProber(record, names)
+    prober = RecordedProber(record, names, known_options)
     return probe_options(known_options, prober, instance.goal.max_error, instance.max_ms, budget_s), names
 
 

@@ -10,7 +10,15 @@ from typing import Any
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.measure.probing import ErrorMeasurement
-from skugga.selector.measure.scene_prober import MAX_LATTICE_DOUBLINGS, ProbedPictures, SceneProber
+from skugga.selector.measure.scene_prober import (
+    DRAW_REPEATS,
+    MAX_LATTICE_DOUBLINGS,
+    MAX_REPEATED_MS,
+    ProbedPictures,
+    SceneProber,
+    draw_count,
+    is_warm,
+)
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.predict import plan_options
@@ -37,7 +45,7 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
     effects = options.planner.plan({light: light_options.options[0].choice}, {}).effect_names
     start = time.perf_counter()
     pictures = ProbedPictures(scene, view, effects)
-    prober = SceneProber(pictures, options.planner, light, light_options)
+    prober = SceneProber(pictures, options.planner, light, light_options, MAX_REPEATED_MS)
     assert pictures.blocks
     start_s = time.perf_counter() - start
     rows: dict[str, Figures] = {}
@@ -62,10 +70,15 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
 
 
 class RecordedProber:
-    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record. ``rows`` names the row of each option."""
+    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record. ``rows`` names the row of each option.
 
-    def __init__(self, record: Figures, rows: Sequence[str]) -> None:
-        self._record, self._rows = record, rows
+    Recorded drawings were repeated up to ``MAX_REPEATED_MS``. Where a probe would not repeat one, a replay takes that share of its
+    time. Its milliseconds remain the least of all drawings.
+    """
+
+    def __init__(self, record: Figures, rows: Sequence[str], options: LightOptions) -> None:
+        self._record, self._rows, self._options = record, rows, options
+        self._drawn: set[int] = set()
         self._elapsed_s = record["start_s"]
         self._step: int | None = None
 
@@ -78,12 +91,14 @@ class RecordedProber:
         row = self._record["rows"].get(self._rows[which])
         if row is None:
             return None
-        self._elapsed_s += row["draw_s"]
+        recorded_count = DRAW_REPEATS if row["ms"] < MAX_REPEATED_MS else 1
+        self._elapsed_s += row["draw_s"] * draw_count(row["ms"], is_warm(self._options, which, self._drawn)) / recorded_count
+        self._drawn.add(which)
         return row["ms"]
 
-    def draw_s(self, ms: float) -> float:
-        """Return the seconds that a probe needs to draw an option whose frame takes ``ms`` milliseconds."""
-        return SceneProber.draw_s(ms)
+    def draw_s(self, which: int, ms: float) -> float:
+        """Return the seconds that a probe needs to draw an option of which one drawing takes ``ms`` milliseconds."""
+        return draw_count(ms, is_warm(self._options, which, self._drawn)) * ms / 1000.0
 
     def measurement(self, which: int) -> ErrorMeasurement:
         """Return the recorded measurement of an option at the points of truth that have been added so far."""

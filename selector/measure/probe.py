@@ -15,7 +15,7 @@ from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.cost.typical_device import model_for_device, typical_device
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.probing import ErrorMeasurement, LightProbe, leader_of, probe_options
-from skugga.selector.measure.scene_prober import ProbedPictures, SceneProber
+from skugga.selector.measure.scene_prober import MAX_REPEATED_MS, MAX_WARM_REPEATED_MS, ProbedPictures, SceneProber
 from skugga.selector.measure.view_truth import View
 from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import make_plan, planner_of
@@ -106,7 +106,8 @@ def probed_plan(
         left_s = None
         if budget_s is not None:
             left_s = (budget_s - sum(probe.seconds for probe in probes.values())) / (len(options.lights) - number)
-        prober = SceneProber(pictures, options.planner, light, light_options)
+        repeated_ms = MAX_REPEATED_MS if budget_s is None else MAX_WARM_REPEATED_MS
+        prober = SceneProber(pictures, options.planner, light, light_options, repeated_ms)
         probes[light] = probe_options(light_options, prober, options.max_error, options.time_limits_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"

@@ -117,8 +117,8 @@ class OptionProber(Protocol):
     def draw(self, which: int) -> float | None:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
 
-    def draw_s(self, ms: float) -> float:
-        """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
+    def draw_s(self, which: int, ms: float) -> float:
+        """Return the expected seconds to draw an option of which one drawing takes ``ms`` milliseconds."""
 
     def measurement(self, which: int) -> ErrorMeasurement:
         """Return the errors of a drawn option against truth, at all sample points that were requested so far."""
@@ -193,12 +193,16 @@ def probe_options(
             next_option = leader if leader in undecided else _largest_gain(gains, least_gain)
         else:
             next_option = leader
-            if leader is not None and add_points_s is not None and add_points_s < prober.draw_s(posterior.figures(leader).ms):
+            if (
+                leader is not None
+                and add_points_s is not None
+                and add_points_s < prober.draw_s(leader, posterior.figures(leader).ms)
+            ):
                 best_undecided = _largest_gain(_gains(posterior, leader, undecided, max_error, max_ms), least_gain)
                 next_option = leader if best_undecided is None else best_undecided
         if not drawn_ms and leader is not None:
             next_option = _fastest_likely(posterior, leader, max_error, max_ms)
-        step_s = 0.0 if next_option is None else prober.draw_s(posterior.figures(next_option).ms)
+        step_s = 0.0 if next_option is None else prober.draw_s(next_option, posterior.figures(next_option).ms)
         if next_option is not None and next_option in drawn_ms:
             assert add_points_s is not None
             step_s = add_points_s

@@ -34,10 +34,14 @@ In pictures of usual size 16 lattices contain all pixels.
 COVERAGE_BLOCKS = 16
 """Number of blocks of pixels in the first comparison of coverage. It doubles whenever more sample points are requested."""
 
-DRAW_REPEATS, MAX_REPEATED_MS = 2, 3000.0
-"""Number of times that an option is drawn, if a drawing takes less than ``MAX_REPEATED_MS``.
+DRAW_REPEATS = 2
+"""Number of times that an option is drawn, if that takes little time. The least time counts, because other load only adds to it."""
 
-The least time counts, because other load and one-time work only add to the time.
+MAX_REPEATED_MS, MAX_WARM_REPEATED_MS = 3000.0, 150.0
+"""Maximum milliseconds of a drawing that is repeated.
+
+The first drawing with an algorithm contains work that later ones share (geometry, compiled shaders), so it is repeated up to the
+larger limit. Later drawings are repeated up to the smaller one: 5 % of a probe's default time.
 """
 
 
@@ -74,10 +78,21 @@ def probed_part(view: View) -> View:
 
 
 class SceneProber:
-    """Implementation of ``skugga.selector.measure.probing.OptionProber`` for the options of a light on a scene's view."""
+    """Implementation of ``skugga.selector.measure.probing.OptionProber`` for the options of a light on a scene's view.
 
-    def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
+    ``warm_repeated_ms`` is the maximum time of a drawing that is repeated although its algorithms have drawn the scene before.
+    """
+
+    def __init__(
+        self,
+        pictures: ProbedPictures,
+        planner: Planner,
+        light: str,
+        options: LightOptions,
+        warm_repeated_ms: float = MAX_WARM_REPEATED_MS,
+    ) -> None:
         self._start_s = time.perf_counter()
+        self._warm_repeated_ms = warm_repeated_ms
         self._pictures, self._planner, self._light, self._options = pictures, planner, light, options
         self._pixel_m = planner.descriptor.pixel_m
         self._doublings = 0
@@ -93,10 +108,9 @@ class SceneProber:
         """Return the seconds since this object was made."""
         return time.perf_counter() - self._start_s
 
-    @staticmethod
-    def draw_s(ms: float) -> float:
-        """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
-        return (DRAW_REPEATS if ms < MAX_REPEATED_MS else 1) * ms / 1000.0
+    def draw_s(self, which: int, ms: float) -> float:
+        """Return the expected seconds to draw an option of which one drawing takes ``ms`` milliseconds."""
+        return draw_count(ms, is_warm(self._options, which, self._parts), self._warm_repeated_ms) * ms / 1000.0
 
     def draw(self, which: int) -> float | None:
         """Draw an option and return its time in milliseconds; ``None`` if its algorithm cannot draw the view."""
@@ -106,7 +120,7 @@ class SceneProber:
         except UnsupportedError:
             return None
         ms = run.times[0]
-        for _ in range(1, DRAW_REPEATS if ms < MAX_REPEATED_MS else 1):
+        for _ in range(1, draw_count(ms, is_warm(self._options, which, self._parts), self._warm_repeated_ms)):
             ms = min(ms, run_light(self._pictures.scene, self._pictures.blocks, plan, self._light).times[0])
         self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
@@ -208,6 +222,20 @@ class SceneProber:
         """Request truth at more sample points for the following measurements."""
         self._doublings += 1
         self._shares = []
+
+
+def is_warm(options: LightOptions, which: int, drawn: Collection[int]) -> bool:
+    """Return whether one of the options ``drawn`` has the algorithms of option ``which``, each for the same kinds of casters."""
+    return options.options[which].algorithm_family in {options.options[number].algorithm_family for number in drawn}
+
+
+def draw_count(ms: float, is_warm: bool, warm_repeated_ms: float = MAX_WARM_REPEATED_MS) -> int:
+    """Return how often an option is drawn to measure its time.
+
+    ``ms`` is the time of its first drawing in milliseconds. ``is_warm`` tells whether its algorithms have drawn the scene before.
+    ``warm_repeated_ms`` is the maximum time of a drawing that is repeated then.
+    """
+    return DRAW_REPEATS if ms < (warm_repeated_ms if is_warm else MAX_REPEATED_MS) else 1
 
 
 def measurement_from_counts(counts: PointCounts, is_complete: bool) -> ErrorMeasurement:

@@ -10,6 +10,7 @@ from benchmarks.selection.cost_of_accuracy import (
     cheapest_rows,
     device_name,
     figure_svg,
+    finest_price,
     format_sentence,
     format_table,
     prices,
@@ -54,7 +55,20 @@ def test_views_with_the_same_plan_for_both_goals_have_no_price():
     finest = prices(views)[-1]
     assert (finest.ratios.tolist(), finest.same_plan_views, finest.comparable_views, finest.view_count) == ([4.0], 3, 4, 5)
     text = format_sentence(views, "a device")
-    assert "in 3 of 5 measured views nothing" in text and "In 1 views it has a price" in text and "In the other 1 no plan" in text
+    assert "in 3 of 5 measured views nothing" in text and "In 1 views it has a price" in text
+    assert "The other 1 are left out" in text and "no plan reaches 3 % (a: 1)" in text
+
+
+def test_the_sentence_takes_each_view_at_the_finest_goal_that_it_can_be_judged_by():
+    """A view with noisy truth counts at 3 %, one without a plan for 0.3 % at 1 %, and one that is too noisy for 3 % not at all."""
+    noisy = view("wood", (10.0, 0.09), (30.0, 0.001)) | {"noise_floor": 0.009}
+    coarse = view("plain", (10.0, 0.09), (20.0, 0.008))
+    too_noisy = view("wood", (10.0, 0.09), (90.0, 0.001)) | {"noise_floor": 0.02}
+    price = finest_price([noisy, coarse, too_noisy])
+    assert price.ratios.tolist() == [2.0, 3.0]
+    assert price.views_by_goal == {"0.3 %": 0, "1 %": 1, "3 %": 1}
+    assert (price.same_plan_views, price.omitted_views) == (0, 1)
+    assert "(1 % in 1, 3 % in 1 views)" in format_sentence([noisy, coarse, too_noisy], "a device")
 
 
 def test_sentence_and_table_have_median_and_90th_percentile():

@@ -51,12 +51,12 @@ class FakeProber:
     def elapsed_s(self) -> float:
         return self.seconds
 
-    def draw_s(self, ms: float) -> float:
+    def draw_s(self, index: int, ms: float) -> float:
         return ms / 1000.0
 
     def draw(self, index: int) -> float | None:
         self.drawn.append(index)
-        self.seconds += self.draw_s(self.candidates[index].ms)
+        self.seconds += self.draw_s(index, self.candidates[index].ms)
         return None if self.candidates[index].refused else self.candidates[index].ms
 
     def measurement(self, index: int) -> ErrorMeasurement:
