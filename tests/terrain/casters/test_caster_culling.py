@@ -16,7 +16,7 @@ from skugga.shadows.sweep.sweep import fill
 from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
 from skugga.terrain.casters.caster_types import Casters
-from skugga.terrain.casters.casting_patches import caster_sheets
+from skugga.terrain.casters.casting import caster_sheets
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, rise_support
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
