@@ -203,7 +203,7 @@ def test_sub_samples_with_shared_nodes_are_identical():
                 "normal_frame",
                 "shading_normal_frame",
                 "crease",
-                "kind",
+                "surface_kind",
                 "lift_m",
             ):
                 assert np.array_equal(getattr(buffer, name), getattr(shared_buffer, name), equal_nan=True), name

@@ -55,7 +55,7 @@ def test_overview_does_not_depend_on_strip_height(big_raster, monkeypatch):
     monkeypatch.setattr(overview, "MEAN_ROWS_PER_READ", 4)
     reopened = Elevation(big_raster.name)
     np.testing.assert_array_equal(reopened.overview.max_heights_m, big_raster.overview.max_heights_m)
-    assert reopened.overview.lowest_ground_m == big_raster.overview.lowest_m
+    assert reopened.overview.lowest_ground_m == big_raster.overview.lowest_ground_m
 
 
 @pytest.mark.parametrize(

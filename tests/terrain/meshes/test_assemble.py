@@ -190,7 +190,7 @@ def test_meshes_without_motion_ignore_the_clock(scene_of):
 def test_several_positions_are_several_bodies(scene_of):
     result = assemble_solids(scene_of(FLOOR_TERRAIN, {"source": "arrow.ply", "at": [[0, 0], [50, 20]]}, {"source": "ball.ply"}))
     assert result.is_closed == (True, True, True)
-    assert np.bincount(result.body).tolist() == [12, 12, 320]
+    assert np.bincount(result.body_index).tolist() == [12, 12, 320]
     assert result.triangles.max() == len(result.vertices_earth_m) - 1
     shift = result.vertices_earth_m[8:16] - result.vertices_earth_m[:8]
     np.testing.assert_allclose(shift, np.tile([50, 20, 0], (8, 1)), atol=1e-9)
