@@ -24,7 +24,7 @@ from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import Reach
+from skugga.terrain.casters.caster_types import Reach
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
@@ -111,8 +111,8 @@ def compute(
         product_input = ProductInput(scene, padded, request.options, picture)
         return ComputedProduct(_cropped(product.compute(product_input), product.margin_px), picture)
     assert isinstance(view, MapView)
-    nodes = view.as_nodes()
-    if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
+    nodes = view.with_pixels_as_nodes()
+    if not view.is_on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
         return ComputedProduct(_compute_block(scene, nodes, product, request.options))
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # as for tiles, so that maps and tiles have identical pixels

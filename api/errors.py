@@ -28,7 +28,7 @@ EXIT_SUCCESS, EXIT_FAILURE, EXIT_WRONG_INPUT = 0, 1, 2
 """Exit statuses of the command line."""
 
 _PARAMETER_REMEDY = re.compile(r"(\(without a level file: )(\w+)=")
-"""The part of ``skugga.terrain.level.level_source.remedy`` that spells an option as a parameter."""
+"""The part of ``skugga.terrain.level.level_source.option_remedy`` that spells an option as a parameter."""
 
 
 class NotServedError(NotFoundError):

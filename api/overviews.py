@@ -24,7 +24,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.ground.elevation import plausible_heights_m
 from skugga.terrain.ground.georeference import checked_crs
-from skugga.terrain.ground.open_raster import GTIFF_VERTICAL
+from skugga.terrain.ground.open_raster import GTIFF_VERTICAL_CRS_OPTIONS
 from skugga.terrain.ground.overview import lacks_overviews, overview_lod
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.parts import Positive, Units
@@ -134,7 +134,7 @@ def _build_coarser_overviews(half_raster: DatasetWriter, factors: list[int], pat
 
 def _open_raster(raster: Path) -> rasterio.DatasetReader:
     try:
-        with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
+        with rasterio.Env(**GTIFF_VERTICAL_CRS_OPTIONS), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
     except RasterioError:
         raise SourceError(str(raster), "cannot be opened", "Use a raster that GDAL reads") from None
@@ -165,7 +165,7 @@ def _check_supported(raster: Path, target: Path, dataset: rasterio.DatasetReader
 def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
     """Return the range of cell values that count as plausible heights."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
-    unit_m = vertical_axis(dataset.name, dataset, units, positive).scale
+    unit_m = vertical_axis(dataset.name, dataset, units, positive).metres_per_stored_unit
     low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_heights_m(checked_crs(dataset.name, dataset)))
     return low, high
 

@@ -11,7 +11,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError, Problem
-from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
+from skugga.terrain.gl.egl_devices import AUTO_DEVICE, parse_device_setting
 from skugga.terrain.level.level_errors import allowed_phrase
 
 MAX_DEFAULT_WORKERS = 4
@@ -152,7 +152,7 @@ class Settings(BaseSettings):
     @classmethod
     def _check_egl_device(cls, value: str) -> str:
         try:
-            read_setting(value)
+            parse_device_setting(value)
         except InputError as error:
             raise PydanticCustomError("egl_device", "{allowed}", {"allowed": error.allowed}) from None
         return value

@@ -17,7 +17,7 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -50,7 +50,7 @@ class BenchmarkView:
         rows = [
             picture.pixel_buffer.valid
             & (
-                (band_visibility[: picture.rows] < 0.5)
+                (band_visibility[: picture.picture_rows] < 0.5)
                 | attached_shadow_mask(picture.pixel_buffer, self.scene, *self.scene.light_names)
             )
             for band_visibility, (picture, _) in zip(visibility, self.bands, strict=True)

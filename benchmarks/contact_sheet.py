@@ -96,8 +96,8 @@ def named_view(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Pers
         return scene.view(name, bounds=FAULT_BOUNDS_M, size=size)
     if name != "ridges":
         return scene.view(name, size=size)
-    eye, up = scene.geolocator.above_ground(RIDGES_CAMERA[0], "eye")
-    target, _ = scene.geolocator.above_ground(RIDGES_CAMERA[1], "target")
+    eye, up = scene.geolocator.point_above_ground(RIDGES_CAMERA[0], "eye")
+    target, _ = scene.geolocator.point_above_ground(RIDGES_CAMERA[1], "target")
     return look_at(eye, target, up, RIDGES_CAMERA[2], size[1], size[0])
 
 

@@ -17,7 +17,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.shading import encode_srgb, shade
 from skugga.terrain.sky import sky_pixel_colors
 
 SIDE_PX, CELL_M, WAVELENGTH_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
@@ -69,6 +69,6 @@ def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> lis
     if not is_map:
         row, col = np.nonzero(~buffer.valid)
         linear[row, col] = sky_pixel_colors(scene, view, *picture.pixels_of_points(row, col))
-        linear = picture.averaged(linear)
+        linear = picture.average_samples(linear)
         layers.append(own_buffer.position_frame_m)
-    return [srgb_encoded(linear), *layers]
+    return [encode_srgb(linear), *layers]

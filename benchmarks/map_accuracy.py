@@ -72,7 +72,7 @@ def measure(scene: Scene, max_side_px: int, algorithm: AlgorithmName, map_size: 
 
 
 def slope_p95_deg(scene: Scene) -> float:
-    heights, cell = scene.elevation.overview.heights_m, scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    heights, cell = scene.elevation.overview.mean_heights_m, scene.elevation.cell_size_m(scene.world.metres_per_unit)
     if min(heights.shape) < 2:
         return 0.0
     gradient = np.hypot(*np.gradient(heights, cell * 2**scene.elevation.overview.lod))

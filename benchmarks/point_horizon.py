@@ -97,7 +97,7 @@ def _agrees_with_rays(
     enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth[is_above_nadir], altitude[is_above_nadir], strict=True)])
     towards = frame.directions_from_earth(enu @ place.earth_from_enu.T)
     start = np.repeat(frame.points_from_earth(place.eye_earth_m)[None], len(enu), axis=0)
-    return list(rays.blocked(start, towards) == is_hidden)
+    return list(rays.is_blocked(start, towards) == is_hidden)
 
 
 def main() -> None:

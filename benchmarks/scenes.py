@@ -50,7 +50,7 @@ def measure_accuracy(levels: list[str], size: tuple[int, int], map_size: int) ->
             view = scene.view(name, size=size)
             plan = make_plan(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
             figures = measure_plan(scene, view, plan).figures
-            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.kinds), **figures})
+            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.caster_kinds), **figures})
             print(accuracy_row(rows[-1]), flush=True)
     return rows
 
@@ -100,7 +100,9 @@ def write_wooded_hills(folder: Path, trees: int) -> Path:
 def measure_tree_frames(count: int, repeats: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_wooded_hills(Path(folder), count)))
-        print(f"{device().renderer}; {0 if scene.objects.trees is None else len(scene.objects.trees.rank)} trees", flush=True)
+        print(
+            f"{device().renderer}; {0 if scene.objects.trees is None else len(scene.objects.trees.thinning_rank)} trees", flush=True
+        )
         for name in scene.loaded.level.views:
             times: list[float] = []
             for _ in range(repeats + 1):

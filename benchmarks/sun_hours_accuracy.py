@@ -122,7 +122,7 @@ class CellRays:
         """
         above = np.flatnonzero(self._upwards @ direction > min_sine)
         visible = np.zeros(len(self._start), bool)
-        visible[above] = ~self._rays.blocked(self._start[above], direction) if len(above) else False
+        visible[above] = ~self._rays.is_blocked(self._start[above], direction) if len(above) else False
         return visible
 
 
@@ -134,7 +134,7 @@ def ray_truth(
     The minutes are NaN for cells without sun. ``step_min`` is the time between two rays.
     """
     rays, frame = CellRays.from_cells(scene, view, row, col), bare_nodes(scene, view, 1).frame
-    times = np.arange(step_min / 2, day.window.minutes, step_min)
+    times = np.arange(step_min / 2, day.window.length_min, step_min)
     lit_min = np.zeros(len(row))
     first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
     for begin in range(0, len(times), SUNS_PER_BATCH):
@@ -156,7 +156,7 @@ def _error_minutes(measured_min: np.ndarray, true_min: np.ndarray) -> ErrorMinut
 def measure_raster(folder_name: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """Yield the errors for a raster at each step."""
     scene = build_scene(load_level(path))
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     valid = binary_erosion(bare_nodes(scene, view, 1).shows_ground, iterations=HOLE_MARGIN_CELLS)
     row, col = np.nonzero(valid)
     sample = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
@@ -187,7 +187,7 @@ def measure_seconds(day: date, steps: list[float | None]) -> None:
     """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_mountains(Path(folder), 2048)))
-        view, day_sun = raster_view(scene).view.as_nodes(), _sun_of_day(scene, day)
+        view, day_sun = raster_view(scene).view.with_pixels_as_nodes(), _sun_of_day(scene, day)
         _compute_sun_hours(scene, view, day_sun, 60.0)
         for step in steps:
             begin = time.perf_counter(), time.process_time()

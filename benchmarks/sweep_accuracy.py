@@ -169,7 +169,7 @@ class GridRays:
         for first in range(0, len(nodes), BATCH_RAYS):
             batch = slice(first, first + BATCH_RAYS)
             start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offset_factor * NODE_OFFSET_FACTOR * rays.offset_m])
-            visible[batch] = ~rays.blocked(start, to_sun)
+            visible[batch] = ~rays.is_blocked(start, to_sun)
         return visible
 
     def _as_grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -220,14 +220,14 @@ def read_raster(path: Path, crop: int) -> Raster:
     """Read heights from the middle of a raster, around the median position of its valid cells. Raises ``SourceError``."""
     elevation = Elevation(str(path))
     shape = elevation.shape
-    valid_indices = np.nonzero(np.isfinite(elevation.overview.heights_m))
+    valid_indices = np.nonzero(np.isfinite(elevation.overview.mean_heights_m))
     size = [min(crop, length) for length in shape]
     middle = [int(np.median(indices) + 0.5) * 2**elevation.overview.lod for indices in valid_indices]
     first = [int(np.clip(m - s // 2, 0, length - s)) for m, s, length in zip(middle, size, shape, strict=True)]
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
     height_m, valid = elevation.heights_at(0, row, col)
     unit_m = 1.0 if elevation.crs.is_geographic else elevation.crs.axis_info[0].unit_conversion_factor
-    if elevation.vertical.unit_from is None:  # by default heights are in the unit of the map: feet in feet
+    if elevation.vertical.unit_source is None:  # by default heights are in the unit of the map: feet in feet
         height_m = height_m * np.float32(unit_m)
     name = f"{path.parent.name}/{path.stem}"
     cell_m = _cell_sides_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)

@@ -168,12 +168,12 @@ class Yardstick:
         bounds = [vertices[:, :3].min(axis=0), vertices[:, :3].max(axis=0)]
         if tree_instances is not None and self.trees:
             self._instances = gl.ctx.buffer(
-                np.concatenate([tree_instances.base_frame_m, tree_instances.shape, tree_instances.variant[:, None]], axis=1).astype(
-                    np.float32
-                )
+                np.concatenate(
+                    [tree_instances.base_frame_m, tree_instances.quad_sizes_m, tree_instances.variant[:, None]], axis=1
+                ).astype(np.float32)
             )
             self._leaves = gl.srgb_texture_array(foliage().mip_levels)
-            bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.shape[:, 2].max())]
+            bounds[1] = bounds[1] + [0.0, 0.0, float(tree_instances.quad_sizes_m[:, 2].max())]
         self._bounds = np.array(bounds)
         self._color_arrays = self._vertex_arrays(FRAGMENT_SHADER.replace("TAPS", str(taps if map_size else 0)))
         self._depth_arrays = self._vertex_arrays(DEPTH_FRAGMENT_SHADER) if map_size else None
@@ -193,7 +193,7 @@ class Yardstick:
         self._target.use()
         self._target.clear(*SKY_COLOR, 1.0, depth=1.0)
         gl.ctx.enable_only(moderngl.DEPTH_TEST)
-        uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun), "sky": tuple(light.sky), "depth_map": 1}
+        uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun_irradiance), "sky": tuple(light.sky_irradiance), "depth_map": 1}
         self._render(
             self._color_arrays, _clip_matrix(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms
         )
@@ -291,7 +291,7 @@ def _clip_matrix(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.n
     """Return the matrix (4, 4) from the scene's frame to clip space, with row 0 of the picture first."""
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])
-    scale, shift = 2.0 * view.focal_px / (view.step * size), (1.0 - 2.0 * first / view.step) / size - 1.0
+    scale, shift = 2.0 * view.focal_px / (view.step_px * size), (1.0 - 2.0 * first / view.step_px) / size - 1.0
     projection = np.zeros((4, 4))
     projection[0, 0], projection[0, 2] = scale[0], shift[0]
     projection[1, 1], projection[1, 2] = scale[1], shift[1]

@@ -169,7 +169,7 @@ def compute_points(rasters: Sequence[Path], folder: Path) -> None:
     for source in [*rasters, find_level("jacksboro_wooded")]:
         with_trees = source.stem == "jacksboro_wooded"
         scene = build_scene(load_level(source))
-        flat = scene.world.flat
+        flat = scene.world.is_flat
         lon, lat = (750.0, -900.0) if flat else (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
         point_report(scene, PointQuery(lon=lon, lat=lat, date=None if flat else date(2024, 3, 20)))
         if not flat and not with_trees:
@@ -189,7 +189,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
     The process must have no stored machine code.
     """
     from skugga.terrain.compiling.hooks import compile_lazily
-    from skugga.terrain.compiling.loop_cache import recorders
+    from skugga.terrain.compiling.loop_cache import compile_recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
 
     recorded_loops: list[tuple[str, Any]] = []
@@ -202,7 +202,7 @@ def record_loops(product: str) -> list[tuple[str, Any]]:
         assert tuple(map(decode_type, encoded)) == args, (function, args)
         recorded_loops.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
-    recorders.append(record_loop)
+    compile_recorders.append(record_loop)
     compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
         PRODUCERS[product](write_rasters(Path(folder)), Path(folder))

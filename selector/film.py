@@ -33,7 +33,7 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.scene import MAX_PERSPECTIVE_PX, Scene
+from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX, Scene
 
 COLOR_NEEDS: Needs = frozenset({"color"})
 
@@ -137,7 +137,7 @@ def frame_moments(
         raise InputError("frames", span.frames, f"1 to {max_frames} frames")
     if span.start is not None:
         scene.with_sun(SunSpec(time=span.start))  # raises an error in a flat world, which has no dates
-    first_second = scene.seconds if span.first_second is None else span.first_second
+    first_second = scene.clock_seconds if span.first_second is None else span.first_second
     path = None if request.path is None else camera_path(request.path, scene.geolocator, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []
@@ -157,8 +157,8 @@ def _size(request: FilmRequest) -> tuple[int, int]:
     """Return the width and height in pixels of a film along a camera path. Raises ``InputError`` if they are too large."""
     assert request.path is not None
     width, height = request.size or request.path.size
-    if max(width, height) > MAX_PERSPECTIVE_PX:
-        raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_PX} a side in a perspective view")
+    if max(width, height) > MAX_PERSPECTIVE_SIDE_PX:
+        raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_SIDE_PX} a side in a perspective view")
     return width, height
 
 

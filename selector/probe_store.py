@@ -11,7 +11,7 @@ from pathlib import Path
 from skugga.selector.cost.device_profile import profile_path
 from skugga.selector.map_probes import MapProbes
 from skugga.terrain.atomic_files import write_atomically
-from skugga.terrain.user_cache import user_cache
+from skugga.terrain.user_cache import user_cache_folder
 
 MAX_FILES = 200
 """Maximum number of files for a device. The oldest ones are deleted, because earlier versions of a level are not needed again."""
@@ -19,7 +19,7 @@ MAX_FILES = 200
 
 def probes_folder(renderer: str, version: str) -> Path:
     """Return the folder with the probes of a device and its driver version."""
-    return user_cache("probes") / profile_path(renderer, version).stem
+    return user_cache_folder("probes") / profile_path(renderer, version).stem
 
 
 def save_probes(renderer: str, version: str, level_version: str, probes: MapProbes) -> Path:

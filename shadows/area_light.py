@@ -17,7 +17,7 @@ from skugga.shadows.algorithm_settings import AreaLightSettings
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN, CasterKind

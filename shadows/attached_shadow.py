@@ -21,7 +21,7 @@ def attached_shadow_mask(buffer: GeometryBuffer, scene: Scene, light: str = SUN)
     - It lies outside of the cone of a spot.
     - The scene has no sun, or the sun is below the horizon everywhere.
     """
-    leaves = buffer.kind == FOREST
+    leaves = buffer.surface_kind == FOREST
     if light == SUN:
         if not scene.sun_is_up or scene.sun is None:
             return np.ones(buffer.valid.shape, bool)

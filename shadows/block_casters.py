@@ -12,7 +12,7 @@ from skugga.shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
-from skugga.terrain.casters.reach import Casters, Receivers
+from skugga.terrain.casters.caster_types import Casters, Receivers
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
@@ -40,7 +40,7 @@ def find_outside_casters(
         casters = find_casters()
         if all(_allows_caster_culling(step) for step in plan.steps_of_light(SUN) if "relief" in step.kinds):
             casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
-        if name == CASTERS_PASS and not casters.casting:
+        if name == CASTERS_PASS and not casters.casting_patches:
             record.left_out, record.note = record.left_out + 1, NO_OUTSIDE_CASTERS_NOTE
     return casters
 
@@ -55,7 +55,7 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     if (
         not cullable
         or log.requested_layers
-        or casters.casting
+        or casters.casting_patches
         or not scene.sun_is_up
         or not block_ground_casts_no_shadow(scene, receivers)
     ):

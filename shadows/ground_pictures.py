@@ -18,7 +18,8 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_reach_of_nodes
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import apply_sky_view
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
@@ -29,7 +30,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import shaded_ground, slope_sky_view_factor
+from skugga.terrain.shading import shaded_ground_srgb, slope_sky_view_factor
 
 SKY_VIEW_PASS = "sky_view"
 """Name of the effect that darkens ground with little visible sky, and of its pass."""
@@ -63,7 +64,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     """
     with log.record_pass(GEOMETRY_PASS):
         sky = sky_view(scene.elevation, scene.world) if SKY_VIEW_PASS in plan.effect_names else None
-        ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
+        ground = bare_ground(scene, view, sky) if view.is_on_nodes else _ground_between_nodes(scene, view, sky)
         if ground is None:
             return None
         if not ground.valid.any():
@@ -79,7 +80,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         with log.record_pass(SKY_VIEW_PASS):
             pass  # the ground already includes its sky view
     with log.record_pass(SHADING_PASS):
-        color = shaded_ground(ground, scene, lit) if "color" in needs else None
+        color = shaded_ground_srgb(ground, scene, lit) if "color" in needs else None
         opacity = np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)
     return Picture(ground.valid, (), color, opacity if "opacity" in needs else None, reach=reach)
 
@@ -109,7 +110,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
 
 def _nodes_around_pixels(view: MapView) -> MapView:
     """Return the nodes of a map's grid between which its pixels lie, as a map view with one node in each pixel."""
-    if view.on_nodes:
+    if view.is_on_nodes:
         return view
     ends = []
     for first, step, count in ((view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)):

@@ -24,9 +24,10 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_outside_casters
 from skugga.shadows.visibility import visibilities_at
 from skugga.terrain.casters.caster_culling import block_ground_faces_sun
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.compiled import compiled
-from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, MultisampledBuffer
+from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -40,13 +41,13 @@ NamedArrays = dict[str, np.ndarray]
 MIN_EDGE_VISIBILITY_CHANGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
-SAMPLED_PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
+SAMPLED_PART_PX = BLOCK_PX // EDGE_SAMPLES_PER_SIDE
 """Side, in pixels, of the parts of a block that are sampled one at a time. A part has as many samples as a block has pixels."""
 
-SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
+SAMPLES_PER_PIXEL = EDGE_SAMPLES_PER_SIDE * EDGE_SAMPLES_PER_SIDE
 """Number of samples of a pixel that an edge crosses."""
 
-SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
+SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "surface_kind", "albedo")
 """NamedArrays of a geometry buffer that shading reads."""
 
 
@@ -91,7 +92,7 @@ def _sample_edges(
     row, col = np.concatenate(pixels).T
     arrays = {name: np.concatenate([part_arrays[name] for part_arrays in samples]) for name in samples[0]}
     missing = ~arrays["valid"]  # beyond the ground's rim the pixel's own point replaces the sample
-    differ = arrays["kind"] != block_buffer.kind[row, col][:, None]
+    differ = arrays["surface_kind"] != block_buffer.surface_kind[row, col][:, None]
     for light, visibility in visibilities.items():
         differ |= arrays[light] != visibility[row, col][:, None]
     is_edge = (differ & ~missing).any(axis=1)
@@ -135,7 +136,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     They include all pixels along the block's sides, unless ``visibilities`` is empty.
     """
     edges = np.zeros(buffer.valid.shape, np.bool_)
-    _mark_changes(buffer.kind, 0.0, edges)
+    _mark_changes(buffer.surface_kind, 0.0, edges)
     for visibility in visibilities:
         _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), MIN_EDGE_VISIBILITY_CHANGE, edges)
     if visibilities:
@@ -159,8 +160,8 @@ def _sample_buffer(
 ) -> GeometryBuffer:
     """Return the geometry buffer of the samples of a part's pixels in the mask ``edge_mask``."""
     with log.record_pass(GEOMETRY_PASS):
-        pixel_mask = np.repeat(np.repeat(edge_mask, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
-        return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
+        pixel_mask = np.repeat(np.repeat(edge_mask, EDGE_SAMPLES_PER_SIDE, axis=0), EDGE_SAMPLES_PER_SIDE, axis=1)
+        return geometry_buffer(scene, part.finer(EDGE_SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
 
 
 def _arrays_of_samples(buffer: GeometryBuffer, visibilities: NamedArrays, edge_mask: np.ndarray) -> NamedArrays:
@@ -172,7 +173,7 @@ def _arrays_of_samples(buffer: GeometryBuffer, visibilities: NamedArrays, edge_m
     arrays.update(visibilities)
     row, col = np.nonzero(edge_mask)
     positions = [
-        (row * SAMPLES_PER_SIDE + k // SAMPLES_PER_SIDE, col * SAMPLES_PER_SIDE + k % SAMPLES_PER_SIDE)
+        (row * EDGE_SAMPLES_PER_SIDE + k // EDGE_SAMPLES_PER_SIDE, col * EDGE_SAMPLES_PER_SIDE + k % EDGE_SAMPLES_PER_SIDE)
         for k in range(SAMPLES_PER_PIXEL)
     ]
     return {name: np.stack([value[position] for position in positions], axis=1) for name, value in arrays.items()}

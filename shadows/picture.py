@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from skugga.shadows.passes import PassRecord
     from skugga.shadows.render import Frame
-    from skugga.terrain.casters.reach import Reach
+    from skugga.terrain.casters.caster_types import Reach
     from skugga.terrain.geo.grid import PixelWindow
 
 Need = Literal["color", "opacity", "visibility", "reach", "frame"]

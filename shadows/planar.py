@@ -35,14 +35,14 @@ from skugga.shadows.algorithm_settings import ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.work import Work, Workload
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_trees
 from skugga.terrain.casters.clip_space import camera_clip, map_clip
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.facts.fact_types import Casting
-from skugga.terrain.facts.probes import MIN_CAST_SHARE
+from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.gbuffer.antialias import finer_view
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M, set_uniforms, shader_source
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -105,7 +105,7 @@ def fill_visibility(
     """
     passes = log.pass_names(light, kinds, PASSES)
     projection = _make_projection(buffer, scene, light, kinds)
-    view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
+    view, ground = buffer.view, buffer.valid & (buffer.surface_kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
     stencil[: view.rows] = _draw_stencil(scene.world, buffer.frame, view, ground[: view.rows], projection, passes, log)
     if buffer.sample_pixels is not None:
@@ -133,7 +133,7 @@ def clip_from_plane(world: World, frame: LocalFrame, view: MapView | Perspective
     ``origin_frame_m`` (3,) is a point of the plane. The matrix is affine for the map of a flat world.
     """
     if isinstance(view, PerspectiveView):
-        return camera_clip(view, frame, origin_frame_m, NEAR_M)
+        return camera_clip(view, frame, origin_frame_m, NEAR_PLANE_M)
     return map_clip(world, frame, view, origin_frame_m, (origin_frame_m[2] - 1.0, origin_frame_m[2] + 1.0))
 
 
@@ -144,7 +144,7 @@ def _make_projection(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tu
     """
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
-        middle, _ = scene.world.ground(view.grid.crs, *view.centre)
+        middle, _ = scene.world.points_at_zero_height(view.grid.crs, *view.centre)
     else:
         middle = view.eye_earth_m
     origin = frame.points_from_earth(middle)
@@ -178,7 +178,7 @@ def _draw_stencil(
     gl = device()
     target = gl.stencil.target(view.cols, view.rows)
     with log.record_pass(passes[0]) as record:
-        program = gl.program(shader("shadows/pixels.vert"), shader("shadows/planar_receivers.frag"))
+        program = gl.program(shader_source("shadows/pixels.vert"), shader_source("shadows/planar_receivers.frag"))
         texture = gl.texture(receivers)
         texture.use(0)
         program["receivers"] = 0
@@ -199,13 +199,15 @@ def _draw_casters(
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:
-            program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/maps/depth.frag"))
+            program = gl.program(
+                shader_source("shadows/planar", "shadows/planar_mesh.vert"), shader_source("shadows/maps/depth.frag")
+            )
             set_uniforms(program, uniforms)
             for vertices, triangles in projection.meshes:
                 record.triangles += gl.draw_triangles(program, vertices, triangles)
         if projection.trees is not None:
-            vertex = shader("shadows/planar", "terrain/gbuffer/tree", "shadows/planar_tree.vert")
-            program = gl.program(vertex, shader("shadows/planar_tree.frag"))
+            vertex = shader_source("shadows/planar", "terrain/gbuffer/tree", "shadows/planar_tree.vert")
+            program = gl.program(vertex, shader_source("shadows/planar_tree.frag"))
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": 0.0})
             instances = projection.trees
             gl.srgb_texture_array(foliage().mip_levels).use(0)
@@ -214,7 +216,7 @@ def _draw_casters(
                 np.concatenate([instances.yaw_cos_sin, instances.variant[:, None]], axis=1),
             )
             record.triangles += gl.draw_instances(
-                program, QUAD_TRIANGLES, [("base", base), ("shape", instances.shape), ("look", variant)]
+                program, QUAD_TRIANGLES, [("base", base), ("shape", instances.quad_sizes_m), ("look", variant)]
             )
 
 
@@ -235,7 +237,7 @@ def _wrong_share(casting: Casting) -> float:
 
     If it is unknown, return the share of the whole cast shadow.
     """
-    return casting.share if casting.on_bodies is None else max(casting.on_bodies, MIN_CAST_SHARE)
+    return casting.share if casting.on_bodies is None else max(casting.on_bodies, MIN_CAST_SHADOW_SHARE)
 
 
 ALGORITHM = Algorithm(

@@ -17,9 +17,10 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.supersampling import mean_visibilities, supersampling
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
-from skugga.terrain.casters.reach import Casters, Reach, find_casters, find_reach
+from skugga.terrain.casters.caster_types import Casters, Reach
+from skugga.terrain.casters.reach import find_casters, find_reach
 from skugga.terrain.effects import EFFECTS
-from skugga.terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
+from skugga.terrain.effects.effect import STAGES_BEFORE_SHADING, ShadingBlock, Stage
 from skugga.terrain.errors import InputError, RenderError, UnsupportedError
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -30,7 +31,7 @@ from skugga.terrain.geo.grid import MapView, blocks_of, overlap_windows
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import albedo_of, shade, slope_sky_view_factor, srgb_encoded
+from skugga.terrain.shading import albedo_of, encode_srgb, shade, slope_sky_view_factor
 from skugga.terrain.sky import sky_pixel_colors
 
 RENDERER_VERSION = 5
@@ -155,7 +156,7 @@ def pass_names_of(effects: Collection[str], shadow_passes: list[str]) -> list[st
     refraction_passes, caster_passes = (
         [name for name in (pass_name,) if name in effects] for pass_name in (REFRACTION_PASS, CASTERS_PASS)
     )
-    effect_passes = [name for stage in BEFORE_SHADING for name in effect_names(stage)]
+    effect_passes = [name for stage in STAGES_BEFORE_SHADING for name in effect_names(stage)]
     return [
         *refraction_passes,
         GEOMETRY_PASS,
@@ -309,12 +310,12 @@ def render_block(
             _draw_sky(scene, view, picture, linear)
     _run_effects("color", {"color": linear}, block, plan, log)
     with log.record_pass(SHADING_PASS):
-        color = srgb_encoded(picture.averaged(linear))
+        color = encode_srgb(picture.average_samples(linear))
         valid, nodata = own_pixels.valid, np.float32(np.nan)
         visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in visibilities.items()}
         shown_visibilities = visibilities
         if isinstance(view, MapView):
-            means = {light: picture.averaged(values[..., None])[..., 0] for light, values in shading_visibilities.items()}
+            means = {light: picture.average_samples(values[..., None])[..., 0] for light, values in shading_visibilities.items()}
             shown_visibilities = {light: np.where(valid, values, nodata) for light, values in means.items()}
     position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
     return Frame(view, plan, color, visibilities, shown_visibilities, own_pixels.height_m, position, frame, (), casters.reach)
@@ -323,7 +324,7 @@ def render_block(
 def _shade_block(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
     """Return the linear display colour (rows, cols, 3) of a block's surface."""
     light: dict[Stage, np.ndarray] = {}
-    for stage in BEFORE_SHADING:
+    for stage in STAGES_BEFORE_SHADING:
         _run_effects(stage, light, block, plan, log)
     with log.record_pass(SHADING_PASS):
         sunlight = light["sunlight"] if "sunlight" in light else _initial_values(block, "sunlight")

@@ -13,7 +13,8 @@ from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.supersampling import Supersampling, lit_nodes, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_reach_of_nodes
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import HALO_NODES, bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
@@ -26,7 +27,7 @@ from skugga.terrain.scene import Scene
 
 def heights_determine_visibility(scene: Scene, view: MapView, plan: Plan) -> bool:
     """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
-    if not (view.on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
+    if not (view.is_on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False
     return not scene.sun_is_up or (needs_heights_only(scene, plan) and supersampling(scene, view, plan) is None)
 

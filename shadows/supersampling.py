@@ -19,7 +19,8 @@ from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PI
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import visibilities_at
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters, find_sun_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -80,7 +81,7 @@ class Supersampling:
         if not self.uses_heights_only:
             return MAX_BUFFER_NODES_PER_PART, BLOCK_PX * 8
         max_side = BLOCK_PX * 8
-        if not self.scene.world.flat:
+        if not self.scene.world.is_flat:
             max_side = max(min(max_side, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
         return MAX_BARE_NODES_PER_PART, max_side
 
@@ -105,7 +106,7 @@ def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling
     Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where heights alone do not suffice, and
     where a block is too wide for parallel rays.
     """
-    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
+    narrow = scene.world.is_flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
     if not (narrow and plan.steps and needs_heights_only(scene, plan)):
         return None
     return Supersampling(scene, plan, view.grid.refined(), 2, uses_heights_only=True)

@@ -12,7 +12,7 @@ from skugga.shadows.block_casters import needed_steps
 from skugga.shadows.passes import ATTACHED_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects.haze import shadow_hiding_distance_m
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

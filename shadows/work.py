@@ -17,7 +17,7 @@ import numpy as np
 
 from skugga.terrain.facts.descriptor import Descriptor, LightKind
 from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
-from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, samples_per_pixel
+from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, samples_per_pixel
 from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
 from skugga.terrain.level.level import SUN, CasterKind
 
@@ -86,7 +86,7 @@ class Workload:
     @property
     def picture_pixel_count(self) -> float:
         """Number of pixels in all ``picture_count``."""
-        return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
+        return self.descriptor.pixels * (1.0 + (EDGE_SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
     def visible_pixel_count(self) -> float:

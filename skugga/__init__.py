@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from skugga.api.library.register_accessor import register_accessor
-from skugga.terrain.level.gdal_guard import cap_caches
+from skugga.terrain.level.gdal_guard import limit_gdal_caches
 
 if TYPE_CHECKING:
     __version__: str
@@ -58,5 +58,5 @@ else:
 
 __all__ = ["OpenLevel", "SkuggaError", "horizon", "open_heights", "open_level", "shadow", "sun_hours", "sunlit"]
 
-cap_caches()  # before the importing code opens a raster, or starts a process that opens one
+limit_gdal_caches()  # before the importing code opens a raster, or starts a process that opens one
 register_accessor()

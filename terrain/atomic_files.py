@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_MAX_NAME_CHARS = 60
+_MAX_TEMP_NAME_CHARS = 60
 """Characters of a file's name in its temporary folder's name. Names have at most 255 bytes."""
 
-_PROBE_BYTES = 2**20
+_WRITE_PROBE_BYTES = 2**20
 """Size of the test file with which ``disk_error`` looks for free space.
 
 Larger than the write buffers of the libraries whose errors it explains.
@@ -55,7 +55,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         folder.mkdir(0o700)
         part = folder / target.name
         yield part
-        _sync(part)
+        _fsync(part)
         if is_special:
             with part.open("rb") as source, target.open("wb") as sink:
                 shutil.copyfileobj(source, sink)
@@ -64,7 +64,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
             part.chmod(stat.S_IMODE(mode))
         os.replace(part, target)
         with suppress(OSError):  # the folder may be unreadable; the file is in place
-            _sync(target.parent)
+            _fsync(target.parent)
     except OSError as error:
         if error.filename is not None and temp_name not in str(error.filename) and Path(str(error.filename)) != target:
             raise  # an error of another file
@@ -92,13 +92,13 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         part.mkdir()
         yield part
         for path in part.iterdir():
-            _sync(path)
+            _fsync(path)
         if is_new:
             os.replace(part, target)
         else:
             _move_files(part, target)
         with suppress(OSError):  # the folder may be unreadable; the files are in place
-            _sync(target)
+            _fsync(target)
     except OSError as error:
         if error.filename is not None and temp_name not in str(error.filename):
             raise  # an error of another file
@@ -108,11 +108,11 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         _remove_folder(part)
 
 
-def _move_files(part: Path, target: Path) -> None:
+def _move_files(temp_folder: Path, target: Path) -> None:
     """Move all files of a folder into another one on the same disk, or none. Replaced files are backed up until all are moved."""
-    backup = part / ".before"
+    backup = temp_folder / ".before"
     moved_paths: list[Path] = []
-    names = sorted(path.name for path in part.iterdir())
+    names = sorted(path.name for path in temp_folder.iterdir())
     for name in names:
         if (target / name).is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target / name))
@@ -122,7 +122,7 @@ def _move_files(part: Path, target: Path) -> None:
             with suppress(FileNotFoundError):
                 os.replace(target / name, backup / name)
             moved_paths.append(target / name)
-            os.replace(part / name, target / name)
+            os.replace(temp_folder / name, target / name)
     except BaseException:
         for path in moved_paths:
             path.unlink(missing_ok=True)
@@ -149,8 +149,8 @@ def remove_partial_files(path: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
-    """Write ``size`` bytes to a test file beside ``path`` and return the error, or ``None`` without one.
+def disk_error(path: Path, probe_bytes: int = _WRITE_PROBE_BYTES) -> OSError | None:
+    """Write ``probe_bytes`` bytes to a test file beside ``path`` and return the error, or ``None`` without one.
 
     It finds the cause of a failed write, such as a full disk. Libraries report that a write failed, but not why. The test file is
     removed.
@@ -158,7 +158,7 @@ def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
     probe = path.parent / f"{_temp_prefix(path)}{secrets.token_hex(4)}"
     try:
         with probe.open("wb") as file:
-            file.write(bytes(size))
+            file.write(bytes(probe_bytes))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
@@ -183,7 +183,7 @@ def write_error(path: Path, content_name: str, error: Exception) -> OSError:
 
 def _temp_prefix(target: Path) -> str:
     """Return the prefix of the names of a file's temporary folders."""
-    return f".{target.name[:_MAX_NAME_CHARS]}."
+    return f".{target.name[:_MAX_TEMP_NAME_CHARS]}."
 
 
 def _writable_mode(target: Path) -> int | None:
@@ -202,7 +202,7 @@ def _writable_mode(target: Path) -> int | None:
     return mode
 
 
-def _sync(path: Path) -> None:
+def _fsync(path: Path) -> None:
     """Sync a file, or a folder's entries, to the disk. Some disks report only then that they are full."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

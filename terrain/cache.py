@@ -57,18 +57,18 @@ class IdentityKey(weakref.ref[Any]):
 def _is_compared_by_identity(part: object) -> bool:
     """Return whether a part of a key is compared by identity: an array, or an instance of a class without ``__eq__`` of its own."""
     kind = type(part)
-    return kind is np.ndarray or (kind.__hash__ is object.__hash__ and kind.__weakrefoffset__ > 0 and kind is not _Function)
+    return kind is np.ndarray or (kind.__hash__ is object.__hash__ and kind.__weakrefoffset__ > 0 and kind is not _FunctionType)
 
 
-_Function = type(lambda: None)
+_FunctionType = type(lambda: None)
 
 
-def _key_of(parts: Iterable[object], on_collected: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
+def _key_of(key_parts: Iterable[object], on_collected: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
     """Return the cache key of some parts.
 
     ``on_collected`` is called when a part that is compared by identity is garbage-collected.
     """
-    return tuple(IdentityKey(part, on_collected) if _is_compared_by_identity(part) else part for part in parts)
+    return tuple(IdentityKey(part, on_collected) if _is_compared_by_identity(part) else part for part in key_parts)
 
 
 class Missing:
@@ -90,7 +90,7 @@ class Cache(Generic[V]):
     limit_bytes
         Upper bound of the size of all values together. A single larger value is stored only if the cache has a ``release``.
     size_of
-        Function that returns the size of a value in bytes. Default: ``bytes_of``.
+        Function that returns the size of a value in bytes. Default: ``estimated_bytes``.
     release
         Function that is called with each evicted value. The newest value is never evicted to make room, because its caller uses it.
     max_entries
@@ -108,7 +108,7 @@ class Cache(Generic[V]):
     ) -> None:
         self.name, self.lifetime, self.limit_bytes, self.max_entries = name, lifetime, limit_bytes, max_entries
         self.nbytes = 0
-        self._size_of = size_of or bytes_of
+        self._size_of = size_of or estimated_bytes
         self._release = release
         self._values: OrderedDict[tuple[Hashable, ...], tuple[V, int]] = OrderedDict()
         register_cache(self)
@@ -122,9 +122,9 @@ class Cache(Generic[V]):
         with _lock:
             return [value for value, _ in self._values.values()]
 
-    def get(self, *parts: object) -> V | Missing:
-        """Return the value of a key, or ``MISSING``. ``parts`` are the objects that make up the key."""
-        key = _key_of(parts)
+    def get(self, *key_parts: object) -> V | Missing:
+        """Return the value of a key, or ``MISSING``. ``key_parts`` are the objects that make up the key."""
+        key = _key_of(key_parts)
         with _lock:
             entry = self._values.get(key)
             if entry is None:
@@ -132,10 +132,10 @@ class Cache(Generic[V]):
             self._values.move_to_end(key)
             return entry[0]
 
-    def put(self, *parts: object, value: V) -> None:
+    def put(self, *key_parts: object, value: V) -> None:
         """Store a value under a key. Evict the least recently used entries until the limits hold."""
         size = self._size_of(value)
-        key = self._key(parts)
+        key = self._key(key_parts)
         with _lock:
             self._drop(key)
             if size > self.limit_bytes and self._release is None:
@@ -153,10 +153,10 @@ class Cache(Generic[V]):
             while len(self._values) > max_entries:
                 self._drop(next(iter(self._values)))
 
-    def drop(self, *parts: object) -> None:
+    def drop(self, *key_parts: object) -> None:
         """Evict the entry of a key."""
         with _lock:
-            self._drop(_key_of(parts))
+            self._drop(_key_of(key_parts))
 
     def clear(self) -> None:
         """Evict all entries."""
@@ -172,7 +172,7 @@ class Cache(Generic[V]):
                 if any(source is elevation or getattr(source, "elevation", None) is elevation for source in sources):
                     self._drop(key)
 
-    def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
+    def _key(self, key_parts: Iterable[object]) -> tuple[Hashable, ...]:
         """Return the cache key of some parts.
 
         Its entry is evicted when a part that is compared by identity is garbage-collected.
@@ -186,7 +186,7 @@ class Cache(Generic[V]):
                 with _lock:
                     cache._drop(key_holder[0])
 
-        key = _key_of(parts, on_collected)
+        key = _key_of(key_parts, on_collected)
         key_holder.append(key)
         return key
 
@@ -252,19 +252,19 @@ def register_cache(cache: Any) -> None:
         _caches.add(cache)
 
 
-def caches(*lifetime: CacheLifetime) -> list[Cache[Any]]:
+def caches(*lifetimes: CacheLifetime) -> list[Cache[Any]]:
     """Return the caches of this process with one of some lifetimes (default: all of them), sorted by name."""
     with _lock:
-        return sorted((cache for cache in _caches if not lifetime or cache.lifetime in lifetime), key=lambda cache: cache.name)
+        return sorted((cache for cache in _caches if not lifetimes or cache.lifetime in lifetimes), key=lambda cache: cache.name)
 
 
-def clear_caches(*lifetime: CacheLifetime) -> None:
+def clear_caches(*lifetimes: CacheLifetime) -> None:
     """Empty the caches with one of some lifetimes (default: all caches).
 
     After ``clear_caches("light")`` the next frame recomputes all that a moving sun changes. ``clear_caches("light", "scene")``
     discards everything that was computed from a level's files.
     """
-    for cache in caches(*lifetime):
+    for cache in caches(*lifetimes):
         cache.clear()
 
 
@@ -277,7 +277,7 @@ def clear_scene_caches(elevation: object) -> None:
         cache.evict_computed_from(elevation)
 
 
-def bytes_of(value: object) -> int:
+def estimated_bytes(value: object) -> int:
     """Estimate the bytes of a value and of all objects that it references."""
     visited_ids: set[int] = set()
     pending, total = [value], 0
@@ -295,6 +295,6 @@ def bytes_of(value: object) -> int:
             pending += [*item.keys(), *item.values()]
         elif isinstance(item, list | tuple | set | frozenset):
             pending += item
-        elif hasattr(item, "__dict__") and not isinstance(item, type | _Function):
+        elif hasattr(item, "__dict__") and not isinstance(item, type | _FunctionType):
             pending += vars(item).values()
     return total

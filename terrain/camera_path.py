@@ -33,7 +33,7 @@ class CameraPath:
         Locates positions on the level's ground.
     times_s
         (n,), the times of the keyframes in seconds.
-    eyes, targets
+    eye_positions, target_positions
         float64 (n, 3), positions in the coordinates of ``Geolocator`` (longitudes without jumps), and heights above the datum in
         metres.
     fov_deg
@@ -42,8 +42,8 @@ class CameraPath:
 
     geolocator: Geolocator
     times_s: np.ndarray
-    eyes: np.ndarray
-    targets: np.ndarray
+    eye_positions: np.ndarray
+    target_positions: np.ndarray
     fov_deg: np.ndarray
 
     def view_at(self, time_s: float, rows: int, cols: int) -> PerspectiveView:
@@ -53,9 +53,10 @@ class CameraPath:
         the ground's data or not above it, or where it coincides with the target.
         """
         eye, target = (
-            np.concatenate([position_curve.at(time_s), height_curve.at(time_s)]) for position_curve, height_curve in self._curves
+            np.concatenate([position_curve.at(time_s), height_curve.at(time_s)])
+            for position_curve, height_curve in self._eye_and_target_curves
         )
-        point, up = self.geolocator.at_height((eye[0], eye[1]), eye[2])
+        point, up = self.geolocator.point_at_height((eye[0], eye[1]), eye[2])
         ground_m = self.geolocator.ground_m((eye[0], eye[1]))
         if not np.isfinite(ground_m):
             problem = Problem(f"{eye[0]:.6g}, {eye[1]:.6g} lies outside of the terrain's data")
@@ -63,19 +64,19 @@ class CameraPath:
         if not eye[2] > ground_m:
             problem = Problem(f"the camera is {ground_m - eye[2]:.3g} m below the ground")
             raise InputError("eye", problem, "Keep the camera above the ground")
-        target_point, _ = self.geolocator.at_height((target[0], target[1]), target[2])
-        return look_at(point, target_point, up, float(self._fov.at(time_s)[0]), rows, cols)
+        target_point, _ = self.geolocator.point_at_height((target[0], target[1]), target[2])
+        return look_at(point, target_point, up, float(self._fov_curve.at(time_s)[0]), rows, cols)
 
     @cached_property
-    def _curves(self) -> tuple[tuple[KeyedCurve, KeyedCurve], ...]:
+    def _eye_and_target_curves(self) -> tuple[tuple[KeyedCurve, KeyedCurve], ...]:
         """The curves of position and height: of the eye, and of the target."""
         return tuple(
             (KeyedCurve(self.times_s, points[:, :2]), KeyedCurve(self.times_s, points[:, 2:]))
-            for points in (self.eyes, self.targets)
+            for points in (self.eye_positions, self.target_positions)
         )
 
     @cached_property
-    def _fov(self) -> KeyedCurve:
+    def _fov_curve(self) -> KeyedCurve:
         return KeyedCurve(self.times_s, self.fov_deg[:, None])
 
 
@@ -97,7 +98,7 @@ def camera_path(spec: CameraPathSpec, geolocator: Geolocator, start: datetime | 
             if not np.isfinite(ground_m):
                 raise InputError(f"keys.{number}.{name}", position, "a position on the terrain's data")
             out[number] = *position[:2], ground_m + position[2]
-    if not geolocator.world.flat:  # take the shorter way round the earth between keyframes
+    if not geolocator.world.is_flat:  # take the shorter way round the earth between keyframes
         eyes[:, 0] = np.unwrap(eyes[:, 0], period=360.0)
         targets[:, 0] = np.unwrap(targets[:, 0], period=360.0)
     return CameraPath(geolocator, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))

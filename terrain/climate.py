@@ -17,7 +17,7 @@ from skugga.terrain.interpolation import smoothstep
 
 ColorRamp = tuple[tuple[float, str], ...]
 
-SNOW_LINE_M = (
+SNOW_LINE_BY_LATITUDE = (
     (-90.0, -700.0), (-64.0, -400.0), (-60.0, 150.0), (-55.0, 700.0), (-48.0, 1250.0), (-44.0, 1900.0), (-38.0, 2800.0),
     (-33.0, 4300.0), (-27.0, 5700.0), (-20.0, 5800.0), (-10.0, 5000.0), (0.0, 4800.0), (10.0, 4900.0), (20.0, 5500.0),
     (30.0, 5500.0), (36.0, 4700.0), (41.0, 3800.0), (46.0, 3050.0), (55.0, 2300.0), (61.0, 1750.0), (68.0, 1250.0),
@@ -28,7 +28,7 @@ SNOW_LINE_M = (
 Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the Himalaya, the Andes, New Zealand and Antarctica.
 """
 
-ICE_BLEND_M = 250.0
+ICE_BLEND_HALF_RANGE_M = 250.0
 """Half the range of heights, centred on the snow line, over which ground blends into ice."""
 
 MAX_DESERT_SHARE, ARID_LATITUDES_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
@@ -37,7 +37,7 @@ MAX_DESERT_SHARE, ARID_LATITUDES_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
 TUNDRA_LATITUDES_DEG = (60.0, 70.0), (-52.0, -60.0)
 """Latitudes over which meadows blend into tundra: of the northern hemisphere, and of the southern one, which is colder."""
 
-SEA_FLOOR_M = -500.0, -440.0
+SEA_FLOOR_BLEND_RANGE_M = -500.0, -440.0
 """Heights between which the sea floor, which has no climate, blends into land. The Dead Sea's shore is the lowest land."""
 
 ARID_RAMP: ColorRamp = (
@@ -50,17 +50,20 @@ TUNDRA_RAMP: ColorRamp = (
 )  # fmt: skip
 ICE_RAMP: ColorRamp = ((0.0, "#ebf1f5"), (2500.0, "#f1f5f8"), (4600.0, "#f7f9fa"), (6000.0, "#fdfdfe"))
 
-LATITUDE_ROWS = 181
+TINT_LATITUDE_ROWS = 181
 """Rows of a tint table, at even steps of the latitude's sine from -1 to 1: 0.6 degrees at the equator, 1.3 at 60 degrees."""
 
 
 def climate_srgb(style_ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
-    """Return the ground's sRGB colours (``LATITUDE_ROWS``, n, 3) in [0, 1] by latitude and height.
+    """Return the ground's sRGB colours (``TINT_LATITUDE_ROWS``, n, 3) in [0, 1] by latitude and height.
 
     Heights (n,) are in metres. ``style_ramp`` is the style's own colour ramp, for land that is neither ice, desert nor tundra.
     """
-    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))[:, None]
-    on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(style_ramp, heights_m)[None]
+    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, TINT_LATITUDE_ROWS)))[:, None]
+    on_land, ground = (
+        smoothstep((heights_m - SEA_FLOOR_BLEND_RANGE_M[0]) / np.ptp(SEA_FLOOR_BLEND_RANGE_M)),
+        ramp_srgb(style_ramp, heights_m)[None],
+    )
     for ramp, share in (
         (ARID_RAMP, _arid_share(latitude)),
         (TUNDRA_RAMP, _tundra_share(latitude)),
@@ -78,11 +81,15 @@ def ramp_srgb(ramp: ColorRamp, heights_m: np.ndarray) -> np.ndarray:
 
 def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
     """Return the height of the snow line in metres at latitudes in degrees."""
-    return np.asarray(np.interp(latitude_deg, [latitude for latitude, _ in SNOW_LINE_M], [height for _, height in SNOW_LINE_M]))
+    return np.asarray(
+        np.interp(
+            latitude_deg, [latitude for latitude, _ in SNOW_LINE_BY_LATITUDE], [height for _, height in SNOW_LINE_BY_LATITUDE]
+        )
+    )
 
 
 def _ice_share(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
-    return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_BLEND_M)
+    return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_BLEND_HALF_RANGE_M)
 
 
 def _arid_share(latitude_deg: np.ndarray) -> np.ndarray:

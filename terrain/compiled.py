@@ -25,7 +25,7 @@ CHUNKS_PER_CORE = 3
 """Chunks of rows per thread. More than one balances the load, since some rows take longer than others."""
 
 
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+_NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
 """Options of all loops. No fast-math: results must not depend on the machine. The GIL is released: loops run on all cores."""
 
 
@@ -36,7 +36,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     code depends on. Pass values that belong together as a ``NamedTuple``. Make a value that may be ``None`` a parameter of its own:
     numba then compiles one variant for ``None`` and one for a value.
     """
-    loop = numba.njit(**_OPTIONS)(function)
+    loop = numba.njit(**_NUMBA_OPTIONS)(function)
     if isinstance(loop, Dispatcher):  # else NUMBA_DISABLE_JIT is set and ``loop`` is the plain function
         vars(loop)["_cache"] = LoopCache(loop)
     return loop
@@ -47,7 +47,7 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
 
     Use it for every function that only compiled loops call. Numba optimises and stores its machine code as a part of theirs.
     """
-    options = {**_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": InternalCompiler}
+    options = {**_NUMBA_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": InternalCompiler}
     loop = numba.njit(**options)(function)
     if isinstance(loop, Dispatcher):
         vars(loop)["_cache"] = LoopCache(loop, is_stored=False)

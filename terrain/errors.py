@@ -30,7 +30,7 @@ class SkuggaError(Exception):
     """Base of all errors that Skugga raises on purpose. The message is one line, or one line for each error of a file."""
 
 
-MAX_ERRORS = 100
+MAX_LISTED_ERRORS = 100
 """How many errors of one input a message lists."""
 
 CONFLICT_REMEDY = "Use one of them"
@@ -83,10 +83,10 @@ class InputError(SkuggaError):
         return cls(name, MISSING_VALUE, remedy)
 
     @classmethod
-    def conflict(cls, name: str, other: str, remedy: str = CONFLICT_REMEDY) -> Self:
+    def conflict(cls, name: str, other_name: str, remedy: str = CONFLICT_REMEDY) -> Self:
         """Return the error of two parameters that exclude each other."""
-        error = cls(name, Problem(f"cannot be combined with {other}"), remedy)
-        error.conflicting_name = other
+        error = cls(name, Problem(f"cannot be combined with {other_name}"), remedy)
+        error.conflicting_name = other_name
         return error
 
     @classmethod
@@ -151,11 +151,11 @@ class UnsupportedError(InputError):
 def combined_error(errors: Sequence[InputErrorT]) -> InputErrorT:
     """Return the first of some errors, with a message that has a line for each of them.
 
-    ``errors`` has at least one. Of more than ``MAX_ERRORS`` errors the message lists that many and counts the rest.
+    ``errors`` has at least one. Of more than ``MAX_LISTED_ERRORS`` errors the message lists that many and counts the rest.
     """
-    first, *further_errors = errors[:MAX_ERRORS]
+    first, *further_errors = errors[:MAX_LISTED_ERRORS]
     first.further_errors = tuple(further_errors)
-    overflow_lines = [f"{len(errors) - MAX_ERRORS} more errors"] if len(errors) > MAX_ERRORS else []
+    overflow_lines = [f"{len(errors) - MAX_LISTED_ERRORS} more errors"] if len(errors) > MAX_LISTED_ERRORS else []
     first.args = ("\n".join([*map(str, (first, *further_errors)), *overflow_lines]),)
     return first
 

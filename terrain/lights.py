@@ -14,13 +14,13 @@ from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.ground_path import GroundPath, GroundPosition, path_over_ground
 from skugga.terrain.level.parts import LightSpec
 
-CONE_FADE_SHARE = 0.1
+CONE_EDGE_FADE_SHARE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
 
 MIN_TARGET_DISTANCE_M = 1e-6
 """Minimum distance between a static spot and its static target."""
 
-MIN_MOVING_DISTANCE_M = 0.1
+MIN_MOVING_TARGET_DISTANCE_M = 0.1
 """Minimum distance between a spot and its target where either moves.
 
 If they came nearer, the spot's direction could reverse from one frame to the next.
@@ -49,14 +49,14 @@ class LampInFrame(NamedTuple):
     ----------
     position_frame_m
         (3,), the position in metres.
-    axis_frame
+    cone_axis_frame
         (3,), the unit axis of the cone.
     lamp_from_frame
         (3, 3), the rotation from the frame to the lamp's axes.
     """
 
     position_frame_m: np.ndarray
-    axis_frame: np.ndarray
+    cone_axis_frame: np.ndarray
     lamp_from_frame: np.ndarray
 
 
@@ -75,8 +75,8 @@ class Lamp:
     color
         Linear RGB colour.
     intensity
-        Irradiance at normal incidence at the distance ``reference_m``, in units of the sun's.
-    reference_m
+        Irradiance at normal incidence at the distance ``reference_distance_m``, in units of the sun's.
+    reference_distance_m
         The distance in metres that ``intensity`` refers to.
     radius_m
         Radius of the luminous ball in metres; 0 for a point light.
@@ -89,7 +89,7 @@ class Lamp:
     cutoff_deg: float
     color: tuple[float, float, float]
     intensity: float
-    reference_m: float
+    reference_distance_m: float
     radius_m: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> LampInFrame:
@@ -111,7 +111,7 @@ class AnimatedLamp:
         The lamp's position: a ``GroundPath`` if it moves, a ``GroundPosition`` if it is static.
     target
         A spot's target, of the same types; ``None`` for an omni light.
-    reference_m
+    reference_distance_m
         Distance in metres at which the light has the level's intensity. A moving lamp keeps the strength of its first keyframe.
     """
 
@@ -119,7 +119,7 @@ class AnimatedLamp:
     spec: LightSpec
     position: GroundPosition | GroundPath
     target: GroundPosition | GroundPath | None
-    reference_m: float
+    reference_distance_m: float
 
     def at_second(self, seconds: float) -> Lamp:
         """Return the lamp at a second of the level's clock. A static lamp returns the same object each time."""
@@ -137,7 +137,9 @@ class AnimatedLamp:
             distance_m = float(np.linalg.norm(to_target))
             forward = to_target / distance_m if distance_m > MIN_TARGET_DISTANCE_M else forward
         axes = axes_along(forward, up)
-        return Lamp(self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_m, spec.radius)
+        return Lamp(
+            self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_distance_m, spec.radius
+        )
 
 
 def animated_lamp(name: str, spec: LightSpec, geolocator: Geolocator, key_path: str) -> AnimatedLamp:
@@ -165,7 +167,7 @@ def _ground_position_or_path(
     """Return a light's position or target: a ``GroundPosition`` if it is static, a ``GroundPath`` if it moves."""
     position: tuple[float, float, float] | None = getattr(spec, key)
     if position is not None:
-        return GroundPosition(*geolocator.above_ground(position, f"{key_path}.{key}"), position[2])
+        return GroundPosition(*geolocator.point_above_ground(position, f"{key_path}.{key}"), position[2])
     motion, name = spec.motion, f"{key_path}.motion.path"
     assert motion is not None
     keys = [(keyframe.seconds, getattr(keyframe, key)) for keyframe in motion.path]
@@ -181,10 +183,10 @@ def _check_distance(position: GroundPosition | GroundPath, target: GroundPositio
         return
     seconds = path.sample_times_s()
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
-    is_too_near = np.linalg.norm(points[1] - points[0], axis=-1) < MIN_MOVING_DISTANCE_M
+    is_too_near = np.linalg.norm(points[1] - points[0], axis=-1) < MIN_MOVING_TARGET_DISTANCE_M
     if is_too_near.any():
         problem = Problem(f"the light meets its target at second {seconds[is_too_near][0]:.6g}")
-        raise LevelError(name, problem, f"Keep the light at least {MIN_MOVING_DISTANCE_M} m from its target")
+        raise LevelError(name, problem, f"Keep the light at least {MIN_MOVING_TARGET_DISTANCE_M} m from its target")
 
 
 def _ground_position_at(position: GroundPosition | GroundPath, seconds: float) -> GroundPosition:

@@ -19,22 +19,15 @@ from skugga.terrain.errors import InputError, LevelError, Problem, SourceError
 from skugga.terrain.geo.axes import axes_of, check_axes
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import Grid, MapView, map_view
-from skugga.terrain.geo.sun import Sun, position_at, sun_of
-from skugga.terrain.geo.world import (
-    LONGITUDE_LATITUDE,
-    LocalFrame,
-    World,
-    is_longitude_latitude,
-    is_on_earth,
-    longitude_latitude_of,
-    transformer,
-)
+from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, sun_of
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, is_on_earth, longitude_latitude_of, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.raster_warnings import raster_warnings
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import SUN, LoadedLevel
 from skugga.terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
+from skugga.terrain.level_world import world_of_level
 from skugga.terrain.lights import Lamp, LightPosition, light_position
 from skugga.terrain.scene_objects import SceneObjects
 from skugga.terrain.style import Style, style_of, style_spec
@@ -43,19 +36,17 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.light_space import LightSpace
     from skugga.terrain.ground.surface import Surface
 
-DEFAULT_VIEW_PX = 1024
+DEFAULT_MAP_SIDE_PX = 1024
 """Longest side of a map view without a given size, in pixels."""
 
 
-MAX_PERSPECTIVE_PX = 4096
+MAX_PERSPECTIVE_SIDE_PX = 4096
 """Maximum side of a perspective view in pixels."""
 
 MAX_UTM_WIDTH_DEG = 18.0
 
-ROUND_TRIP_TOLERANCE_DEG = 0.05
-"""Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
-SAMPLES_PER_SIDE = 33
+OVERLAP_SAMPLES_PER_SIDE = 33
 """Sample points along a side that decide whether a map shows anything of a level."""
 
 
@@ -77,7 +68,7 @@ class Scene:
         The sun, or ``None``.
     objects
         Trees, meshes and lamps.
-    seconds
+    clock_seconds
         The time of the level's clock in seconds. Meshes, lamps and clouds have their positions of this time.
     lamp_overrides
         Lamps by name that replace the level's; empty for the level's own.
@@ -92,7 +83,7 @@ class Scene:
     elevation: Elevation
     sun: Sun | None
     objects: SceneObjects
-    seconds: float = 0.0
+    clock_seconds: float = 0.0
     lamp_overrides: Mapping[str, Lamp] = field(default_factory=dict)
     style_spec: StyleSpec | None = None
     sun_is_default: bool = False
@@ -107,13 +98,15 @@ class Scene:
         """The lights besides the sun by name."""
         if self.lamp_overrides:
             return dict(self.lamp_overrides)
-        return {name: rig.at_second(self.seconds) for name, rig in self.objects.animated_lamps.items()}
+        return {name: rig.at_second(self.clock_seconds) for name, rig in self.objects.animated_lamps.items()}
 
     @cached_property
     def style(self) -> Style:
         """The style that shades the scene."""
         cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        return style_of(self.loaded.level, self.style_spec or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
+        return style_of(
+            self.loaded.level, self.style_spec or self.loaded.level.style, cell_m, lambda: self.objects.crown_area_share
+        )
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -153,9 +146,9 @@ class Scene:
 
         Returns the scene itself if nothing in it depends on the clock.
         """
-        if seconds is None or seconds == self.seconds or not self.loaded.level.moving_keys:
+        if seconds is None or seconds == self.clock_seconds or not self.loaded.level.moving_keys:
             return self
-        return replace(self, objects=self.objects.at_second(seconds), seconds=seconds)
+        return replace(self, objects=self.objects.at_second(seconds), clock_seconds=seconds)
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """Return the same scene under another sun (``None``: the level's)."""
@@ -175,7 +168,7 @@ class Scene:
         return replace(self, lamp_overrides={**self.lamps, lamp.name: lamp})
 
     @cached_property
-    def light(self) -> LightSpace | None:
+    def light_space(self) -> LightSpace | None:
         """The sun's light space (axes right, up and away from the sun); ``None`` without a sun."""
         from skugga.terrain.geo.light_space import light_space
 
@@ -193,7 +186,7 @@ class Scene:
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest ground of the level in metres, from its overview."""
         overview = self.elevation.overview
-        return float(np.nanmin(overview.heights_m)), float(np.nanmax(overview.high_m))
+        return float(np.nanmin(overview.mean_heights_m)), float(np.nanmax(overview.max_heights_m))
 
     @cached_property
     def bounds_lon_lat(self) -> tuple[float, float, float, float] | None:
@@ -201,7 +194,7 @@ class Scene:
 
         ``None`` in a flat world. The east is above 180 if the part crosses the antimeridian.
         """
-        if self.world.flat:
+        if self.world.is_flat:
             return None
         level_bounds = self.loaded.level.terrain.bounds
         if level_bounds is not None:
@@ -222,13 +215,13 @@ class Scene:
         """The sun's largest altitude anywhere over the level in degrees. ``None`` without a sun."""
         if self.sun is None:
             return None
-        if self.world.flat:
+        if self.world.is_flat:
             return self.sun.altitude_deg
         west, south, east, north = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         lon, lat = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
-        point, up = self.world.ground(LONGITUDE_LATITUDE, lon, lat)
+        point, up = self.world.points_at_zero_height(LONGITUDE_LATITUDE, lon, lat)
         rotations = (self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True))
-        return max(self.sun.altitude_deg, *(position_at(self.sun.to_sun_earth, r)[1] for r in rotations))
+        return max(self.sun.altitude_deg, *(azimuth_and_altitude(self.sun.to_sun_earth, r)[1] for r in rotations))
 
     def surface(self, grid: Grid) -> Surface:
         """Return the ground at the nodes of a grid."""
@@ -246,9 +239,9 @@ class Scene:
         - On another celestial body the raster's CRS, or the body's longitude and latitude if the axes run in other directions.
         """
         source_crs = self.elevation.crs
-        if self.world.flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
+        if self.world.is_flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
             return source_crs
-        if not self.world.on_earth:
+        if not self.world.is_on_earth:
             return source_crs if axes_of(source_crs).are_standard else longitude_latitude_of(source_crs)
         west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         if east - west > MAX_UTM_WIDTH_DEG:
@@ -296,11 +289,11 @@ class Scene:
         self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_name: str, target_name: str
     ) -> PerspectiveView:
         width, height = size or spec.size
-        if max(width, height) > MAX_PERSPECTIVE_PX:
-            limit = f"{MAX_PERSPECTIVE_PX} pixels a side in a perspective view"
+        if max(width, height) > MAX_PERSPECTIVE_SIDE_PX:
+            limit = f"{MAX_PERSPECTIVE_SIDE_PX} pixels a side in a perspective view"
             raise InputError.over_limit("size", f"{width}x{height}", limit, "Use a smaller size")
-        eye, up = self.geolocator.above_ground(spec.eye, eye_name)
-        target, _ = self.geolocator.above_ground(spec.target, target_name)
+        eye, up = self.geolocator.point_above_ground(spec.eye, eye_name)
+        target, _ = self.geolocator.point_above_ground(spec.target, target_name)
         return look_at(eye, target, up, spec.fov, height, width)
 
     def _map_view(
@@ -329,7 +322,7 @@ class Scene:
             )
         size = size or spec.size
         if size is None:  # square pixels; the shorter side grows to a whole number of pixels
-            pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
+            pixel = max(east - west, north - south) / DEFAULT_MAP_SIDE_PX
             size = max(int(np.rint((east - west) / pixel)), 1), max(int(np.rint((north - south) / pixel)), 1)
             margin_x, margin_y = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
             extent = west, south, east, north = west - margin_x, south - margin_y, east + margin_x, north + margin_y
@@ -341,12 +334,14 @@ class Scene:
         Both are sampled at lattice points. They overlap if a point of one lies in the other.
         """
         west, south, east, north = extent
-        x, y = np.meshgrid(np.linspace(west, east, SAMPLES_PER_SIDE), np.linspace(south, north, SAMPLES_PER_SIDE))
+        x, y = np.meshgrid(np.linspace(west, east, OVERLAP_SAMPLES_PER_SIDE), np.linspace(south, north, OVERLAP_SAMPLES_PER_SIDE))
         with np.errstate(invalid="ignore"):
             source_xy = (x, y) if crs == self.elevation.crs else transformer(crs, self.elevation.crs).transform(x, y)
             if self.elevation.covers(*source_xy).any():
                 return True
-            rows, cols = (np.linspace(-0.5, count - 0.5, SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols))
+            rows, cols = (
+                np.linspace(-0.5, count - 0.5, OVERLAP_SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols)
+            )
             x, y = self.elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
             x, y = (x, y) if crs == self.elevation.crs else transformer(self.elevation.crs, crs).transform(x, y)
             longitude_shifts = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
@@ -359,7 +354,7 @@ class Scene:
             crs = CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
         except CRSError:
             raise InputError("crs", text, "a CRS that PROJ knows, such as EPSG:32616") from None
-        if self.world.flat and crs != self.world.crs:
+        if self.world.is_flat and crs != self.world.crs:
             raise InputError("crs", text, f"the level's own engineering CRS '{self.world.crs.name}'")
         if not (crs.is_projected or crs.is_geographic or crs.is_engineering):
             raise InputError("crs", text, "a projected or geographic CRS")
@@ -377,7 +372,7 @@ class Scene:
         if crs == source_crs:
             return
         try:
-            if not self.world.flat and is_on_earth(crs) == self.world.on_earth:
+            if not self.world.is_flat and is_on_earth(crs) == self.world.is_on_earth:
                 transformer(source_crs, crs), transformer(crs, LONGITUDE_LATITUDE)
                 return
         except ProjError:
@@ -389,7 +384,7 @@ class Scene:
 
         Raises ``InputError``.
         """
-        if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
+        if self.world.is_flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
             west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
@@ -409,7 +404,7 @@ class Scene:
         ``bounds`` are those in degrees. Raises ``InputError`` if the CRS ends at the antimeridian.
         """
         lon, lat = np.meshgrid(
-            np.linspace(bounds[0], bounds[2], SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], SAMPLES_PER_SIDE)
+            np.linspace(bounds[0], bounds[2], OVERLAP_SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], OVERLAP_SAMPLES_PER_SIDE)
         )
         positions = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
         with np.errstate(invalid="ignore"):  # points outside of a CRS have infinite coordinates
@@ -442,7 +437,7 @@ def build_scene(loaded: LoadedLevel) -> Scene:
         raise LevelError(
             f"{loaded.path}: terrain.surface", "blocks", "smooth, since the raster's rows do not run from west to east"
         )
-    world = _world(loaded, elevation)
+    world = world_of_level(loaded, elevation)
     sun_is_default = loaded.level.sun is None
     loaded = with_default_sun(loaded, world, elevation)
     spec = loaded.level.sun
@@ -468,49 +463,3 @@ def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
     """
     zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg))
     return CRS.from_epsg(int(zones[0].code))
-
-
-def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
-    try:
-        return _world_at(loaded, elevation)
-    except ProjError:
-        problem = f"PROJ cannot transform its CRS '{elevation.crs.name}' into longitude and latitude and back"
-        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
-
-
-def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
-    """Return whether a position is unchanged after a transformation into a CRS and back.
-
-    For a few CRSs PROJ applies the prime meridian in one direction only.
-    """
-    if is_longitude_latitude(crs):
-        return True
-    projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
-    restored = transformer(crs, LONGITUDE_LATITUDE).transform(*projected)
-    lon_error = (restored[0] - lon + 180.0) % 360.0 - 180.0
-    return bool(max(abs(lon_error) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < ROUND_TRIP_TOLERANCE_DEG)
-
-
-def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
-    crs, bounds = elevation.crs, loaded.level.terrain.bounds
-    x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
-    unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
-    if elevation.flat:
-        if bounds is not None:
-            degrees = Problem("bounds in degrees do not apply to an engineering CRS")
-            raise LevelError(f"{loaded.path}: terrain.bounds", degrees, "Remove the bounds")
-        return World(crs, True, x, y, metres_per_unit=unit)
-    metres = 1.0 if crs.is_geographic else unit
-    if bounds is not None:
-        lon, lat = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
-        x, y = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
-        cell = elevation.cell_of(x, y)
-        is_on_raster = -0.5 <= cell[0] <= elevation.rows - 0.5 and -0.5 <= cell[1] <= elevation.cols - 0.5
-        if not is_on_raster:
-            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
-    else:
-        lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    if not (np.isfinite([lon, lat]).all() and _survives_round_trip(crs, float(lon), float(lat))):
-        problem = f"PROJ cannot transform its CRS '{crs.name}' into longitude and latitude and back"
-        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform")
-    return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

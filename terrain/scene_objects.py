@@ -36,7 +36,7 @@ class SceneObjects:
     loaded: LoadedLevel
     world: World
     elevation: Elevation
-    seconds: float = 0.0
+    clock_seconds: float = 0.0
 
     def close(self) -> None:
         """Release the trees and meshes that were read."""
@@ -49,10 +49,10 @@ class SceneObjects:
 
         Both share the properties that do not depend on the clock, so that no file is read twice.
         """
-        if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
+        if seconds == self.clock_seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
-        other = replace(self, seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "animated_lamps")})
+        other = replace(self, clock_seconds=seconds)
+        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_creases", "animated_lamps")})
         return other
 
     @cached_property
@@ -104,11 +104,11 @@ class SceneObjects:
             return None
         from skugga.terrain.meshes.assemble import solids
 
-        placed = solids(self.placement, self.seconds)
+        placed = solids(self.placement, self.clock_seconds)
         return placed if len(placed.triangles) else None
 
     @cached_property
-    def solid_crease(self) -> np.ndarray:
+    def solid_creases(self) -> np.ndarray:
         """How far the smooth surface round each triangle of the meshes bends upwards, float32 (n,).
 
         The measure is that of ``skugga.terrain.meshes.facets.creases``. Sharp edges (``MIN_EDGE_NORMAL_DISTANCE``) do not count. It
@@ -123,7 +123,7 @@ class SceneObjects:
         return creases(vertices, normals, triangles, adjacency, MIN_EDGE_NORMAL_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
-    def tree_heights_m(self) -> np.ndarray:
+    def tree_base_heights_m(self) -> np.ndarray:
         """Heights (n,) of the trees' feet in metres."""
         return self.trees_in_crs(self.elevation.crs)[:, 2]
 
@@ -138,7 +138,7 @@ class SceneObjects:
         return _map_positions(self.world, self.trees.base_earth_m, crs)
 
     @cached_property
-    def kinds(self) -> tuple[CasterKind, ...]:
+    def caster_kinds(self) -> tuple[CasterKind, ...]:
         """The kinds of shadow casters in the level. The ground is always one."""
         caster_kinds: list[CasterKind] = ["relief"]
         if self.solids is not None:
@@ -148,15 +148,15 @@ class SceneObjects:
         return tuple(caster_kinds)
 
     @cached_property
-    def crown_share(self) -> float:
+    def crown_area_share(self) -> float:
         """Area of all crowns as a share of the ground's. Larger than the covered share where crowns overlap."""
         if self.trees is None:
             return 0.0
         ground_m2 = self.elevation.rows * self.elevation.cols * self.elevation.cell_size_m(self.world.metres_per_unit) ** 2
-        return float(np.pi / 4.0 * np.sum(np.square(self.trees.crown_m, dtype=np.float64)) / ground_m2)
+        return float(np.pi / 4.0 * np.sum(np.square(self.trees.crown_diameter_m, dtype=np.float64)) / ground_m2)
 
     @cached_property
-    def tallest_m(self) -> float:
+    def tallest_object_m(self) -> float:
         """Largest height of any object above its ground in metres; 0 on bare ground."""
         tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())
         if self.solids is None:

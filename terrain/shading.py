@@ -33,28 +33,28 @@ from skugga.terrain.shading_loops import (
     write_slope_sky_rows,
 )
 from skugga.terrain.srgb import srgb_of_linear
-from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
+from skugga.terrain.style import TINT_HEIGHT_COUNT, tint_table, veil_table
 
 FLAT_GROUND_ALBEDO = 0.42
 """Linear albedo of ground without relief, which has no heights to tint."""
 
-NORTH_EARTH, NO_DIRECTION = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+NORTH_EARTH, ZERO_VECTOR = np.array([0.0, 0.0, 1.0]), np.zeros(3)
 """The earth's axis, and its placeholder where latitude has no effect."""
 
-SKY_SHARE = 0.28
-"""Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``EXPOSURE_FLOOR_DEG``."""
+SKY_IRRADIANCE_SHARE = 0.28
+"""Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``MIN_EXPOSURE_SUN_ALTITUDE_DEG``."""
 
 LEVEL_GROUND_EXPOSURE = 0.86
-"""Linear exposure of level, sunlit, white ground. The same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
+"""Linear exposure of level, sunlit, white ground. The same for every sun down to ``MIN_EXPOSURE_SUN_ALTITUDE_DEG``."""
 
-EXPOSURE_FLOOR_DEG = 18.0
-NIGHT_SKY_SHARE = 0.08
+MIN_EXPOSURE_SUN_ALTITUDE_DEG = 18.0
+NIGHT_SKY_LIGHT_SHARE = 0.08
 """Sky light at night as a share of the day's, so that a map stays readable."""
 
 LAMP_AMBIENT_SHARE = 0.4
 """Ambient light as a share of the day's sky light, in scenes with lamps and without a sun."""
 
-MAP_FOLIAGE_FACTOR = 2.0
+MAP_FOLIAGE_ALBEDO_FACTOR = 2.0
 """Factor of foliage's albedo in maps. Woods seen from above, with their own shadows, would be nearly black."""
 
 LEAF_TRANSLUCENCY = 0.3
@@ -66,10 +66,10 @@ CLOUD_LIGHT_COLOR = (0.94, 0.97, 1.00)
 OVERCAST_GROUND_EXPOSURE = 0.56
 """Linear exposure of level, white ground under an overcast sky."""
 
-WATER_TOLERANCE_M = 1e-3
+WATER_HEIGHT_TOLERANCE_M = 1e-3
 """Ground within this distance of the water's height is water."""
 
-_SRGB_STEPS = 4096
+_SRGB_TABLE_SIZE = 4096
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ class Daylight:
 
     Attributes
     ----------
-    sun
+    sun_irradiance
         (3,), linear colour: the sun's irradiance at normal incidence.
-    sky
+    sky_irradiance
         (3,), linear colour: the irradiance from the whole sky.
     """
 
-    sun: np.ndarray
-    sky: np.ndarray
+    sun_irradiance: np.ndarray
+    sky_irradiance: np.ndarray
 
 
 def daylight_of(scene: Scene) -> Daylight:
@@ -96,10 +96,10 @@ def daylight_of(scene: Scene) -> Daylight:
     """
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear_sky_light, grey = (
-        np.array(style.skylight) * LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE),
+        np.array(style.sky_light_color) * LEVEL_GROUND_EXPOSURE * SKY_IRRADIANCE_SHARE / (1.0 + SKY_IRRADIANCE_SHARE),
         np.array(CLOUD_LIGHT_COLOR) * OVERCAST_GROUND_EXPOSURE,
     )
-    sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
+    sun = np.array(style.sunlight_color) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear_sky_light + cover * grey)
 
 
@@ -117,10 +117,12 @@ def shading_parameters(scene: Scene, view: MapView | PerspectiveView, frame: Loc
         style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
     )
     return ShadingParameters(
-        tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
-        style.sky_greying * clear_sky_share, style.sky_towards_sun * clear_sky_share, style.terminator, exaggeration,
-        style.slope_limit, veil_table(style.aerial_share if in_map and scene.sun is not None else 0.0, style.aerial_scale_height_m),
-        MAP_FOLIAGE_FACTOR if in_map else 1.0,
+        tints_of(scene), ZERO_VECTOR if frame is None else frame.directions_from_earth(NORTH_EARTH),
+        style.sky_light_desaturation * clear_sky_share, style.sunward_sky_light_share * clear_sky_share,
+        style.terminator_light_share, exaggeration,
+        style.max_shaded_slope, veil_table(style.air_veil_share if in_map and scene.sun is not None else 0.0,
+        style.air_veil_scale_height_m),
+        MAP_FOLIAGE_ALBEDO_FACTOR if in_map else 1.0,
     )  # fmt: skip
 
 
@@ -130,28 +132,28 @@ def tints_of(scene: Scene) -> Tints:
     Level ground without relief has the grey ``FLAT_GROUND_ALBEDO``.
     """
     style, (low, high) = scene.style, scene.height_range_m
-    return _tints(style.ramp, style.has_climate and not scene.world.flat) if high > low else _tints(None, False)
+    return _tints(style.ramp, style.has_latitude_tints and not scene.world.is_flat) if high > low else _tints(None, False)
 
 
 @cached("process", 16 * MIB)
-def _tints(ramp: ColorRamp | None, has_climate: bool) -> Tints:
-    colors = np.full((1, TINT_COUNT, 3), FLAT_GROUND_ALBEDO) if ramp is None else tint_table(ramp, has_climate)
+def _tints(ramp: ColorRamp | None, has_latitude_tints: bool) -> Tints:
+    colors = np.full((1, TINT_HEIGHT_COUNT, 3), FLAT_GROUND_ALBEDO) if ramp is None else tint_table(ramp, has_latitude_tints)
     channels = np.moveaxis(colors, -1, 0)
     table = np.stack([*channels, luminance_of(*channels)], axis=1)
     differ = (table[1:] != table[:-1]).any(axis=1)
-    first_difference = np.where(differ.any(axis=1), differ.argmax(axis=1), TINT_COUNT)
+    first_difference = np.where(differ.any(axis=1), differ.argmax(axis=1), TINT_HEIGHT_COUNT)
     return Tints(np.ascontiguousarray(table), first_difference.astype(np.int32))
 
 
 def sky_lit_albedo(albedo: np.ndarray, parameters: ShadingParameters) -> np.ndarray:
     """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance."""
     grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
-    return albedo + parameters.sky_greying * (grey - albedo)
+    return albedo + parameters.sky_light_desaturation * (grey - albedo)
 
 
 def max_slope_sky_factor(scene: Scene) -> float:
     """Return the largest factor of sky light on a slope, relative to an even sky. Slopes towards the sky's bright side have it."""
-    return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
+    return 1.0 + scene.style.sunward_sky_light_share * (np.sqrt(2.0) - 1.0)
 
 
 def shade(
@@ -194,11 +196,11 @@ def shade(
 def daylight_in_frame(scene: Scene, frame: LocalFrame) -> DaylightInFrame:
     """Return the daylight of a scene in a frame."""
     light, to_sun = daylight_of(scene), np.zeros(3) if scene.sun is None else scene.sun.in_frame(frame)
-    return DaylightInFrame(scene.sun is not None, to_sun, light.sun, light.sky, night_sky_share(scene))
+    return DaylightInFrame(scene.sun is not None, to_sun, light.sun_irradiance, light.sky_irradiance, night_sky_share(scene))
 
 
-def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
-    """Return the sRGB colour (rows, cols, 3) uint8 of bare ground: ``srgb_encoded`` of ``shade``, in one pass.
+def shaded_ground_srgb(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
+    """Return the sRGB colour (rows, cols, 3) uint8 of bare ground: ``encode_srgb`` of ``shade``, in one pass.
 
     ``sunlight`` (rows, cols) is the visible share of the sun's direct light, 0 to 1. Pixels without ground are black.
     """
@@ -207,7 +209,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     if ground.height_m.size:
         light = daylight_in_frame(scene, ground.frame)
         shade_bare_ground(
-            ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
+            ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.visible_sky_share,
             sunlight[ground.window], shading_parameters(scene, ground.view, ground.frame), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip
@@ -224,7 +226,7 @@ def slope_sky_view_factor(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 def night_sky_share(scene: Scene) -> float:
     """Return the sky light at night, or the ambient light of a room, as a share of the day's."""
-    return LAMP_AMBIENT_SHARE if scene.lamps and scene.sun is None else NIGHT_SKY_SHARE
+    return LAMP_AMBIENT_SHARE if scene.lamps and scene.sun is None else NIGHT_SKY_LIGHT_SHARE
 
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
@@ -235,17 +237,17 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
         shading_parameters(scene, buffer.view, buffer.frame), albedo,
     )  # fmt: skip
     if scene.loaded.level.water is not None:
-        water = water_in(buffer, scene)
-        albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water
+        water = water_mask(buffer, scene)
+        albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water_albedo
     return albedo
 
 
-def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
+def water_mask(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the mask (rows, cols) of pixels that show standing water: ground at the water's height."""
-    return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= WATER_TOLERANCE_M)
+    return (buffer.surface_kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= WATER_HEIGHT_TOLERANCE_M)
 
 
-def srgb_encoded(linear: np.ndarray) -> np.ndarray:
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
     """Encode linear display colour in [0, 1] as sRGB, uint8."""
     out = np.empty(linear.shape, np.uint8)
     flat = np.ascontiguousarray(linear).reshape(-1)
@@ -256,13 +258,16 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
 def exposure_of(altitude_deg: float | None) -> float:
     """Return the exposure for the sun's altitude in degrees at the anchor; ``None`` if lamps are the only lights.
 
-    Level, sunlit, white ground keeps its brightness down to ``EXPOSURE_FLOOR_DEG``. Its sky light is the same for every sun.
+    Level, sunlit, white ground keeps its brightness down to ``MIN_EXPOSURE_SUN_ALTITUDE_DEG``. Its sky light is the same for every
+    sun.
     """
     if altitude_deg is None:
         return LEVEL_GROUND_EXPOSURE
-    return LEVEL_GROUND_EXPOSURE / ((1.0 + SKY_SHARE) * float(np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG)))))
+    return LEVEL_GROUND_EXPOSURE / (
+        (1.0 + SKY_IRRADIANCE_SHARE) * float(np.sin(np.radians(max(altitude_deg, MIN_EXPOSURE_SUN_ALTITUDE_DEG))))
+    )
 
 
 @cached("process", MIB)
 def _srgb_table() -> np.ndarray:
-    return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
+    return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_TABLE_SIZE) + 0.5) / _SRGB_TABLE_SIZE)).astype(np.uint8)

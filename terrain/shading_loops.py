@@ -12,15 +12,15 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.interpolation_loops import smoothstep_value
-from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
+from skugga.terrain.style import TINT_HEIGHT_COUNT, TINT_HEIGHT_STEP_M, TINT_MIN_HEIGHT_M, UNLIMITED_SLOPE
 
 TONE_CURVE_START, TONE_CURVE_RANGE = 0.6, 0.4
 """Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
-MIN_SKY_FACTOR = 0.3
+MIN_SLOPE_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
-MIN_ALTITUDE_COSINE = 0.15
+MIN_SUN_ALTITUDE_COSINE = 0.15
 """Lower bound of the cosine of the sun's altitude, by which the loops divide.
 
 Near the zenith the sun's azimuth is undefined.
@@ -32,13 +32,13 @@ MIN_LIT_COSINE = 1e-9
 AIR_VEIL_COLOR = (0.66, 0.74, 0.84)
 """Linear colour by day of the veil of air over low ground."""
 
-HIGH_SUN_DEG = 6.01
+HIGH_SUN_ALTITUDE_DEG = 6.01
 """Altitude of the sun from which on direct light and sky light are constant (``shade_rows``, ``twilight_sky_share``).
 
 It is a hundredth of a degree above the exact limit, since only some points of a map are checked.
 """
 
-HIGH_SUN_SINE = float(np.sin(np.radians(HIGH_SUN_DEG)))
+HIGH_SUN_ALTITUDE_SINE = float(np.sin(np.radians(HIGH_SUN_ALTITUDE_DEG)))
 
 
 class DaylightInFrame(NamedTuple):
@@ -50,9 +50,9 @@ class DaylightInFrame(NamedTuple):
         Whether the scene has a sun.
     to_sun_frame
         (3,), the direction to the sun.
-    sun
+    sun_irradiance
         (3,), the sun's irradiance at normal incidence.
-    sky
+    sky_irradiance
         (3,), the irradiance from the whole sky.
     night_sky_share
         Sky light at night as a share of the day's.
@@ -60,8 +60,8 @@ class DaylightInFrame(NamedTuple):
 
     has_sun: bool
     to_sun_frame: np.ndarray
-    sun: np.ndarray
-    sky: np.ndarray
+    sun_irradiance: np.ndarray
+    sky_irradiance: np.ndarray
     night_sky_share: float
 
 
@@ -73,12 +73,12 @@ class Tints(NamedTuple):
     table
         (m, 4, n), linear colours and their luminance, at even steps of the latitude's sine from -1 to 1 and by height. With m = 1
         one row serves all latitudes.
-    first_difference
+    first_differing_height
         (m - 1,), index of the height from which on a row differs from the next one.
     """
 
     table: np.ndarray
-    first_difference: np.ndarray
+    first_differing_height: np.ndarray
 
 
 class ShadingParameters(NamedTuple):
@@ -90,40 +90,40 @@ class ShadingParameters(NamedTuple):
         The ground's tints.
     north_frame
         (3,), the direction of the earth's axis in a local frame; 0 if tints do not depend on latitude.
-    sky_greying
+    sky_light_desaturation
         Desaturation in the sky's light, 0 to 1.
-    sky_towards_sun
+    sunward_sky_light_share
         Share of the sky's light that comes from the sun's side, 0 to 1.
-    terminator
+    terminator_light_share
         Share of level ground's direct light below which slopes fade into attached shadow.
-    slope_exaggeration, slope_limit
+    slope_exaggeration, max_shaded_slope
         Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
-    veil
+    air_veil_by_height
         (n,), the share of the veil of air in the ground's colour, by height.
-    foliage_factor
+    foliage_albedo_factor
         Factor of foliage's albedo.
     """
 
     tints: Tints
     north_frame: np.ndarray
-    sky_greying: float
-    sky_towards_sun: float
-    terminator: float
+    sky_light_desaturation: float
+    sunward_sky_light_share: float
+    terminator_light_share: float
     slope_exaggeration: float
-    slope_limit: float
-    veil: np.ndarray
-    foliage_factor: float
+    max_shaded_slope: float
+    air_veil_by_height: np.ndarray
+    foliage_albedo_factor: float
 
 
 @compiled
-def twilight_sky_share(sine):
+def twilight_sky_share(sun_altitude_sine):
     """Return the share of the day's sky light for the sine of the sun's altitude.
 
     It is 1 from 6 degrees on, and 0 below -12 degrees (nautical dusk).
     """
-    if sine > HIGH_SUN_SINE:
+    if sun_altitude_sine > HIGH_SUN_ALTITUDE_SINE:
         return 1.0
-    altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
+    altitude = np.degrees(np.arcsin(min(max(sun_altitude_sine, -1.0), 1.0)))
     return smoothstep_value((altitude + 12.0) / 18.0)
 
 
@@ -143,94 +143,96 @@ def luminance_of(red, green, blue):
 
 
 @compiled
-def _exaggerated_cosines(cos_sun, cos_zenith, sine, exaggeration, limit):
+def _exaggerated_cosines(cos_sun, cos_zenith, sun_altitude_sine, exaggeration, max_slope):
     """Return a slope's cosines to the sun and to the zenith, with the slope exaggerated and limited.
 
     The slope t becomes t' = a t / sqrt(1 + (a t / limit)**2). For a normal n, ``cos_sun`` is n.s and ``cos_zenith`` n.u, with s the
-    sun's direction and u up; ``sine`` is s.u.
+    sun's direction and u up; ``sun_altitude_sine`` is s.u.
     """
     if cos_zenith <= 0.0:
         return cos_sun, cos_zenith
     flat = np.sqrt(max(1.0 - cos_zenith * cos_zenith, 0.0))
     slope = exaggeration * flat / cos_zenith
-    factor = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
+    factor = exaggeration / np.sqrt(1.0 + slope * slope / (max_slope * max_slope))
     slope = factor * flat / cos_zenith
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
-    return (cos_sun - sine * cos_zenith) * factor * cosine / cos_zenith + sine * cosine, cosine
+    return (cos_sun - sun_altitude_sine * cos_zenith) * factor * cosine / cos_zenith + sun_altitude_sine * cosine, cosine
 
 
 @compiled
-def _slope_sky_factor(cos_sun, cos_zenith, sine, directional_share):
+def _slope_sky_factor(cos_sun, cos_zenith, sun_altitude_sine, directional_share):
     """Return the factor of the sky's light on a slope; 1 on level ground.
 
     The share ``directional_share`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
     """
-    cos_sun_azimuth = (cos_sun - sine * cos_zenith) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), MIN_ALTITUDE_COSINE)
-    return max(1.0 + directional_share * (cos_sun_azimuth + cos_zenith - 1.0), MIN_SKY_FACTOR)
+    cos_sun_azimuth = (cos_sun - sun_altitude_sine * cos_zenith) / max(
+        np.sqrt(max(1.0 - sun_altitude_sine * sun_altitude_sine, 0.0)), MIN_SUN_ALTITUDE_COSINE
+    )
+    return max(1.0 + directional_share * (cos_sun_azimuth + cos_zenith - 1.0), MIN_SLOPE_SKY_FACTOR)
 
 
 @compiled
-def _slope_direct_light(cos_sun, sine, terminator):
+def _slope_direct_light(cos_sun, sun_altitude_sine, terminator_light_share):
     """Return the direct light on a slope: Lambert's cosine, reduced near the terminator.
 
-    The reduction begins where the cosine is below the share ``terminator`` of level ground's. Without it, facets of a raster that
-    face away would show as dark squares on slopes that the light grazes.
+    The reduction begins where the cosine is below the share ``terminator_light_share`` of level ground's. Without it, facets of a
+    raster that face away would show as dark squares on slopes that the light grazes.
     """
     cosine = max(cos_sun, 0.0)
-    share = min(cosine / max(terminator * sine, MIN_LIT_COSINE), 1.0)
+    share = min(cosine / max(terminator_light_share * sun_altitude_sine, MIN_LIT_COSINE), 1.0)
     return cosine * share * share * (3.0 - 2.0 * share)
 
 
 @internal
-def _direct_fade(sine):
+def _direct_fade(sun_altitude_sine):
     """Return the factor of direct light, which fades in over the first degree of the sun's altitude at a place."""
-    if sine > HIGH_SUN_SINE:
+    if sun_altitude_sine > HIGH_SUN_ALTITUDE_SINE:
         return 1.0
-    return min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
+    return min(max(np.degrees(np.arcsin(min(max(sun_altitude_sine, -1.0), 1.0))), 0.0), 1.0)
 
 
 @compiled
-def write_slope_sky_rows(first, last, valid, normal, position, centre, out):
+def write_slope_sky_rows(first, last, valid, normal, position, up_origin, out):
     """Compute the share of the sky that each slope leaves visible without its surroundings, into ``out``.
 
-    Rows run from ``first`` to before ``last``. ``centre`` is the point from which "up" points away (``World.up_origin``).
+    Rows run from ``first`` to before ``last``. ``up_origin`` is the point from which "up" points away (``World.up_origin``).
     """
     for i in range(first, last):
         for j in range(valid.shape[1]):
             if valid[i, j]:
                 n, p = normal[i, j], position[i, j]
-                x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+                x, y, z = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
                 out[i, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
 
 
 @compiled
-def encode_rows(first, last, linear, table, out):
-    """Encode the linear display colours [``first``, ``last``) as sRGB. ``table`` (n,) uint8 has even steps from 0 to 1."""
+def encode_rows(first, last, linear, srgb_table, out):
+    """Encode the linear display colours [``first``, ``last``) as sRGB. ``srgb_table`` (n,) uint8 has even steps from 0 to 1."""
     for n in range(first, last):
-        out[n] = table[min(np.int32(linear[n] * table.size), table.size - 1)]
+        out[n] = srgb_table[min(np.int32(linear[n] * srgb_table.size), srgb_table.size - 1)]
 
 
 @compiled
 def shade_rows(
-    first, last, shading_inputs, parameters, daylight_in_frame, centre, translucency, albedo, sunlight, skylight, lamplight, out
+    first, last, shading_inputs, parameters, daylight_in_frame, up_origin, translucency, albedo, sunlight, skylight, lamplight, out
 ):
     """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
-    ``centre`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light that
-    does not depend on its normal (``LEAF_TRANSLUCENCY``).
+    ``up_origin`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light
+    that does not depend on its normal (``LEAF_TRANSLUCENCY``).
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
     tints, north, greying, directional_share, terminator, exaggeration, limit, veils, foliage = parameters
     has_sun, to_sun, sun, sky, night = daylight_in_frame
-    has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
+    has_true_slopes = exaggeration == 1.0 and limit >= UNLIMITED_SLOPE
     for i in range(first, last):
         for j in range(valid.shape[1]):
             if not valid[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
             translucent_share = translucency if kind[i, j] == FOREST else 0.0
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             sky_view = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
             # Rounded as in ``shade_bare_ground``, so that both give the same picture.
@@ -274,21 +276,21 @@ def _round_to_float32(value):
 @internal
 def _tint_position(height):
     """Return the index of the tabulated height at or below a height, and the fraction of the way to the next one."""
-    share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
-    tint_index = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
+    share = min(max((height - TINT_MIN_HEIGHT_M) / TINT_HEIGHT_STEP_M, 0.0), TINT_HEIGHT_COUNT - 1.0)
+    tint_index = np.int32(min(share, TINT_HEIGHT_COUNT - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
     return tint_index, share - tint_index
 
 
 @internal
-def _latitude_position(sine, rows):
+def _latitude_position(latitude_sine, table_rows):
     """Return the index of the tints' row at or below a latitude's sine, and the fraction of the way to the next one."""
-    share = min(max(0.5 * (sine + 1.0) * (rows - 1), 0.0), rows - 1.0)
-    tint_index = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
+    share = min(max(0.5 * (latitude_sine + 1.0) * (table_rows - 1), 0.0), table_rows - 1.0)
+    tint_index = np.int32(min(share, table_rows - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
     return tint_index, share - tint_index
 
 
 @internal
-def _tinted(table, sine, tint_index, fraction):
+def _tinted(table, latitude_sine, tint_index, fraction):
     """Return the ground's linear colour at the sine of a latitude.
 
     ``tint_index`` and ``fraction`` are the place of a height in the table (``_tint_position``).
@@ -299,7 +301,7 @@ def _tinted(table, sine, tint_index, fraction):
             _tint_at(table, 0, 1, tint_index, fraction),
             _tint_at(table, 0, 2, tint_index, fraction),
         )
-    row, row_fraction = _latitude_position(sine, table.shape[0])
+    row, row_fraction = _latitude_position(latitude_sine, table.shape[0])
     return (
         _tint_between(table, row, row_fraction, 0, tint_index, fraction),
         _tint_between(table, row, row_fraction, 1, tint_index, fraction),
@@ -308,20 +310,20 @@ def _tinted(table, sine, tint_index, fraction):
 
 
 @internal
-def _tint_at(table, row, k, tint_index, fraction):
-    value = table[row, k, tint_index]
-    return value + (table[row, k, tint_index + 1] - value) * fraction
+def _tint_at(table, row, channel, tint_index, fraction):
+    value = table[row, channel, tint_index]
+    return value + (table[row, channel, tint_index + 1] - value) * fraction
 
 
 @internal
-def _tint_between(table, row, row_fraction, k, tint_index, fraction):
-    value = _tint_at(table, row, k, tint_index, fraction)
-    return value + (_tint_at(table, row + 1, k, tint_index, fraction) - value) * row_fraction
+def _tint_between(table, row, row_fraction, channel, tint_index, fraction):
+    value = _tint_at(table, row, channel, tint_index, fraction)
+    return value + (_tint_at(table, row + 1, channel, tint_index, fraction) - value) * row_fraction
 
 
 @compiled
-def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters, daylight_in_frame, table, out):
-    """Compute the sRGB colour of bare ground row by row: ``srgb_encoded`` of the result of ``shade_rows``.
+def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters, daylight_in_frame, srgb_table, out):
+    """Compute the sRGB colour of bare ground row by row: ``encode_srgb`` of the result of ``shade_rows``.
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
@@ -330,7 +332,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
     cols = valid.shape[1]
     direct, sky_light_share, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
     cos_sun, cos_zenith, sky_light = np.empty(cols), np.empty(cols), np.empty(cols)
-    has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
+    has_true_slopes = exaggeration == 1.0 and limit >= UNLIMITED_SLOPE
     fraction, tint_index = np.empty(cols), np.empty(cols, np.int32)
     tint, grey, srgb_index = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
@@ -338,7 +340,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
         _cosines_to_direction(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         is_high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
-            is_high_everywhere = is_high_everywhere and not sines[j] <= HIGH_SUN_SINE
+            is_high_everywhere = is_high_everywhere and not sines[j] <= HIGH_SUN_ALTITUDE_SINE
         for j in range(cols):
             direct[j], sky_light_share[j] = sunlight[i, j], 1.0
         if not is_high_everywhere:
@@ -357,7 +359,7 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
         if not has_one_row:
             _cosines_to_direction(up[i], (north[0], north[1], north[2]), latitude)
             _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
-            has_one_row, row = _shared_tint_row(tints.first_difference, valid[i], rows, tint_index)
+            has_one_row, row = _shared_tint_row(tints.first_differing_height, valid[i], rows, tint_index)
         _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
         for k in range(3):
             _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, tint)
@@ -372,10 +374,10 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
                 veil,
                 sky_light_share,
                 AIR_VEIL_COLOR[k],
-                table.size,
+                srgb_table.size,
                 srgb_index,
             )
-            _look_up_srgb(valid[i], srgb_index, table, out[i, :, k])
+            _look_up_srgb(valid[i], srgb_index, srgb_table, out[i, :, k])
 
 
 @internal
@@ -394,24 +396,28 @@ def _cosines_to_zenith(normal, up, out):
 
 
 @internal
-def _exaggerate_row(cos_sun, cos_zenith, sines, exaggeration, limit):
+def _exaggerate_row(cos_sun, cos_zenith, sun_altitude_sines, exaggeration, max_slope):
     """Apply ``_exaggerated_cosines`` to a row of pixels, in place."""
     for j in range(cos_sun.size):
-        cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sines[j], exaggeration, limit)
+        cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sun_altitude_sines[j], exaggeration, max_slope)
 
 
 @internal
-def _sky_light_of_row(cos_sun, cos_zenith, sines, directional_share, sky_share, sky_light_share, out):
+def _sky_light_of_row(cos_sun, cos_zenith, sun_altitude_sines, directional_share, sky_share, sky_light_share, out):
     """Compute the sky's light on the slopes of a row of pixels, as a share of the day's sky light on level ground."""
     for j in range(out.size):
-        out[j] = sky_share[j] * _slope_sky_factor(cos_sun[j], cos_zenith[j], sines[j], directional_share) * sky_light_share[j]
+        out[j] = (
+            sky_share[j]
+            * _slope_sky_factor(cos_sun[j], cos_zenith[j], sun_altitude_sines[j], directional_share)
+            * sky_light_share[j]
+        )
 
 
 @internal
-def _direct_light_of_row(cos_sun, sines, terminator, direct):
+def _direct_light_of_row(cos_sun, sun_altitude_sines, terminator_light_share, direct):
     """Multiply the direct light of a row of pixels by ``_slope_direct_light``, in place."""
     for j in range(direct.size):
-        direct[j] *= _slope_direct_light(cos_sun[j], sines[j], terminator)
+        direct[j] *= _slope_direct_light(cos_sun[j], sun_altitude_sines[j], terminator_light_share)
 
 
 @internal
@@ -422,10 +428,10 @@ def _tint_positions(heights, fraction, tint_index):
 
 
 @internal
-def _latitude_positions(sines, count, row_fraction, rows):
+def _latitude_positions(latitude_sines, count, row_fraction, rows):
     """Apply ``_latitude_position`` to a row of pixels."""
-    for j in range(sines.size):
-        rows[j], row_fraction[j] = _latitude_position(sines[j], count)
+    for j in range(latitude_sines.size):
+        rows[j], row_fraction[j] = _latitude_position(latitude_sines[j], count)
 
 
 @internal
@@ -445,13 +451,13 @@ def _shared_tint_row(first_difference, valid, rows, tint_index):
 
 
 @internal
-def _look_up_colors(table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, out):
+def _look_up_colors(table, has_one_row, row, channel, rows, row_fraction, tint_index, fraction, out):
     """Look up a channel of the tints for a row of pixels: in one row of the table, or between two rows for each pixel."""
     if has_one_row:
-        _look_up_tint(table[row, k], tint_index, fraction, out)
+        _look_up_tint(table[row, channel], tint_index, fraction, out)
     else:
         for j in range(tint_index.size):
-            out[j] = _tint_between(table, rows[j], row_fraction[j], k, tint_index[j], fraction[j])
+            out[j] = _tint_between(table, rows[j], row_fraction[j], channel, tint_index[j], fraction[j])
 
 
 @internal
@@ -462,29 +468,33 @@ def _look_up_tint(tints, tint_index, fraction, out):
 
 
 @internal
-def _srgb_indices(tint, grey, greying, sun, sky, direct, sky_light, veil, sky_light_share, air, table_size, out):
+def _srgb_indices(
+    tint, grey, desaturation, sun_irradiance, sky_irradiance, direct, sky_light, veil, sky_light_share, air_color, table_size, out
+):
     """Compute the places in an sRGB table of one colour channel of lit ground, for a row of pixels.
 
     The table has ``table_size`` entries. The colour includes the tone curve and the veil of air.
     """
     count = np.float32(table_size)
     for j in range(out.size):
-        light = tint[j] * (sun * direct[j]) + (tint[j] + greying * (grey[j] - tint[j])) * (sky * sky_light[j])
+        light = tint[j] * (sun_irradiance * direct[j]) + (tint[j] + desaturation * (grey[j] - tint[j])) * (
+            sky_irradiance * sky_light[j]
+        )
         light = light if light <= TONE_CURVE_START else 1.0 - TONE_CURVE_RANGE**2 / (light + TONE_CURVE_RANGE - TONE_CURVE_START)
-        linear = np.float32(light + veil[j] * (air * sky_light_share[j] - light))
+        linear = np.float32(light + veil[j] * (air_color * sky_light_share[j] - light))
         index = linear * count
         out[j] = min(np.int32(index if index > 0.0 else 0.0), np.int32(table_size - 1))
 
 
 @internal
-def _look_up_srgb(valid, srgb_index, table, out):
+def _look_up_srgb(valid, srgb_index, srgb_table, out):
     for j in range(srgb_index.size):
         if valid[j]:
-            out[j] = table[srgb_index[j]]
+            out[j] = srgb_table[srgb_index[j]]
 
 
 @compiled
-def write_albedo_rows(first, last, shading_inputs, centre, albedo, parameters, out):
+def write_albedo_rows(first, last, shading_inputs, up_origin, albedo, parameters, out):
     """Compute the linear albedo of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
     It is ``albedo`` where that has a value, else the ground's tint.
@@ -496,7 +506,7 @@ def write_albedo_rows(first, last, shading_inputs, centre, albedo, parameters, o
             if not valid[i, j]:
                 continue
             p = position[i, j]
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             ux, uy, uz = _round_to_float32(ux / length), _round_to_float32(uy / length), _round_to_float32(uz / length)
             tint_index, fraction = _tint_position(height[i, j])

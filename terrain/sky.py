@@ -29,10 +29,10 @@ from skugga.terrain.interpolation import smoothstep
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading_loops import twilight_sky_share
 
-SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
+ZENITH_COLOR, HORIZON_COLOR = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 """Linear colours of the day's sky behind a perspective view."""
 
-CLOUDY_SKY = (0.60, 0.64, 0.68)
+OVERCAST_SKY_COLOR = (0.60, 0.64, 0.68)
 """Linear colour of an overcast sky."""
 
 OPTICAL_DEPTH_OF_AIR = (0.105, 0.180, 0.325)
@@ -44,10 +44,10 @@ SINGLE_SCATTERING_SHARE = 0.45
 MAX_AIR_MASS = 22.0
 """Maximum optical air mass of a path, as of a sun at 1.5 degrees. A longer path is lit from above, too."""
 
-LOW_SUN_DEG = (2.0, 16.0)
+LOW_SUN_ALTITUDES_DEG = (2.0, 16.0)
 """Altitudes of the sun at which the horizon has all of the sunlight's colour, and none of it."""
 
-OPPOSITE_SHARE = 0.22
+OPPOSITE_HORIZON_COLOR_SHARE = 0.22
 """Share of the sunlight's colour in the horizon opposite to the sun."""
 
 HIGH_SUN_FADE_RATES, LOW_SUN_FADE_RATES = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
@@ -59,13 +59,13 @@ ZENITH_DARKENING = 0.25
 AUREOLE_LOBES = ((0.72, 0.40), (0.965, 0.55))
 """Asymmetry of each lobe of light round the sun, and the share of the sun's colour in its middle."""
 
-TWILIGHT_DEG = 9.0
+MAX_TWILIGHT_DEPRESSION_DEG = 9.0
 """Depression of the sun below the horizon down to which it colours the horizon."""
 
 BATCH_PIXELS = 1024
 """Pixels per batch."""
 
-HORIZON_AZIMUTHS = 129
+HORIZON_AZIMUTH_COUNT = 129
 """Samples of the horizon's colour, from the sun's azimuth to the opposite one; densest near the sun."""
 
 
@@ -74,27 +74,27 @@ class Sky(NamedTuple):
 
     Attributes
     ----------
-    below_sun, opposite
+    horizon_below_sun_color, opposite_horizon_color
         The horizon's colour below the sun, and opposite to it.
-    zenith
+    zenith_color
         The zenith's colour.
-    glow
+    aureole_color
         The colour of the light round the sun.
     aureole_share
-        Share of ``glow``, 0 to 1.
-    fade_rates
+        Share of ``aureole_color``, 0 to 1.
+    horizon_fade_rates
         (3,), rates per sine of the altitude at which the horizon's colour fades into the zenith's.
-    sun_sine_cosine
+    sun_altitude_sine_cosine
         (2,), sine and cosine of the sun's altitude.
     """
 
-    below_sun: np.ndarray
-    opposite: np.ndarray
-    zenith: np.ndarray
-    glow: np.ndarray
+    horizon_below_sun_color: np.ndarray
+    opposite_horizon_color: np.ndarray
+    zenith_color: np.ndarray
+    aureole_color: np.ndarray
     aureole_share: float
-    fade_rates: np.ndarray
-    sun_sine_cosine: np.ndarray
+    horizon_fade_rates: np.ndarray
+    sun_altitude_sine_cosine: np.ndarray
 
 
 def sky_of(scene: Scene) -> Sky:
@@ -102,30 +102,35 @@ def sky_of(scene: Scene) -> Sky:
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
     brightness, cover = 0.02 + 0.98 * float(twilight_sky_share(sine)), scene.loaded.level.weather.cloud_cover
-    twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG))
-    low_sun_share = float(smoothstep((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))) * twilight
-    grey, horizon = np.array(CLOUDY_SKY), np.array(SKY_HORIZON)
+    twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / MAX_TWILIGHT_DEPRESSION_DEG))
+    low_sun_share = (
+        float(smoothstep((LOW_SUN_ALTITUDES_DEG[1] - altitude_deg) / (LOW_SUN_ALTITUDES_DEG[1] - LOW_SUN_ALTITUDES_DEG[0])))
+        * twilight
+    )
+    grey, horizon = np.array(OVERCAST_SKY_COLOR), np.array(HORIZON_COLOR)
     reddened = _sunlight_color(altitude_deg)
     lit = reddened / reddened.max()
 
     def horizon_color(share: float) -> np.ndarray:
         return ((1.0 - cover) * (horizon + (lit - horizon) * low_sun_share * share) + cover * grey) * brightness
 
-    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low_sun_share) + cover * grey) * brightness
+    zenith = ((1.0 - cover) * np.array(ZENITH_COLOR) * (1.0 - ZENITH_DARKENING * low_sun_share) + cover * grey) * brightness
     aureole = (1.0 - cover) * twilight
     fade = np.array(HIGH_SUN_FADE_RATES) + (np.array(LOW_SUN_FADE_RATES) - np.array(HIGH_SUN_FADE_RATES)) * low_sun_share
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
-    return Sky(horizon_color(1.0), horizon_color(OPPOSITE_SHARE), zenith, np.sqrt(lit) * brightness, aureole, fade, sun)
+    return Sky(
+        horizon_color(1.0), horizon_color(OPPOSITE_HORIZON_COLOR_SHARE), zenith, np.sqrt(lit) * brightness, aureole, fade, sun
+    )
 
 
 def horizon_colors(scene: Scene) -> np.ndarray:
     """Return linear display colours (n, 3) of the horizon, from below the sun to the opposite side.
 
-    Azimuths are those of ``HORIZON_AZIMUTHS``. Colours in between may be interpolated.
+    Azimuths are those of ``HORIZON_AZIMUTH_COUNT``. Colours in between may be interpolated.
     """
-    out = np.empty((3, HORIZON_AZIMUTHS))
-    azimuths = np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2
-    sky_colors(sky_of(scene), np.zeros(HORIZON_AZIMUTHS), np.cos(azimuths), out)
+    out = np.empty((3, HORIZON_AZIMUTH_COUNT))
+    azimuths = np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTH_COUNT) ** 2
+    sky_colors(sky_of(scene), np.zeros(HORIZON_AZIMUTH_COUNT), np.cos(azimuths), out)
     return out.T
 
 
@@ -141,50 +146,50 @@ def sky_pixel_colors(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols
 
     Colours are dithered by up to half an 8-bit step.
     """
-    up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+    up = np.array([0.0, 0.0, 1.0]) if scene.world.is_flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     horizontal_to_sun = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
-    pixels = np.array([view.col0, view.row0, view.step])
+    pixels = np.array([view.col0, view.row0, view.step_px])
     axes = view.earth_from_camera.T
     out = np.empty((rows.size, 3), np.float32)
     run_in_chunks(
-        rows.size, _sky_pixels, rows, cols, pixels, view.focal_px, axes @ up, axes @ horizontal_to_sun, sky_of(scene), out
+        rows.size, _write_sky_pixels, rows, cols, pixels, view.focal_px, axes @ up, axes @ horizontal_to_sun, sky_of(scene), out
     )
     return out
 
 
 @compiled
-def sky_color(sky, sine, azimuth_cosine, out):
+def sky_color(sky, altitude_sine, azimuth_cosine, out):
     """Compute the sky's colour in a direction.
 
-    ``sine`` is the sine of its altitude, ``azimuth_cosine`` the cosine of the azimuth between it and the sun.
+    ``altitude_sine`` is the sine of its altitude, ``azimuth_cosine`` the cosine of the azimuth between it and the sun.
     """
     below_sun, opposite, zenith, glow, aureole, fade, sun = sky
-    sine = max(sine, 0.0)
+    altitude_sine = max(altitude_sine, 0.0)
     facing = 0.5 + 0.5 * azimuth_cosine
     facing *= facing
     light = 0.0
     if aureole > 0.0:
-        cos_sun_angle = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * azimuth_cosine
+        cos_sun_angle = altitude_sine * sun[0] + np.sqrt(max(1.0 - altitude_sine * altitude_sine, 0.0)) * sun[1] * azimuth_cosine
         for asymmetry, peak in AUREOLE_LOBES:
             lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * cos_sun_angle)
             light += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
         horizon_color = opposite[k] + (below_sun[k] - opposite[k]) * facing
-        share = 1.0 - np.exp(-fade[k] * sine) if sine > 0.0 else 0.0
+        share = 1.0 - np.exp(-fade[k] * altitude_sine) if altitude_sine > 0.0 else 0.0
         color = (1.0 - share) * horizon_color + share * zenith[k]
         out[k] = color + (glow[k] - color) * light
 
 
 @compiled
-def sky_colors(sky, sine, azimuth_cosine, out):
+def sky_colors(sky, altitude_sine, azimuth_cosine, out):
     """Compute ``sky_color`` of many directions (n,) into (3, n), in loops that compile to vector instructions."""
     below_sun, opposite, zenith, glow, aureole, fade, sun = sky
-    light, share = np.zeros(sine.size), np.empty(sine.size)
+    light, share = np.zeros(altitude_sine.size), np.empty(altitude_sine.size)
     if aureole > 0.0:
         for asymmetry, peak in AUREOLE_LOBES:
-            for n in range(sine.size):
-                clamped_sine = max(sine[n], 0.0)
+            for n in range(altitude_sine.size):
+                clamped_sine = max(altitude_sine[n], 0.0)
                 cos_sun_angle = (
                     clamped_sine * sun[0] + np.sqrt(max(1.0 - clamped_sine * clamped_sine, 0.0)) * sun[1] * azimuth_cosine[n]
                 )
@@ -192,8 +197,8 @@ def sky_colors(sky, sine, azimuth_cosine, out):
                 light[n] += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
-        transmittances(fade[k], sine, share)
-        for n in range(sine.size):
+        transmittances(fade[k], altitude_sine, share)
+        for n in range(altitude_sine.size):
             facing = 0.5 + 0.5 * azimuth_cosine[n]
             facing *= facing
             horizon_color = opposite[k] + (below_sun[k] - opposite[k]) * facing
@@ -202,14 +207,14 @@ def sky_colors(sky, sine, azimuth_cosine, out):
 
 
 @compiled
-def transmittances(per_length, length, out):
-    """Compute the transmittance (n,) of air along paths of a length (n,), exp(-per_length * length); 1 for a negative length.
+def transmittances(extinction, path_length, out):
+    """Compute the transmittance (n,) of air along paths of a length (n,), exp(-extinction * path_length); 1 for a negative length.
 
-    It is evaluated as exp(-per_length * length / 1024)**1024, with a power series for exp, because calls of a library's function
-    would take most of the time. The absolute error is below 1e-12.
+    It is evaluated as exp(-extinction * path_length / 1024)**1024, with a power series for exp, because calls of a library's
+    function would take most of the time. The absolute error is below 1e-12.
     """
     for n in range(out.size):
-        x = max(-per_length * max(length[n], 0.0), -80.0) / 1024.0
+        x = max(-extinction * max(path_length[n], 0.0), -80.0) / 1024.0
         power = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x / 720.0)))))
         for _ in range(10):
             power *= power
@@ -225,7 +230,7 @@ def gradient_noise(x, y):
 
 
 @compiled
-def _sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
+def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
     """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
     px, py, sine, azimuth_cosine = np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS)
     color = np.empty((3, BATCH_PIXELS))

@@ -32,22 +32,22 @@ from skugga.terrain.level.level_errors import allowed_phrase
 from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.srgb import linear_of_srgb
 
-TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
+TINT_MIN_HEIGHT_M, TINT_HEIGHT_STEP_M, TINT_HEIGHT_COUNT = -512.0, 8.0, 1193
 """Heights in metres at which a colour ramp is tabulated: -512 to 9,024 m. Beyond them its colours are constant."""
 
-FINE_CELL_M = 2.5
+MAX_URBAN_CELL_M = 2.5
 """Ground with smaller cells counts as a city's surface, unless it is a wood."""
 
-MIN_WOOD_SHARE = 0.25
+MIN_WOODED_CROWN_SHARE = 0.25
 """Share of the ground under crowns from which on it counts as a wood.
 
 Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood in Quebec.
 """
 
 EXAGGERATION_EXPONENT, MAX_EXAGGERATION = 0.25, 3.0
-"""Power by which slopes grow with a map's pixel size beyond ``exaggeration_from_pixel_m``, and the maximum factor."""
+"""Power by which slopes grow with a map's pixel size beyond ``min_exaggerated_pixel_m``, and the maximum factor."""
 
-NO_SLOPE_LIMIT = 1e3
+UNLIMITED_SLOPE = 1e3
 """A slope limit without effect."""
 
 
@@ -63,23 +63,23 @@ class Style:
         A description in one phrase.
     ramp
         Heights in metres above the level's zero, ascending, and the ground's sRGB colour at each.
-    has_climate
+    has_latitude_tints
         Whether the ramp is that of middle latitudes, so that other latitudes get ice, tundra and deserts.
-    water
+    water_albedo
         Linear albedo (3,) of standing water in a map.
-    sunlight, skylight
+    sunlight_color, sky_light_color
         Linear colours (3,) of direct light and of the sky's light.
-    sky_greying
+    sky_light_desaturation
         Desaturation in the sky's light towards grey of the same luminance, 0 to 1.
-    sky_towards_sun
+    sunward_sky_light_share
         Share of the sky's light that comes from the sun's side, 0 to 1.
-    terminator
+    terminator_light_share
         Share of level ground's direct light below which slopes fade into attached shadow; 0: Lambert's law alone.
-    aerial_share, aerial_scale_height_m
+    air_veil_share, air_veil_scale_height_m
         Share of the veil at height 0, and the height in metres over which it falls to 1/e.
-    slope_exaggeration, slope_limit
+    slope_exaggeration, max_shaded_slope
         Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
-    exaggeration_from_pixel_m
+    min_exaggerated_pixel_m
         Side of a map's pixels in metres. In maps with larger pixels slopes are exaggerated more (``slope_exaggeration_at``). Pixels
         of a country's map are means over whole valleys, whose slopes are too gentle to see.
     """
@@ -87,22 +87,22 @@ class Style:
     name: str
     description: str
     ramp: ColorRamp
-    has_climate: bool = False
-    water: tuple[float, float, float] = (0.102, 0.246, 0.392)
-    sunlight: tuple[float, float, float] = (1.0, 0.95, 0.86)
-    skylight: tuple[float, float, float] = (0.62, 0.76, 1.0)
-    sky_greying: float = 0.6
-    sky_towards_sun: float = 0.75
-    terminator: float = 0.5
-    aerial_share: float = 0.0
-    aerial_scale_height_m: float = 1500.0
+    has_latitude_tints: bool = False
+    water_albedo: tuple[float, float, float] = (0.102, 0.246, 0.392)
+    sunlight_color: tuple[float, float, float] = (1.0, 0.95, 0.86)
+    sky_light_color: tuple[float, float, float] = (0.62, 0.76, 1.0)
+    sky_light_desaturation: float = 0.6
+    sunward_sky_light_share: float = 0.75
+    terminator_light_share: float = 0.5
+    air_veil_share: float = 0.0
+    air_veil_scale_height_m: float = 1500.0
     slope_exaggeration: float = 1.0
-    slope_limit: float = NO_SLOPE_LIMIT
-    exaggeration_from_pixel_m: float = 60.0
+    max_shaded_slope: float = UNLIMITED_SLOPE
+    min_exaggerated_pixel_m: float = 60.0
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
         """Return the factor of slopes in a map whose pixels have a side of ``pixel_m`` metres."""
-        pixel_factor = (pixel_m / self.exaggeration_from_pixel_m) ** EXAGGERATION_EXPONENT
+        pixel_factor = (pixel_m / self.min_exaggerated_pixel_m) ** EXAGGERATION_EXPONENT
         return self.slope_exaggeration * float(np.clip(pixel_factor, 1.0, MAX_EXAGGERATION))
 
 
@@ -113,49 +113,52 @@ STYLES = {
             "natural", "colours of land by its height and latitude, soft bluish shadows",
             ((0.0, "#a9be98"), (250.0, "#b7c79f"), (600.0, "#c7cea4"), (1100.0, "#d5d2aa"), (1700.0, "#dad2b0"),
              (2400.0, "#dcd3bd"), (3100.0, "#e0d9ce"), (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe")),
-            has_climate=True, aerial_share=0.06,
+            has_latitude_tints=True, air_veil_share=0.06,
         ),
         Style(
             "swiss", "after Swiss relief maps: warm light, violet-blue shade, air over the valleys",
             ((0.0, "#a9bdb4"), (400.0, "#b6c7b2"), (900.0, "#c9d2b4"), (1600.0, "#dcdabb"), (2400.0, "#ebe3c8"),
              (3200.0, "#f6efdd"), (4200.0, "#fffdf6")),
-            sunlight=(1.0, 0.93, 0.76), skylight=(0.60, 0.68, 1.0), sky_greying=0.7, sky_towards_sun=0.8, aerial_share=0.22,
+            sunlight_color=(1.0, 0.93, 0.76), sky_light_color=(0.60, 0.68, 1.0), sky_light_desaturation=0.7,
+            sunward_sky_light_share=0.8, air_veil_share=0.22,
             slope_exaggeration=1.25,
         ),
         Style(
             "grey", "neutral grey, as a base for other colours",
             ((0.0, "#e3e3e3"),),
-            water=(0.36, 0.36, 0.36), sunlight=(1.0, 1.0, 1.0), skylight=(0.78, 0.78, 0.78), sky_greying=1.0,
+            water_albedo=(0.36, 0.36, 0.36), sunlight_color=(1.0, 1.0, 1.0), sky_light_color=(0.78, 0.78, 0.78),
+            sky_light_desaturation=1.0,
         ),
         Style(
             "urban", "light stone for streets and roofs; the edges of buildings are not exaggerated",
             ((0.0, "#e4e0d8"),),
-            sky_greying=0.8, sky_towards_sun=0.3, slope_limit=0.7,
+            sky_light_desaturation=0.8, sunward_sky_light_share=0.3, max_shaded_slope=0.7,
         ),
         Style(
             "analysis", "white ground, plain Lambert's law, even blue shadow: to look at the shadows themselves",
             ((0.0, "#f4f4f4"),),
-            sunlight=(1.0, 1.0, 1.0), skylight=(0.42, 0.60, 1.0), sky_greying=1.0, sky_towards_sun=0.0,
-            terminator=0.0, exaggeration_from_pixel_m=np.inf,
+            sunlight_color=(1.0, 1.0, 1.0), sky_light_color=(0.42, 0.60, 1.0), sky_light_desaturation=1.0,
+            sunward_sky_light_share=0.0,
+            terminator_light_share=0.0, min_exaggerated_pixel_m=np.inf,
         ),
     )
 }  # fmt: skip
 
 
-def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable[[], float]) -> Style:
+def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_area_share: Callable[[], float]) -> Style:
     """Return the requested style with the level's colour ramp and exaggeration of slopes.
 
     The style ``auto`` is ``urban`` on a raster with fine cells or upright blocks, unless the ground is a wood. Otherwise it is
-    ``natural``. ``cell_m`` is the side of the raster's cells in metres. ``crown_share`` returns the share of ground under crowns.
-    It is called only if it matters.
+    ``natural``. ``cell_m`` is the side of the raster's cells in metres. ``crown_area_share`` returns the share of ground under
+    crowns. It is called only if it matters.
     """
     name = spec.name
     if name == "auto":
-        is_fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < FINE_CELL_M)
-        name = "urban" if is_fine and crown_share() < MIN_WOOD_SHARE else "natural"
+        is_fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < MAX_URBAN_CELL_M)
+        name = "urban" if is_fine and crown_area_share() < MIN_WOODED_CROWN_SHARE else "natural"
     style = STYLES[name]
     if spec.ramp is not None:
-        style = replace(style, ramp=spec.ramp, has_climate=False)
+        style = replace(style, ramp=spec.ramp, has_latitude_tints=False)
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 
@@ -173,14 +176,14 @@ def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: flo
 
 
 @cached("process", 16 * MIB)
-def tint_table(ramp: ColorRamp, has_climate: bool = False) -> np.ndarray:
+def tint_table(ramp: ColorRamp, has_latitude_tints: bool = False) -> np.ndarray:
     """Return the ground's linear colours (m, n, 3) by latitude and height.
 
-    The m latitudes are ``LATITUDE_ROWS`` even steps of the latitude's sine; without a climate m is 1. The n heights are
-    ``TINT_LOW_M + k * TINT_STEP_M``. Colours between a ramp's heights are mixed in sRGB.
+    The m latitudes are ``TINT_LATITUDE_ROWS`` even steps of the latitude's sine; without a climate m is 1. The n heights are
+    ``TINT_MIN_HEIGHT_M + k * TINT_HEIGHT_STEP_M``. Colours between a ramp's heights are mixed in sRGB.
     """
-    heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
-    return linear_of_srgb(climate_srgb(ramp, heights) if has_climate else ramp_srgb(ramp, heights)[None])
+    heights = TINT_MIN_HEIGHT_M + TINT_HEIGHT_STEP_M * np.arange(TINT_HEIGHT_COUNT)
+    return linear_of_srgb(climate_srgb(ramp, heights) if has_latitude_tints else ramp_srgb(ramp, heights)[None])
 
 
 @cached("process", MIB)
@@ -189,5 +192,5 @@ def veil_table(share: float, scale_height_m: float) -> np.ndarray:
 
     It is ``share`` at height 0 and below, and falls to 1/e of it over ``scale_height_m`` metres.
     """
-    heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
+    heights = TINT_MIN_HEIGHT_M + TINT_HEIGHT_STEP_M * np.arange(TINT_HEIGHT_COUNT)
     return share * np.exp(-np.maximum(heights, 0.0) / scale_height_m)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 
-def user_cache(name: str) -> Path:
+def user_cache_folder(name: str) -> Path:
     """Return a folder of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``).
 
     The folder may not exist, and may be impossible to create.

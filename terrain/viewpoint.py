@@ -23,7 +23,7 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import PerspectiveSpec
 
-LATTICE_NODES = 257
+LATTICE_SIDE_NODES = 257
 """Nodes of the lattice along its longer side."""
 
 MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS = 60_000.0, 240.0
@@ -32,7 +32,7 @@ MAX_SEARCHED_SIDE_M, MAX_SEARCHED_SIDE_CELLS = 60_000.0, 240.0
 Beyond that distance air hides the ground. With fewer cells the picture would show single cells.
 """
 
-FOV_DEG, ASPECT = 40.0, 1.25
+FOV_DEG, ASPECT_RATIO = 40.0, 1.25
 """Vertical field of view, and the picture's ratio of width to height."""
 
 EYES_PER_SIDE = 12
@@ -43,22 +43,22 @@ AZIMUTH_COUNT = 16
 PITCHES_DEG = (14.0, 20.0, 26.0, 33.0)
 """Candidate angles below the horizon."""
 
-HEIGHT_SHARES = (0.1, 0.15, 0.22)
+EYE_HEIGHT_SHARES = (0.1, 0.15, 0.22)
 """Candidate heights of the eye above the ground, as shares of the shorter side."""
 
-MIN_HEIGHT_CELLS = 12.0
+MIN_EYE_HEIGHT_CELLS = 12.0
 """Minimum height of the eye in cells. From nearer, the ground shows no detail."""
 
-RAY_GRID = (9, 11)
+RAY_ROWS_COLS = (9, 11)
 """Rows and columns of rays per candidate."""
 
 GROUND_SHARE_EXPONENT = 40.0
 """Power of the share of rays that meet ground in the score. With 2 % of sky the factor is less than a half."""
 
-WIDE_DISTANCE_SHARE = 0.6
+MIN_WIDE_VIEW_DISTANCE_SHARE = 0.6
 """Median distance of the visible ground from which on a view counts as wide, as a share of the level's shorter side."""
 
-CLEAR_FOREGROUND_HEIGHTS = 1.2
+MIN_CLEAR_FOREGROUND_EYE_HEIGHTS = 1.2
 """Distance of the nearest ground from which on the foreground counts as free, in heights of the eye above ground."""
 
 RELIEF_WEIGHT = 0.6
@@ -98,7 +98,9 @@ def find_viewpoint(world: World, elevation: Elevation, sun: Sun | None) -> Persp
     lattice = _lattice(world, elevation, sun)
     rows, cols = lattice.height_m.shape
     short_m = (min(rows, cols) - 1) * lattice.step_m
-    heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), MIN_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
+    heights_m = np.maximum(
+        np.multiply(EYE_HEIGHT_SHARES, short_m), MIN_EYE_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit)
+    )
     row, col = (np.linspace(0.04, 0.96, EYES_PER_SIDE) * (count - 1) for count in (rows, cols))
     eyes = np.stack(np.meshgrid(np.rint(row), np.rint(col), indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     azimuths = np.radians(np.arange(AZIMUTH_COUNT) * 360.0 / AZIMUTH_COUNT)
@@ -133,7 +135,7 @@ def _level_coordinates(world: World, elevation: Elevation, points_earth_m: np.nd
 
     Rounded to a tenth of a cell.
     """
-    if world.flat:
+    if world.is_flat:
         return [(round(float(east), 2), round(float(north), 2)) for east, north, _ in points_earth_m]
     cell_deg = elevation.cell_size_m(world.metres_per_unit) / 111_320.0
     digits = int(np.clip(np.ceil(-np.log10(cell_deg / 10.0)), 3, 8))
@@ -149,10 +151,10 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     if max(elevation.rows, elevation.cols) * cell_m > widest_m:
         row, col = _most_rugged_cell(world, elevation, sun, widest_m / cell_m)
     high_m, wide_m = (min((count - 1) * cell_m, widest_m) for count in (elevation.rows, elevation.cols))
-    step_m = max(max(high_m, wide_m) / (LATTICE_NODES - 1), cell_m)
+    step_m = max(max(high_m, wide_m) / (LATTICE_SIDE_NODES - 1), cell_m)
     rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
     x, y = (float(v) for v in elevation.xy(row, col))
-    origin, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    origin, up = world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))
     axes = world.earth_from_enu(origin, up)
     north, east = np.meshgrid(
         (np.arange(rows)[::-1] - (rows - 1) / 2) * step_m, (np.arange(cols) - (cols - 1) / 2) * step_m, indexing="ij"
@@ -171,16 +173,16 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     return _Lattice(height_m, light, step_m, points)
 
 
-def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
-    """Return the row and column of the centre of the most rugged square with a side of ``cells`` cells.
+def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, side_cells: float) -> tuple[float, float]:
+    """Return the row and column of the centre of the most rugged square with a side of ``side_cells`` cells.
 
     It is found on the raster's overview. Relief counts for less where the sun stands lower than at the anchor.
     """
     from scipy.ndimage import uniform_filter
 
-    heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.lod
+    heights, factor = elevation.overview.mean_heights_m.astype(np.float64), 2**elevation.overview.lod
     valid = np.isfinite(heights)
-    side = max(round(cells / factor), 3)
+    side = max(round(side_cells / factor), 3)
     share = uniform_filter(valid.astype(np.float64), side, mode="constant")
     filled = np.where(valid, heights, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -189,7 +191,7 @@ def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells
     scores = np.where(valid, spread * share**4, -1.0)
     if sun is not None:
         cell_positions = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
-        _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*cell_positions, indexing="ij")))
+        _, up = world.points_at_zero_height(elevation.crs, *elevation.xy(*np.meshgrid(*cell_positions, indexing="ij")))
         scores *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
     row, col = np.unravel_index(scores.argmax(), scores.shape)
     return (float(row) + 0.5) * factor - 0.5, (float(col) + 0.5) * factor - 0.5
@@ -241,9 +243,9 @@ def _lit_mask(height_m, step_m, east, north, up):
 
 
 @compiled
-def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
+def _view_scores(height_m, brightness, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
     """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one."""
-    rows, cols = RAY_GRID
+    rows, cols = RAY_ROWS_COLS
     half_height = np.tan(np.radians(FOV_DEG) / 2.0)
     out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))
     hits = np.empty((3, rows * cols))
@@ -262,7 +264,7 @@ def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches
                     for i in range(rows):
                         down = half_height * (2.0 * i / (rows - 1) - 1.0)
                         for j in range(cols):
-                            right = half_height * ASPECT * (2.0 * j / (cols - 1) - 1.0)
+                            right = half_height * ASPECT_RATIO * (2.0 * j / (cols - 1) - 1.0)
                             forward = np.cos(pitches[p]) - down * np.sin(pitches[p])
                             up = -np.sin(pitches[p]) - down * np.cos(pitches[p])
                             east = forward * np.sin(azimuths[a]) + right * np.cos(azimuths[a])
@@ -270,13 +272,17 @@ def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches
                             t, r, c = _ray_hit(height_m, step_m, float(row), float(col), z, east, north, up)
                             if not np.isnan(t):
                                 k, m = int(r + 0.5), int(c + 0.5)
-                                hits[0, count], hits[1, count], hits[2, count] = light[k, m], height_m[k, m], t
+                                hits[0, count], hits[1, count], hits[2, count] = brightness[k, m], height_m[k, m], t
                                 count += 1
                     if count > 8:
                         ground_share = count / (rows * cols)
                         median_m = np.median(hits[2, :count])
-                        width_factor = np.sqrt(min(median_m / (WIDE_DISTANCE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0))
-                        foreground_factor = min(np.min(hits[2, :count]) / (CLEAR_FOREGROUND_HEIGHTS * eye_heights_m[h]), 1.0) ** 2
+                        width_factor = np.sqrt(
+                            min(median_m / (MIN_WIDE_VIEW_DISTANCE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0)
+                        )
+                        foreground_factor = (
+                            min(np.min(hits[2, :count]) / (MIN_CLEAR_FOREGROUND_EYE_HEIGHTS * eye_heights_m[h]), 1.0) ** 2
+                        )
                         contrast = np.std(hits[0, :count]) + RELIEF_WEIGHT * np.std(hits[1, :count]) / median_m
                         out[e, h, a, p] = (
                             ground_share**GROUND_SHARE_EXPONENT * side_factor * width_factor * foreground_factor * contrast

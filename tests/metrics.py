@@ -7,7 +7,7 @@ import numpy as np
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth
 from skugga.shadows.truth.truth import TruthSettings
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene

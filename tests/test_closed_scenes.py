@@ -23,7 +23,7 @@ from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
 from skugga.terrain.casters.caster_culling import patch_bounds
-from skugga.terrain.casters.reach import Patch
+from skugga.terrain.casters.caster_types import Patch
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
 from skugga.terrain.facts.relief_rays import overview_probes
@@ -107,7 +107,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     attached_shadow_mask(block, scene)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
-    ground_detail._detail(buffer, scene, view)  # a level with imagery leaves it out
+    ground_detail._albedo_changes(buffer, scene, view)  # a level with imagery leaves it out
     texel_footprint_px(scene, plan.steps_of_light("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)

@@ -68,7 +68,7 @@ def _check_opengl() -> Finding:
 def _check_egl_devices() -> list[Finding]:
     """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
     from skugga.terrain.gl.device import device
-    from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probe_device
+    from skugga.terrain.gl.egl_devices import EGL_DEVICE_VARIABLE, egl_devices, probe_device
 
     try:
         devices = egl_devices()
@@ -83,13 +83,13 @@ def _check_egl_devices() -> list[Finding]:
         probe = probe_device(egl_device.index)
         details = [f"no OpenGL 4.3 context ({probe.fault})" if probe.fault else f"{probe.renderer}, {probe.version}"]
         details += (
-            ["in software"] * egl_device.software
+            ["in software"] * egl_device.is_software
             + [egl_device.name] * bool(egl_device.name)
             + ["in use"] * (egl_device.index == used_index)
         )
         findings.append(Finding(f"EGL device {egl_device.index}", True, ", ".join(details)))
     if len(devices) > 1:
-        findings.append(Finding("several devices", True, f"{EGL_DEVICE} selects the devices to use"))
+        findings.append(Finding("several devices", True, f"{EGL_DEVICE_VARIABLE} selects the devices to use"))
     return findings
 
 

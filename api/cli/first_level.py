@@ -54,8 +54,8 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     """
     sun, low_m, unit = scene.loaded.level.sun, scene.height_range_m[0], scene.elevation.vertical.unit
     assert isinstance(sun, SunSpec)
-    example_position = "0, 0" if scene.world.flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
-    positions = "metres east and north of the centre" if scene.world.flat else "longitude, latitude"
+    example_position = "0, 0" if scene.world.is_flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
+    positions = "metres east and north of the centre" if scene.world.is_flat else "longitude, latitude"
     nodata = f"  nodata: {source.nodata!r}" if source.nodata is not None else "#  nodata: 0"
     views = ["  map: {kind: map}"]
     if view is not None:

@@ -20,7 +20,7 @@ from skugga.api.errors import exit_status, with_option_names
 from skugga.terrain.compiling.bundle import use_bundled_loops
 from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.errors import InputError, SkuggaError, printable
-from skugga.terrain.level.gdal_guard import cap_caches, forbid_code
+from skugga.terrain.level.gdal_guard import forbid_python_code, limit_gdal_caches
 
 app = typer.Typer(
     cls=CommandGroup,
@@ -55,8 +55,8 @@ def main() -> None:
     """Entry point of ``skugga``."""
     use_bundled_loops()
     debug = "--debug" in sys.argv[1:]
-    forbid_code()
-    cap_caches()
+    forbid_python_code()
+    limit_gdal_caches()
     try:
         with _signals_as_exceptions(), missing_loop_compiler(_compile_products):
             status = app(sys.argv[1:] or ["--help"], prog_name="skugga", standalone_mode=False)

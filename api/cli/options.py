@@ -30,7 +30,10 @@ def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[st
         if setting.name == "algorithm" and value is not None:
             overrides[setting.name] = parse_algorithm(value, "--algorithm")
         elif (
-            isinstance(value, str) and value.isascii() and value.isdigit() and any(isinstance(word, int) for word in setting.words)
+            isinstance(value, str)
+            and value.isascii()
+            and value.isdigit()
+            and any(isinstance(word, int) for word in setting.literal_values)
         ):
             overrides[setting.name] = int(value)
     return overrides
@@ -38,8 +41,8 @@ def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[st
 
 def _shadow_option(setting: Setting) -> Any:
     help_text = setting.description.replace("`", "")
-    if setting.allowed:
-        help_text = f"{help_text.removesuffix('.')} ({setting.allowed})."
+    if setting.allowed_text:
+        help_text = f"{help_text.removesuffix('.')} ({setting.allowed_text})."
     value_type: Any = setting.command_line_type
-    words = ["auto", *ALGORITHM_NAMES] if setting.name == "algorithm" else setting.words
+    words = ["auto", *ALGORITHM_NAMES] if setting.name == "algorithm" else setting.literal_values
     return Annotated[value_type | None, typer.Option(help=help_text, autocompletion=complete_words(words))]

@@ -129,7 +129,7 @@ def snapshot_statistics(result: Snapshot) -> dict[str, Any]:
     """Return the content of ``--stats``: plan, passes with milliseconds, caster reach, sun, view and device."""
     from skugga.terrain.gl import device as gl
 
-    used_gl, sun, computed = gl.is_open(), result.scene.sun, result.computed
+    used_gl, sun, computed = gl.is_device_open(), result.scene.sun, result.computed
     return {
         "level": result.scene.loaded.name,
         "plan": None if result.plan is None else result.plan.model_dump(mode="json"),

@@ -26,7 +26,7 @@ from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
 from skugga.terrain.level.parts import StyleName, SunSpec
 from skugga.terrain.level.setting import Setting
-from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 from skugga.terrain.style import STYLES
 
 
@@ -113,7 +113,7 @@ _NUMBER_VALIDATORS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_INTEG
 
 def _shadow_parameter(setting: Setting) -> Any:
     """Return the type annotation of the query parameter for a shadow setting."""
-    is_number = any(isinstance(word, int) for word in setting.words)
+    is_number = any(isinstance(word, int) for word in setting.literal_values)
     numbers = (INTEGER_OR_WORD,) if is_number else _NUMBER_VALIDATORS.get(setting.command_line_type, ())
     value_type: Any = setting.type
     return Annotated[(value_type | None, *numbers, Query(description=setting.description, examples=[setting.example]))]
@@ -188,8 +188,8 @@ PLAN_PARAMETERS = tuple(signature(plan_query).parameters)
 def parse_size(text: str) -> tuple[int, int]:
     """Return (width, height) in pixels from a text such as ``1280x1024``. Raises ``InputError``."""
     width, _, height = text.partition("x")
-    if not all(part.isascii() and part.isdigit() and 1 <= int(part) <= MAX_PERSPECTIVE_PX for part in (width, height)):
-        raise InputError("size", text, f"WIDTHxHEIGHT in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_PX} a side")
+    if not all(part.isascii() and part.isdigit() and 1 <= int(part) <= MAX_PERSPECTIVE_SIDE_PX for part in (width, height)):
+        raise InputError("size", text, f"WIDTHxHEIGHT in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_SIDE_PX} a side")
     return int(width), int(height)
 
 

@@ -148,7 +148,7 @@ def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.
     )
     if (scale, offset) != (1.0, 0.0):
         heights = heights * scale + offset
-    unit_m = _vertical_axis(array, crs).scale
+    unit_m = _vertical_axis(array, crs).metres_per_stored_unit
     return heights if unit_m == 1.0 else heights * unit_m
 
 

@@ -58,7 +58,7 @@ def report_with_remark(scene: Scene, query: PointQuery) -> PointReport:
     except InputError as error:
         if error.name != POINT_PARAMETER:
             raise
-        lon, lat = (None, None) if scene.world.flat else (query.lon, query.lat)
+        lon, lat = (None, None) if scene.world.is_flat else (query.lon, query.lat)
         return PointReport(
             level=scene.loaded.name, lon=lon, lat=lat, elevation_m=None, height_m=query.height, now=None, day=None, year=None,
             remark=f"no ground here. Use {error.allowed}",

@@ -135,7 +135,7 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
         return ColorScale(
             f"{quantity_title}, {date_text}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}")
         )
-    rise, set_ = (window.clock_time_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.minutes)))
+    rise, set_ = (window.clock_time_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.length_min)))
     low, high = float(np.floor(rise / 60.0) * 60.0), float(np.ceil(set_ / 60.0) * 60.0)
     quantity_title = f"{options.quantity.capitalize()} sun"
     return ColorScale(f"{quantity_title}, {date_text} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
@@ -154,7 +154,8 @@ def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
     return {
         "quantity": options.quantity, "date": first.date.isoformat(),
         "date_to": "" if len(windows) == 1 else last.date.isoformat(), "dates": str(len(windows)),
-        "window": f"{clock_text(first.clock_min)}-{clock_text(round(first.clock_time_min(first.minutes)))}", "clock": options.clock,
+        "window": f"{clock_text(first.start_clock_min)}-{clock_text(round(first.clock_time_min(first.length_min)))}",
+        "clock": options.clock,
         "step_min": "auto" if options.step_min is None else f"{options.step_min:g}",
         "threshold_h": f"{options.threshold_h:g}" if options.quantity == "days" else "",
         "least_altitude_deg": f"{options.least_altitude:g}", "height_m": f"{options.height:g}",
@@ -186,11 +187,11 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 
     if not is_terrain_only(scene):
         return blocks_of(view)
-    nodes = view.as_nodes()
+    nodes = view.with_pixels_as_nodes()
     side = (
         BARE_BLOCK_SIDE_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_SIDE_NODES
     )
-    if not scene.world.flat:
+    if not scene.world.is_flat:
         side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_SIDE_NODES, side))
     limits: Sequence[tuple[int, int]] = [
         (int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side)))

@@ -27,7 +27,8 @@ from skugga.shadows.ground_pictures import SKY_VIEW_PASS
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from skugga.terrain.casters.caster_types import PATCH_QUADS
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
@@ -187,8 +188,10 @@ class GroundDependencies:
         scene = with_apparent_sun(self._scene, plan.effect_names)
         if scene.sun is None or not scene.sun_is_up or not plan.casts_shadows:
             return None
-        light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
-        top_points_light_m = light.from_earth(self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m))
+        light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_object_m
+        top_points_light_m = light.points_from_earth(
+            self._points.top_earth_m + object_height_m * _unit_vectors(self._points.top_earth_m)
+        )
         # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
         uses_fitted_maps = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
         return _SunlitChunks(light, top_points_light_m, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
@@ -203,11 +206,13 @@ class GroundDependencies:
             float(self._chunks.high_m[with_heights].max()) + sunlit.object_height_m,
         )
         map_x, map_y = _lattice(grid, x, y)
-        point, up = (values.reshape(-1, 3) for values in scene.world.ground(grid.crs, map_x, map_y))
+        point, up = (values.reshape(-1, 3) for values in scene.world.points_at_zero_height(grid.crs, map_x, map_y))
         valid = np.isfinite(point).all(axis=1)
         if not valid.any():
             return np.ones(visible_chunks.shape, np.bool_)
-        receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
+        receivers = sunlit.light.points_from_earth(
+            np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)])
+        )
         lower, upper, top_points_light_m = receivers.min(axis=0), receivers.max(axis=0), sunlit.top_points_light_m
         distance_m = np.maximum(upper[2] - top_points_light_m[:, 2], 0.0)
         margin_m = self._points.half_diagonal_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m
@@ -246,9 +251,9 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _ChunkPoints:
     elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
     ends = [np.minimum(np.arange(count + 1) * side, size) - 0.5 for count, size in ((rows, elevation.rows), (cols, elevation.cols))]
     corner_col, corner_row = np.meshgrid(ends[1], ends[0])
-    corners, _ = scene.world.ground(elevation.crs, *elevation.xy(corner_row, corner_col))
+    corners, _ = scene.world.points_at_zero_height(elevation.crs, *elevation.xy(corner_row, corner_col))
     middle_col, middle_row = np.meshgrid((ends[1][1:] + ends[1][:-1]) / 2, (ends[0][1:] + ends[0][:-1]) / 2)
-    middles, up = scene.world.ground(elevation.crs, *elevation.xy(middle_row, middle_col))
+    middles, up = scene.world.points_at_zero_height(elevation.crs, *elevation.xy(middle_row, middle_col))
     half_diagonal_m = np.max(
         [np.linalg.norm(corners[i : i + rows, j : j + cols] - middles, axis=-1) for i in (0, 1) for j in (0, 1)], axis=0
     )

@@ -41,7 +41,7 @@ from skugga.terrain.errors import InputError, NoOpenGLError, RenderError, Unsupp
 from skugga.terrain.geo.grid import tile_grid
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from skugga.terrain.gl import device as gl
-from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.gl.egl_devices import NO_OPENGL_RENDERER
 from skugga.terrain.level.level import LoadedLevel, load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
@@ -123,7 +123,7 @@ def local_renderer() -> str:
     try:
         return gl.device().renderer
     except NoOpenGLError:
-        return NO_OPENGL
+        return NO_OPENGL_RENDERER
 
 
 def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], None]) -> PlannedRun:
@@ -228,7 +228,7 @@ def _level_sun_values(scene: Scene) -> Any:
 
 def _plan_measurements(level: LevelKey) -> PlanMeasurements:
     """Return the measurements of a service on this machine: the calibration and the saved probes of the level."""
-    if local_renderer() == NO_OPENGL:
+    if local_renderer() == NO_OPENGL_RENDERER:
         return PlanMeasurements()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
     return PlanMeasurements(calibration(), {level.version: probes.model_dump_json()})

@@ -25,7 +25,7 @@ from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from skugga.terrain.gl.egl_devices import set_process_number
-from skugga.terrain.level.gdal_guard import forbid_code
+from skugga.terrain.level.gdal_guard import forbid_python_code
 
 if TYPE_CHECKING:
     from skugga.api.seed.drawing import TaskDrawer
@@ -135,7 +135,7 @@ def draw_tasks(file_descriptor: int, process_number: int = 0) -> None:
     ``process_number`` distributes processes among several OpenGL devices in turn.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the parent
-    forbid_code()
+    forbid_python_code()
     set_process_number(process_number)
     with missing_loop_compiler(lambda products: compile_ahead(products, usable_cores())):
         _draw_until_closed(Connection(file_descriptor))

@@ -15,7 +15,7 @@ from skugga.api.workers.jobs import MapJob
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.terrain.casters.reach import NO_CASTERS, Reach
+from skugga.terrain.casters.caster_types import NO_CASTERS, Reach
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.scene import Scene

@@ -9,7 +9,7 @@ from skugga.api.workers.jobs import BlockJob
 from skugga.api.workers.worker_state import WorkerState, plan_of_tiles
 from skugga.shadows.ground_pictures import SKY_VIEW_PASS
 from skugga.terrain.errors import SkuggaError
-from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.sun import apparent_sun_position
 from skugga.terrain.ground.sky_view_factor import sky_view
 
 log = logging.getLogger("skugga.worker")
@@ -34,4 +34,4 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
 
 def import_pvlib() -> None:
     """Import pvlib, which computes sun positions. The import takes half a second, and only requests with a time need it."""
-    apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
+    apparent_sun_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)

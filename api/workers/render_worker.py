@@ -65,7 +65,7 @@ from skugga.selector.select import select
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
 from skugga.terrain.cache import Missing
-from skugga.terrain.casters.reach import Reach
+from skugga.terrain.casters.caster_types import Reach
 from skugga.terrain.compiled import CORES
 from skugga.terrain.compiling.ahead_of_time import (
     MAPS,

@@ -20,7 +20,7 @@ from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.worker_config import first_config
 from skugga.api.workers.worker_process import WorkerProcess
 from skugga.terrain.errors import GraphicsError, RenderTimeoutError, SkuggaError
-from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.gl.egl_devices import NO_OPENGL_RENDERER
 
 INITIAL_BACKOFF_S, MAX_BACKOFF_S = 0.5, 30.0
 """Seconds before a process is started again after failed starts: after the second failure in a row, and at most.
@@ -159,7 +159,7 @@ class WorkerSupervisor:
         spawned_worker, self._spawned = self._spawned, None
         if spawned_worker is None:
             # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
-            needs_opengl = self.renderer not in (None, NO_OPENGL)
+            needs_opengl = self.renderer not in (None, NO_OPENGL_RENDERER)
             config = replace(self._config, needs_opengl=needs_opengl, measurements=self._measurements(), number=process_number)
             spawned_worker = SpawnedWorker(self._target, config)
         worker = WorkerProcess(spawned_worker, self._threads, self._jobs.may_start_event.set, self._on_preparation_progress)

@@ -20,7 +20,7 @@ from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import GraphicsError, NoOpenGLError
 from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from skugga.terrain.gl import device as gl
-from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.gl.egl_devices import NO_OPENGL_RENDERER
 from skugga.terrain.level.level import Level, LoadedLevel
 from skugga.terrain.scene import Scene, build_scene
 
@@ -60,7 +60,7 @@ def warm_up(
     Returns
     -------
     str
-        OpenGL's name of the renderer, or ``NO_OPENGL``.
+        OpenGL's name of the renderer, or ``NO_OPENGL_RENDERER``.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def warm_up(
         OpenGL is missing although it is required or a renderer is expected, the renderer is another one, or the shadow is wrong.
     """
     declare_product(MAPS)
-    renderer, algorithm = NO_OPENGL, "auto"
+    renderer, algorithm = NO_OPENGL_RENDERER, "auto"
     try:
         renderer, algorithm = gl.device().renderer, FALLBACK_ALGORITHM
     except NoOpenGLError as error:

@@ -96,7 +96,7 @@ def _errors_with_bias(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> 
     """
     visibility, decided = truth_view.visibility(truth_view.plan(overrides)), truth_view.truth.decidable & truth_view.receivers
     partial = (visibility > 0.0) & (visibility < 1.0) & truth_view.receivers
-    shaded, ground = decided & ~truth_view.truth.lit, truth_view.buffer.kind == RELIEF
+    shaded, ground = decided & ~truth_view.truth.lit, truth_view.buffer.surface_kind == RELIEF
     figures = truth_view.errors(visibility)
     return {
         **{key: figures[key] for key in ("wrong_cast", "false_shadow", "missed_shadow")},

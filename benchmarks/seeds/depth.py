@@ -107,7 +107,7 @@ def _pixel_m(truth_view: ViewWithTruth) -> np.ndarray:
     """Return the side of each pixel (rows, cols) on a surface that faces the viewer, metres."""
     if isinstance(truth_view.view, MapView):
         return np.full(truth_view.buffer.valid.shape, truth_view.descriptor.pixel_m)
-    return truth_view.view_depth_m * truth_view.view.pixel
+    return truth_view.view_depth_m * truth_view.view.pixel_tangent
 
 
 MAX_CHANGED_SHARE = 1e-4

@@ -36,7 +36,7 @@ def read_figures(path: Path) -> FiguresByDevice:
 
 def add_figures(measured: FiguresByDevice, device: Device, name: str, figures: Figures) -> None:
     """Replace an experiment's figures of a device. The figures of other devices are kept."""
-    device_figures = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
+    device_figures = measured.setdefault(device.renderer, {"software": device.egl_device.is_software, "experiments": {}})
     device_figures["experiments"][name] = figures
 
 

@@ -72,7 +72,9 @@ def measure_algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, .
             truth_view.truth.decidable & ~truth_view.truth.attached_shadow_mask & ((visibility < 0.5) == truth_view.truth.lit)
         )
         result[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
-        result[key]["on_foliage"] = float((truth_view.buffer.kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
+        result[key]["on_foliage"] = (
+            float((truth_view.buffer.surface_kind[wrong_pixels] == FOREST).mean()) if wrong_pixels.any() else 0.0
+        )
         result[key]["texel_px"] = float(np.median(texels_px[wrong_pixels])) if wrong_pixels.any() else 0.0
     return result
 
@@ -86,7 +88,7 @@ def measure_errors_by_camera_move(level: str) -> list[Figures]:
     scene = bundled_scene(level)
     view = scene.view("main", size=ERROR_SIZE_PX)
     assert isinstance(view, PerspectiveView)
-    aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
+    aside_m = describe(scene, view, "main").pixel_m / view.pixel_tangent * view.earth_from_camera[:, 0]
     moved_views = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in CAMERA_MOVES]
     return [measure_algorithm_errors(trace_view_truth(scene, moved_view, "main")) for moved_view in moved_views]
 

@@ -76,7 +76,13 @@ def texel_sizes_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndar
     to_light, to_eye = source - points, truth_view.perspective.in_frame(buffer.frame)[0] - points
     cosines = [np.abs((direction * normals).sum(axis=1)) / np.linalg.norm(direction, axis=1) for direction in (to_eye, to_light)]
     texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * MAP_BORDER_TEXELS)
-    return texel * -(to_light @ axis) / (truth_view.view_depth_m[edge] * truth_view.perspective.pixel) * cosines[0] / cosines[1]
+    return (
+        texel
+        * -(to_light @ axis)
+        / (truth_view.view_depth_m[edge] * truth_view.perspective.pixel_tangent)
+        * cosines[0]
+        / cosines[1]
+    )
 
 
 def measure() -> Figures:

@@ -25,7 +25,8 @@ from skugga.shadows.truth.metrics import edge_distances, error_metrics
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, lit_mask, ray_scene
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -39,7 +39,7 @@ from skugga.shadows.plan import Step
 from skugga.shadows.sweep.sweep import DECIMATED_GROUP
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
-from skugga.terrain.facts.probes import MIN_CAST_SHARE
+from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
@@ -284,7 +284,7 @@ class _Terms:
         self._maps = np.array([[float(name in case.algorithms) for name in MAP_ALGORITHMS] for case in cases])
         self._count = len(cases)
         for number, case in enumerate(cases):
-            cast = max(case.descriptor.lights[case.light].cast_share, MIN_CAST_SHARE)
+            cast = max(case.descriptor.lights[case.light].cast_share, MIN_CAST_SHADOW_SHARE)
             for step in case.steps:
                 for kind, casting in step_castings(case.descriptor, case.light, step):
                     for band in casting.bands:

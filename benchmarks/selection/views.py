@@ -97,7 +97,7 @@ def _central_bounds(scene: Scene) -> tuple[float, float, float, float] | None:
 
     In flat worlds return ``None``, which stands for the whole raster.
     """
-    if scene.world.flat:
+    if scene.world.is_flat:
         return None
     full_view = scene.view("map")
     assert isinstance(full_view, MapView)

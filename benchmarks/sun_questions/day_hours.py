@@ -116,7 +116,7 @@ class HoursTruth:
     def astronomy_hours(self) -> np.ndarray:
         """Hours (n,) by NREL's sun with refraction, on the round earth, above the level plane. This is Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
-        view = raster_view(scene).view.as_nodes()
+        view = raster_view(scene).view.with_pixels_as_nodes()
         hours = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), RAY_STEP_S / 60.0)[0]
         scene.close()
         return hours
@@ -125,7 +125,7 @@ class HoursTruth:
     def solar_day_hours(self) -> np.ndarray:
         """Hours (n,) by GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
-        view = raster_view(scene).view.as_nodes()
+        view = raster_view(scene).view.with_pixels_as_nodes()
         rays, frame = CellRays.from_cells(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
         azimuth, altitude = r_sun_path(self._dem.lon_lat[1], RAY_STEP_S)
         enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > -1.0])
@@ -184,7 +184,7 @@ def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]
         return r_sun_path(dem.lon_lat[1], RAY_STEP_S)
     scene = build_scene(load_level(dem.path))
     day = astronomical_day(scene)
-    times = np.arange(RAY_STEP_S / 120.0, day.window.minutes, RAY_STEP_S / 60.0)
+    times = np.arange(RAY_STEP_S / 120.0, day.window.length_min, RAY_STEP_S / 60.0)
     enu = day.directions_at(times) @ scene.world.earth_from_anchor
     scene.close()
     return np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0, np.degrees(np.arcsin(enu[:, 2]))

@@ -77,7 +77,7 @@ def trace_mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> Mas
     scene = build_scene(load_level(dem.path))
     world = scene.world
     path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     frame = bare_nodes(scene, view, 1).frame
     nodes = np.empty((rows, cols, 3))
     nodes[..., 0], nodes[..., 1] = np.arange(cols) * dem.cell_m, -np.arange(rows)[:, None] * dem.cell_m

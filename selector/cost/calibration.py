@@ -23,7 +23,8 @@ from skugga.shadows.registry import ALGORITHMS, can_serve
 from skugga.shadows.visibility import fill_steps
 from skugga.shadows.work import Counts
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.antialias import picture_buffer

@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from skugga.terrain.atomic_files import disk_error, write_atomically
-from skugga.terrain.user_cache import user_cache
+from skugga.terrain.user_cache import user_cache_folder
 
 SCHEMA_VERSION: Final = 2
 """Version of the profile's format. It changes if the meaning of the rates changes. Profiles of another version are ignored."""
@@ -62,7 +62,7 @@ def profile_path(renderer: str, version: str) -> Path:
     """Return the path of the profile of a device and driver. The file name has readable words and a unique digest."""
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
-    return user_cache("devices") / f"{words}-{digest}.json"
+    return user_cache_folder("devices") / f"{words}-{digest}.json"
 
 
 def check_profile_file(renderer: str, version: str) -> None:

@@ -43,7 +43,7 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, Casting
-from skugga.terrain.facts.probes import MIN_CAST_SHARE
+from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.level.level import CasterKind
 
 ASSUMED_CASTING = Casting(
@@ -284,9 +284,9 @@ def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorCo
 
 
 def _cast_share(descriptor: Descriptor, light: str) -> float:
-    """Return the share of the visible surface in cast shadow, an assumed one if unknown; at least ``MIN_CAST_SHARE``."""
+    """Return the share of the visible surface in cast shadow, an assumed one if unknown; at least ``MIN_CAST_SHADOW_SHARE``."""
     facts = descriptor.lights.get(light)
-    return max(ASSUMED_CASTING.share if facts is None else facts.cast_share, MIN_CAST_SHARE)
+    return max(ASSUMED_CASTING.share if facts is None else facts.cast_share, MIN_CAST_SHADOW_SHARE)
 
 
 def step_castings(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:

@@ -21,7 +21,8 @@ from skugga.shadows.truth import truth as truth_module
 from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.visibility import fill_steps, with_apparent_sun
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
@@ -362,7 +363,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     log, start = PassLog(), time.perf_counter()
     parts = []
     for picture, casters in pictures:
-        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.effect_names, log)[: picture.rows])
+        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.effect_names, log)[: picture.picture_rows])
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
     for name, record in log.records.items():

@@ -32,4 +32,4 @@ def _pixel_at_points_m(buffer: GeometryBuffer) -> np.ndarray:
     view = buffer.view
     assert isinstance(view, PerspectiveView)
     eye, camera_from_frame = view.in_frame(buffer.frame)
-    return (buffer.position_frame_m - eye) @ camera_from_frame[2] * view.pixel
+    return (buffer.position_frame_m - eye) @ camera_from_frame[2] * view.pixel_tangent

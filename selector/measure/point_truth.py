@@ -23,8 +23,8 @@ from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, edge_test_region, is_far_from_edges
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
 from skugga.shadows.visibility import without_hidden_points
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.rays import RayScene
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from skugga.terrain.gbuffer.subsampled import subsampled_points
 from skugga.terrain.geo.grid import MapView

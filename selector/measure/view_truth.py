@@ -18,7 +18,8 @@ from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
 from skugga.shadows.truth.metrics import ErrorMetrics, block_shadow_shares, coverage_error, error_metrics
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, AREA_LIGHT_SAMPLES, Truth, area_light_visibility, coverage_truth, ray_scene
 from skugga.shadows.visibility import without_hidden_points
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.subsampled import subsampled_points
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer

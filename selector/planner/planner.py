@@ -331,7 +331,7 @@ def _effects_to_run(
             runs, reason = requested == "on", f"forced {requested} by the level ({verdict.reason})"
         elif name == "soft_edges" and shadows.filter != "auto":
             runs, reason = shadows.filter != 1, f"filter {shadows.filter} is set ({verdict.reason})"
-        missing_needs = [other for other in left_out if other.name in effect.needs]
+        missing_needs = [other for other in left_out if other.name in effect.required_effects]
         if runs and missing_needs:
             runs, reason = False, f"needs {missing_needs[0].name}, which is left out: {missing_needs[0].reason}"
         (effects if runs else left_out).append(NamedReason(name=name, reason=reason))

@@ -34,7 +34,7 @@ from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes
 from skugga.shadows.volumes.shadow_volume import GROUND_EXCLUSION_REASON, VOLUME_CACHES, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.level.level import SUN, CasterKind, Shadows

@@ -124,7 +124,7 @@ def _caster_mask(
     solids, result = scene.objects.solids, np.zeros(receiver_mask.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
         return result
-    pixels = np.flatnonzero(receiver_mask & (buffer.kind == MESHES))
+    pixels = np.flatnonzero(receiver_mask & (buffer.surface_kind == MESHES))
     if len(pixels) and buffer.corners_frame_m is not None:
         a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[pixels].astype(np.float64).transpose(1, 0, 2)
         source = np.array(scene.light_position(light, buffer.frame))
@@ -179,8 +179,8 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
     """Yield the faces of a light's map that contain any points."""
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
-        assert scene.light is not None
-        rotation, translation = scene.light.from_frame(buffer.frame)
+        assert scene.light_space is not None
+        rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
         faces = [(rotation, translation, pixels)]
     else:
         lamp = scene.lamps[light]

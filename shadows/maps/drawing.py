@@ -14,10 +14,10 @@ from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMa
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.cache import IdentityKey
-from skugga.terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_caster_mask
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.casting import VerticesAndTriangles, caster_meshes, caster_sheets, closed_caster_mask
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
 from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
@@ -68,11 +68,13 @@ def draw_map(
     width, height = depth_map.face_size
     texture_width, texture_height = depth_map.texture_size
     target = gl.depth_target(_rounded_texture_side(texture_width), _rounded_texture_side(texture_height), depth_map.depth_bits)
-    solid = gl.program(shader(depth_map.shader_parts[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
+    solid = gl.program(
+        shader_source(depth_map.shader_parts[0], "shadows/maps/depth.vert"), shader_source("shadows/maps/depth.frag")
+    )
     set_uniforms(solid, depth_map.uniforms)
     if trees is not None:
-        vertex = shader(depth_map.shader_parts[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
-        leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
+        vertex = shader_source(depth_map.shader_parts[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
+        leaves = gl.program(vertex, shader_source("shadows/maps/depth_tree.frag"))
         set_uniforms(leaves, {**depth_map.uniforms, "foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": trees.curvature})
     largest_bytes = 0
     factor, units = (settings.bias_scale * part if settings.bias == "polygon_offset" else 0.0 for part in POLYGON_OFFSET)
@@ -94,7 +96,7 @@ def draw_map(
             if trees is not None:
                 gl.srgb_texture_array(foliage().mip_levels).use(0)
                 variant = np.concatenate([trees.yaw_cos_sin, trees.variant[:, None]], axis=1)
-                instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
+                instances = [("base", trees.base_frame_m), ("shape", trees.quad_sizes_m), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
                 largest_bytes = max(largest_bytes, len(trees) * 40)
     record.map_texels += depth_map.texel_count
@@ -135,8 +137,8 @@ def _rounded_texture_side(side: int) -> int:
 
 
 def _meshes_with_culling(
-    meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling
-) -> list[tuple[Mesh, bool]]:
+    meshes: list[VerticesAndTriangles], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling
+) -> list[tuple[VerticesAndTriangles, bool]]:
     """Return the meshes and ground to draw, each with whether its front faces are culled.
 
     If ``culling`` is ``front``, the front faces of closed bodies are culled, and no others.
@@ -153,14 +155,16 @@ def _is_mirrored(depth_map: DepthMap) -> bool:
     return bool(np.linalg.det(np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
-def _map_cache_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
+def _map_cache_key(
+    depth_map: DepthMap, settings: MapSettings, meshes: list[VerticesAndTriangles], trees: TreeInstances | None
+) -> Hashable:
     """Return the cache key of a map: all that its drawing reads.
 
     Numbers are compared by value, and immutable arrays by identity.
     """
     all_trees = [] if depth_map.trees is None else [depth_map.trees]
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
-    tree_digest = None if trees is None or trees is depth_map.trees else sha256(trees.number.tobytes()).digest()
+    tree_digest = None if trees is None or trees is depth_map.trees else sha256(trees.tree_number.tobytes()).digest()
     return settings, depth_map.face_size, len(depth_map.face_rotations), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 

@@ -11,7 +11,7 @@ from skugga.shadows.maps.drawing import MapSettings, draw_ahead, draw_map, read_
 from skugga.shadows.maps.lookup import look_up
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import CasterKind

@@ -15,7 +15,7 @@ from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
 from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.map_columns import column_top_corners
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -64,7 +64,7 @@ def look_up(
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _bind_min_depths(gl, depth_map, target, settings):
         if isinstance(view, MapView) and buffer.columns is not None:
-            top_crease = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
+            top_crease = np.where(buffer.surface_kind == RELIEF, np.float32(-1.0), buffer.crease)
             normal_and_crease = np.concatenate([buffer.normal_frame, top_crease[..., None]], axis=-1)
             arrays = [buffer.position_frame_m, normal_and_crease, column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3)]
             program = _lookup_program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})
@@ -164,8 +164,8 @@ def _lookup_program(
         "uses_offset": comparison.uses_offset,
         "taps": taps, "lit_by_taps": not is_disc, "taps_without_triangle": comparison.taps_without_triangle,
     }  # fmt: skip
-    fragment = shader(depth_map.shader_parts[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
-    program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
+    fragment = shader_source(depth_map.shader_parts[1], "shadows/maps/sun_disc.frag" if is_disc else "shadows/maps/shadow_map.frag")
+    program = gl.program(shader_source("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **depth_map.uniforms, "map_size": depth_map.face_size, "bias_scale": settings.bias_scale,
         "position_frame_m": 0, "normal_frame": 1, "depth_map": DEPTH_MAP_TEXTURE_UNIT,
@@ -199,7 +199,7 @@ def _bind_min_depths(gl: Device, depth_map: DepthMap, target: Framebuffer, setti
     if settings.filter != "sun":
         yield
         return
-    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
+    program = gl.program(shader_source("shadows/pixels.vert"), shader_source("shadows/maps/least_depth.frag"))
     set_uniforms(program, {"depth_map": DEPTH_MAP_TEXTURE_UNIT, "block_texels": BLOCK_TEXELS})
     _bind_depths(target)
     width, height = depth_map.face_size

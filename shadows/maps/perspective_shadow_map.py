@@ -35,8 +35,8 @@ from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MIN_NEAR_PLANE_SHARE, POSITION_ERROR, DepthMap, depth_step_count
 from skugga.shadows.maps.work import perspective_map_work
 from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_trees, has_casters
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -200,13 +200,13 @@ def perspective_map(
     }
     tree_bounds = None
     if trees is not None and light == SUN:
-        assert scene.light is not None
-        light_from_frame = scene.light.from_frame(buffer.frame)
+        assert scene.light_space is not None
+        light_from_frame = scene.light_space.transform_from_frame(buffer.frame)
         first, last = light_bounds(buffer.position_frame_m, receiver_mask, *light_from_frame)
         tree_bounds = *light_from_frame, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
-    texel_px = texel_size_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
+    texel_px = texel_size_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel_tangent
     depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
     return FittedMap(depth_map, texel_px, best.uniform_map_reason)
 
@@ -268,7 +268,7 @@ def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light
         return Light(np.array([*scene.sun.in_frame(buffer.frame), 0.0]), np.zeros(3))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
-    return Light(np.array([*position, 1.0]), position + lamp.reference_m * axis)
+    return Light(np.array([*position, 1.0]), position + lamp.reference_distance_m * axis)
 
 
 @compiled

@@ -42,8 +42,8 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc
         margin_m = (MAP_BORDER_TEXELS + (MAX_HALF_DISC_TEXELS if samples_sun_disc else 0)) * texel_m
         is_relevant = np.empty(len(tree_numbers), np.bool_)
         run_in_chunks(
-            len(tree_numbers), _select_relevant_trees, trees.base_frame_m, trees.shape, tree_numbers, rotation, translation, cells,
-            farthest.max(axis=0), margin_m, is_relevant,
+            len(tree_numbers), _select_relevant_trees, trees.base_frame_m, trees.quad_sizes_m, tree_numbers, rotation, translation,
+            cells, farthest.max(axis=0), margin_m, is_relevant,
         )  # fmt: skip
         tree_numbers = tree_numbers[is_relevant]
     return trees.front_to_back(tree_numbers, rotation[2])

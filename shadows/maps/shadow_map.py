@@ -23,8 +23,8 @@ from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
 from skugga.shadows.maps.windows import DepthMap, lamp_map, sun_maps
 from skugga.shadows.maps.work import shadow_map_work
 from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_trees, has_casters
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.level.level import SUN, CasterKind, Shadows

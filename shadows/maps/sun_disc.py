@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets
-from skugga.terrain.casters.reach import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
@@ -55,8 +55,8 @@ def nearest_caster_m(
     scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...], casters: Casters, trees: TreeInstances | None
 ) -> float:
     """Return the smallest light-space depth of the casters, metres; infinity without any."""
-    assert scene.light is not None
-    rotation, translation = scene.light.from_frame(buffer.frame)
+    assert scene.light_space is not None
+    rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     points = [sheet.position_frame_m.reshape(-1, 3) for sheet in caster_sheets(scene, buffer, casters, kinds)]
     points += [vertices for vertices, _ in caster_meshes(scene, buffer, kinds)]
     if trees is not None:

@@ -132,8 +132,8 @@ def _sun_map(
     nearest_caster_m: float,
 ) -> DepthMap:
     """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols)."""
-    assert scene.light is not None
-    rotation, translation = scene.light.from_frame(buffer.frame)
+    assert scene.light_space is not None
+    rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, receiver_mask, rotation, translation)
     error_m = POSITION_ERROR * (_max_coordinate_m(buffer, receiver_mask) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)

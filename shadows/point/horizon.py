@@ -118,8 +118,8 @@ def load_surroundings(scene: Scene, place: PointPlace) -> Surroundings:
     solids, placement = scene.objects.solids, scene.objects.placement
     if solids is not None and placement is not None:
         points, triangles = place.in_enu(solids.caster_vertices_earth_m), solids.caster_triangles
-        counts = [len(placed.body.triangles) for placed in placement.casting]
-        is_building = np.repeat(np.array(placement.casting_is_building, bool), counts)
+        counts = [len(placed.body.triangles) for placed in placement.casting_bodies]
+        is_building = np.repeat(np.array(placement.is_casting_body_building, bool), counts)
     return Surroundings(scene, place, points, triangles, is_building, _trees_around(scene, place))
 
 

@@ -19,7 +19,8 @@ import numpy as np
 from skugga.shadows.point.place import PointPlace
 from skugga.shadows.point.relief_pages import TILE_QUADS, detail_distance_ranges, paged_relief, quad_height
 from skugga.shadows.point.sight_lines import SightLines, sight_lines
-from skugga.terrain.casters.reach import PATCH_QUADS, longest_shadow_m
+from skugga.terrain.casters.caster_types import PATCH_QUADS
+from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.scene import Scene
 
@@ -195,10 +196,10 @@ def farthest_m(scene: Scene, place: PointPlace) -> float:
     """
     bounds = scene.elevation.bounds
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)))
-    corners, _ = scene.world.ground(scene.elevation.crs, x, y)
+    corners, _ = scene.world.points_at_zero_height(scene.elevation.crs, x, y)
     corner_distance_m = np.linalg.norm(corners - place.eye_earth_m, axis=-1)
     margin = 1.1 * float(np.nanmax(corner_distance_m, initial=0.0)) + 4.0 * scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    if scene.world.flat:
+    if scene.world.is_flat:
         return margin
     low, high = scene.height_range_m
     radius_m = scene.world.radius_m

@@ -60,9 +60,9 @@ def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_fram
     ``enu_from_frame`` (3, 3) rotates vectors of the frame to east, north and up. ``eye_frame_m`` (3,) is the eye in the frame.
     """
     enu_from_frame = np.ascontiguousarray(enu_from_frame)
-    number, low, high, steepest = _trees_above_eye(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
+    number, low, high, steepest = _trees_above_eye(instances.base_frame_m, instances.quad_sizes_m, enu_from_frame, eye_frame_m)
     return VisibleTrees(
-        instances.base_frame_m[number], instances.shape[number], instances.yaw_cos_sin[number], instances.variant[number],
+        instances.base_frame_m[number], instances.quad_sizes_m[number], instances.yaw_cos_sin[number], instances.variant[number],
         instances.curvature, enu_from_frame, eye_frame_m, low, high, steepest, foliage().mip_levels[0][..., 3],
     )  # fmt: skip
 

@@ -103,9 +103,9 @@ def place_at(scene: Scene, coordinates: tuple[float, float], crs: CRS | None = N
         has_ground = bool(np.isfinite(ground_m))
     if not has_ground:
         raise InputError(POINT_PARAMETER, f"{coordinates[0]:.10g},{coordinates[1]:.10g}", allowed)
-    foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
+    foot, up = scene.world.points_at_zero_height(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None
-    if not scene.world.flat:
+    if not scene.world.is_flat:
         lon, lat = (float(v) for v in scene.world.lon_lat(ground.grid.crs, np.float64(x), np.float64(y)))
         lon = (lon + 180.0) % 360.0 - 180.0
     axes = scene.world.earth_from_enu(foot, up, lon or 0.0)
@@ -115,7 +115,7 @@ def place_at(scene: Scene, coordinates: tuple[float, float], crs: CRS | None = N
 
 def _grid_coordinates(scene: Scene, ground: PagedRelief, coordinates: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
     """Return coordinates in the CRS of the ground's grid."""
-    if scene.world.flat and crs is None:
+    if scene.world.is_flat and crs is None:
         return scene.geolocator.xy(coordinates)
     if crs is not None:
         east, north = axes_of(crs).xy(*coordinates)
@@ -141,7 +141,7 @@ def _allowed_places_text(scene: Scene, coordinates: tuple[float, float], crs: CR
 
     If ``coordinates`` lies within the level's bounds, the phrase states that the raster has no height there.
     """
-    if scene.world.flat or scene.bounds_lon_lat is None:
+    if scene.world.is_flat or scene.bounds_lon_lat is None:
         return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat
     bounds = f"longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"

@@ -14,8 +14,9 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.overview_cells import overview_on_grid
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import World, transformer
@@ -214,7 +215,7 @@ def _page_bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]
     The first page is given by its row and column, counted in pages from the grid's origin.
     """
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
-    high = ground.elevation.overview.high_m
+    high = ground.elevation.overview.max_heights_m
     # Heights in holes are interpolated from the ground around them.
     holes = MAX_FILL_CELLS * 2**level if np.isnan(high).any() else 0
     valid = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)

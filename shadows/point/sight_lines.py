@@ -65,7 +65,7 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
     """
     count = max(int(np.ceil(np.log(max(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))), 1)
     distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
-    if ground.world.flat:
+    if ground.world.is_flat:
         row, col = _nodes_on_flat_world(ground, place, azimuth_deg, distance)
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
     polynomials = _sight_line_polynomials(ground.world, ground.elevation, ground.grid, place, count)
@@ -121,7 +121,7 @@ def _nodes_on_flat_world(
     """Return rows and columns (n, k) on the grid of a flat world, at distances (k,) towards azimuths (n,) in degrees."""
     azimuth = np.radians(azimuth_deg)[:, None]
     units = distance_m / (ground.world.metres_per_unit * ground.grid.step)
-    return place.row - units * np.cos(azimuth) / ground.grid.stretch, place.col + units * np.sin(azimuth)
+    return place.row - units * np.cos(azimuth) / ground.grid.y_to_x_step_ratio, place.col + units * np.sin(azimuth)
 
 
 def _nodes_on_globe(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:

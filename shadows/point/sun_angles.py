@@ -11,7 +11,7 @@ import numpy as np
 from skugga.shadows.point.place import PointPlace
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import InputError, Problem
-from skugga.terrain.geo.sun import position_at
+from skugga.terrain.geo.sun import azimuth_and_altitude
 from skugga.terrain.geo.sun_path import sun_path
 from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
@@ -56,7 +56,7 @@ def sun_angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarr
 
 def scene_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
     """Return azimuth and altitude in degrees of the scene's own sun at a place; ``None`` without a sun."""
-    return None if scene.sun is None else position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+    return None if scene.sun is None else azimuth_and_altitude(scene.sun.to_sun_earth, place.earth_from_enu)
 
 
 def _sun_directions_on_earth(world: World, utc_s: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from skugga.shadows.sun_hours.quadratics import evaluate_quadratic, quadratic_fi
 from skugga.shadows.sun_hours.suns import WindowSun, block_sample_positions
 from skugga.shadows.sweep.ground_windows import patch_windows
 from skugga.shadows.sweep.orientation import GridOrientation
-from skugga.terrain.casters.reach import Patch
+from skugga.terrain.casters.caster_types import Patch
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World
@@ -97,7 +97,9 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     for lod in sorted({patch.lod for patch in patches}):
         surface = scene.surface(view.grid.coarser(lod))
         patches_of_lod = [patch for patch in patches if patch.lod == lod]
-        windows.setdefault(lod, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(patches_of_lod))
+        windows.setdefault(lod, []).extend(
+            surface.height_window(*window, includes_rim=True) for window in patch_windows(patches_of_lod)
+        )
     spans = {lod: _bounding_window(windows_of_detail) for lod, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [
@@ -143,7 +145,7 @@ def sun_track(
     row, col = (values.ravel() for values in block_sample_positions(view))
     steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
     rows, cols = view.row0 + row + steps[:, :1], view.col0 + col + steps[:, 1:]
-    point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
+    point, up = world.points_at_zero_height(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
     up, down, right = up[0], point[2] - point[1], point[4] - point[3]
     towards = np.empty((3, TRACK_TIMES, len(row)))
     for n, sun in enumerate(day.directions_at(np.linspace(*time_range_minutes, TRACK_TIMES))):

@@ -41,7 +41,8 @@ from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_m
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
-from skugga.terrain.casters.reach import Patch, find_sun_casters
+from skugga.terrain.casters.caster_types import Patch
+from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
@@ -159,7 +160,7 @@ def sun_hours(
         The errors of the algorithms.
     """
     scene = _under_clear_sky(scene)
-    if is_terrain_only(scene) and view.on_nodes:
+    if is_terrain_only(scene) and view.is_on_nodes:
         block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
         raise InputError("height", rules.height_m, "0, where objects stand on the ground")
@@ -170,7 +171,7 @@ def sun_hours(
     if valid.any():
         step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
         for day in days:
-            clock = ClockReading(day.window.clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
+            clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
                 block_spells = _add_span(block_spells, block, day, span, clock)
             end_day(block_spells.spells, rules.threshold_h * 60.0)

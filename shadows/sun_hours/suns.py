@@ -111,7 +111,7 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
         raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth_reason}, so a date does not define the sun")
     days = []
     for window in windows:
-        times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
+        times = np.append(np.arange(0.0, window.length_min, 1.0), window.length_min)
         start = np.datetime64(window.start.astimezone(UTC).replace(tzinfo=None), "us")
         path = sun_path(start + np.rint(times * 60e6).astype("timedelta64[us]"), world.anchor_lon_deg, world.anchor_lat_deg)
         towards, unrefracted = (
@@ -154,7 +154,7 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     """
     row, col = block_sample_positions(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
-    _, up = world.ground(view.grid.crs, x, y)
+    _, up = world.points_at_zero_height(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
     heights = refracted_sine(day.to_sun_unrefracted_earth @ up.T) - floor
     spells = []

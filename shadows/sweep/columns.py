@@ -25,7 +25,7 @@ import numpy as np
 from skugga.shadows.sweep.points import evaluate_cubic
 from skugga.shadows.sweep.position_cubics import LATTICE_SIZE, MAX_BEND_CELLS, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.rays import SunRays, rays_at
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Casters
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -210,14 +210,14 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     rows, cols = window.height_m.shape
     rays = rays_at(scene, window.columns.grid, window.row0 + (rows - 1) / 2, window.col0 + (cols - 1) / 2)
     windows: dict[int, list[tuple[int, int, np.ndarray]]] = {0: [(window.row0, window.col0, window.height_m)]}
-    for patch in casters.casting:
+    for patch in casters.casting_patches:
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         height_m, _ = window.columns.coarser(patch.lod).heights(row0, col0, PATCH_QUADS, PATCH_QUADS)
         windows.setdefault(patch.lod, []).append((row0, col0, height_m))
     grounds = [_column_ground(rays, window.columns, lod, windows[lod]) for lod in sorted(windows)]
     point_index, pixel = _number_points(buffer, placed, window.height_m.size)
     t, ray_height_m, sunward_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
-    on_columns = buffer.kind.ravel()[pixel] == RELIEF
+    on_columns = buffer.surface_kind.ravel()[pixel] == RELIEF
     ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
@@ -232,7 +232,7 @@ def _number_points(buffer: GeometryBuffer, column_indices: ColumnIndices, column
     Pixels that show the same column share one point. Each pixel that shows anything else has its own point. A pixel without a
     surface has the number -1. ``column_count`` is the number of columns.
     """
-    valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.kind == RELIEF)).ravel()
+    valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.surface_kind == RELIEF)).ravel()
     key = np.full(valid.size, -1, np.int64)
     cell = column_indices.row.astype(np.int64) * column_indices.window.height_m.shape[1] + column_indices.col
     key[ground] = cell.ravel()[ground]
@@ -265,8 +265,8 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
         row, col = rays.orientation.from_sun_aligned(i, j, rows, cols)
-        point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
-        light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
+        point, up = rays.scene.world.points_at_zero_height(grid.crs, grid.x(col + col0), grid.y(row + row0))
+        light, upwards = rays.light.points_from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (
             (light[..., 0] - rays.right_origin_m) / (rays.right_m_per_cell * side),
             upwards[..., 0] / (rays.right_m_per_cell * side),

@@ -11,7 +11,7 @@ from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, NO_RAY_HEIGHTS, allocate
 from skugga.shadows.sweep.lines import SunAlignedGrid
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from skugga.terrain.geo.world import LocalFrame
@@ -77,7 +77,7 @@ def grounds_of_block(
         surface = rays.scene.surface(rays.grid.coarser(lod))
         patches_of_lod = [patch for patch in patches if patch.lod == lod]
         casting = [patch for patch in patches_of_lod if patch not in culled and not _lies_behind(rays, patch, block)]
-        windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
+        windows = [surface.height_window(*window, includes_rim=True) for window in patch_windows(casting)]
         if lod and not windows and not grounds:
             continue  # no ray heights to pass on
         grounds.append(_ground_window(rays, lod, windows if lod else [block, *windows], needs_sunward, patches_of_lod))
@@ -137,7 +137,7 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
     rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
-    if nodes.errors is None:
+    if nodes.decimation_errors is None:
         return rays, _ground_window(
             rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], needs_sunward
         )

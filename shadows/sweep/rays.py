@@ -77,8 +77,8 @@ class SunRays:
         """
         out = np.empty((3, len(point_indices)))
         run_in_chunks(
-            len(point_indices), _write_ray_coordinates, point_frame_m.reshape(-1, 3), point_indices, *self.light.from_frame(frame),
-            self.right_origin_m, self.right_m_per_cell, self.up_origin_m, out,
+            len(point_indices), _write_ray_coordinates, point_frame_m.reshape(-1, 3), point_indices,
+            *self.light.transform_from_frame(frame), self.right_origin_m, self.right_m_per_cell, self.up_origin_m, out,
         )  # fmt: skip
         return out[0], out[1], out[2]
 
@@ -132,8 +132,8 @@ class SunRays:
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
             row, col = self.orientation.from_sun_aligned(i, j, rows, cols)
-            point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
-            return (self.light.from_earth(point + self.mean_height_m * up)[..., 0] - self.right_origin_m) / (
+            point, up = self.scene.world.points_at_zero_height(grid.crs, grid.x(col + col0), grid.y(row + row0))
+            return (self.light.points_from_earth(point + self.mean_height_m * up)[..., 0] - self.right_origin_m) / (
                 self.right_m_per_cell * 2**lod
             )
 
@@ -156,10 +156,10 @@ def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     """Return the sun's rays over a grid, with ``row`` and ``col`` as the reference position of their coordinates."""
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
-    point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
-    assert scene.light is not None
-    light = with_upright_axes(scene.light, up[0])
-    space = light.from_earth(point + height_m * up)
+    point, up = scene.world.points_at_zero_height(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
+    assert scene.light_space is not None
+    light = with_upright_axes(scene.light_space, up[0])
+    space = light.points_from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
     towards *= np.sign(light.horizontal_sunward_m(towards[0] * per_row + towards[1] * per_col)) or 1.0

@@ -47,7 +47,7 @@ from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.sweep.targets import SweepTargets, max_abs_ray_height_m, targets_of_buffer, targets_of_nodes
 from skugga.shadows.work import Work, Workload, is_decimated
-from skugga.terrain.casters.reach import Casters, Patch
+from skugga.terrain.casters.caster_types import Casters, Patch
 from skugga.terrain.compiled import CORES
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
@@ -167,7 +167,7 @@ def find_lit_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, needs_sunward=False, culled=casters.culled)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, needs_sunward=False, culled=casters.culled_patches)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES_PER_COLUMN)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
@@ -250,7 +250,7 @@ def _grounds_of_view(
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, has_soft_edges, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, has_soft_edges, casters.culled_patches)
     assert buffer.ground is not None
     rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, has_soft_edges)
     return rays, [ground]
@@ -263,7 +263,7 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
     earth they lean so little that the centre serves. On a small body a raster may lie in a corner of its block, kilometres from the
     block's centre. ``valid`` (rows, cols) are the pixels that show ground.
     """
-    if scene.world.on_earth:
+    if scene.world.is_on_earth:
         return view.centre_node
     rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
     if not len(rows):

@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.shadows.sweep.ground_windows import GroundWindow
 from skugga.shadows.sweep.rays import SunRays
-from skugga.terrain.casters.reach import Receivers
+from skugga.terrain.casters.caster_types import Receivers
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -59,7 +59,7 @@ class SweepTargets:
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     """Return the minimum and maximum t (the position across the sweep lines, in cells) of receivers, extended by one cell."""
-    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
+    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.transform_from_frame(receivers.frame))
     ends = sorted((float(right) - rays.right_origin_m) / rays.right_m_per_cell for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
@@ -90,8 +90,10 @@ def targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> S
 def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> SweepTargets:
     """Return the nodes and points at which a buffer's pixels show a surface."""
     view = buffer.view
-    on_nodes = isinstance(view, MapView) and view.on_nodes
-    on_triangles = buffer.kind == RELIEF if buffer.is_lifted is None else (buffer.kind == RELIEF) & ~buffer.is_lifted
+    on_nodes = isinstance(view, MapView) and view.is_on_nodes
+    on_triangles = (
+        buffer.surface_kind == RELIEF if buffer.is_lifted is None else (buffer.surface_kind == RELIEF) & ~buffer.is_lifted
+    )
     nodes = buffer.valid & on_triangles & on_nodes
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))

@@ -15,9 +15,9 @@ import numpy as np
 
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, Truth, trace_truth
 from skugga.terrain.atomic_files import atomic_path
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
-from skugga.terrain.casters.rays import OFFSET_ULPS
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.rays import RAY_OFFSET_ULPS
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -25,7 +25,7 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.trees.foliage import foliage
-from skugga.terrain.user_cache import load_arrays, user_cache
+from skugga.terrain.user_cache import load_arrays, user_cache_folder
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size limit of the folder. Beyond it the least recently used files are deleted."""
@@ -51,7 +51,7 @@ def cached_truth(
 
     A folder that cannot be written raises no error. ``compute`` computes a truth that is not cached.
     """
-    folder = folder or user_cache("truth")
+    folder = folder or user_cache_folder("truth")
     path = folder / f"{content_key(buffer, scene, casters, sample_count, light)}.npz"
     shape = buffer.valid.shape
     cached_arrays = load_arrays(path)
@@ -88,14 +88,16 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, sample_c
         DEFINITION_VERSION,
         _view_numbers(buffer.view),
         sample_count,
-        OFFSET_ULPS,
+        RAY_OFFSET_ULPS,
         SUN_RADIUS_DEG,
         scene.highest_sun_deg,
         light,
     )
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_CASTER_KINDS)
-    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
+    parts = (
+        [] if trees is None else [trees.base_frame_m, trees.quad_sizes_m, trees.yaw_cos_sin, trees.variant, foliage().mip_levels[0]]
+    )
     for vertices, triangles in caster_meshes(scene, buffer, ALL_CASTER_KINDS):
         parts += [vertices, triangles]
     for sheet in caster_sheets(scene, buffer, casters, ALL_CASTER_KINDS):
@@ -108,8 +110,8 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, sample_c
 def _view_numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
     """Return the numbers that determine which points a view shows."""
     if isinstance(view, PerspectiveView):
-        return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
-    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.stretch
+        return (view.focal_px, view.row0, view.col0, view.step_px, *view.eye_earth_m, *view.earth_from_camera.ravel())
+    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.y_to_x_step_ratio
 
 
 def _evict_oldest(folder: Path) -> None:

@@ -23,9 +23,10 @@ from skugga.shadows.attached_shadow import attached_shadow_mask, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, occluding_trees
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from skugga.terrain.gbuffer.light_facing import MIN_LIGHT_SINE, FacingNormals, facing_normals
@@ -193,7 +194,7 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
         ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
-        facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
+        facing = np.where(buffer.surface_kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
         reached_mask = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
         visibility += _unblocked_mask(buffer, rays, reached_mask, normals, ray, 1.0)
     return visibility / np.float32(sample_count)
@@ -296,8 +297,8 @@ def ray_scene(
     (``RayScene``).
     """
     trees = caster_trees(buffer, kinds)
-    if trees is not None and scene.light is not None and not scene.lamps:
-        rotation, translation = scene.light.from_frame(buffer.frame)
+    if trees is not None and scene.light_space is not None and not scene.lamps:
+        rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
         low, high = light_bounds(buffer.position_frame_m, buffer.valid, rotation, translation)
         pixel_m = 2.0 * max_pixel_m(buffer)  # sub-samples lie beside the pixels' points
         trees = occluding_trees(trees, rotation, translation, low - pixel_m, high + pixel_m)
@@ -309,7 +310,9 @@ def max_pixel_m(buffer: GeometryBuffer) -> float:
     """Return the largest side of a buffer's pixels on a surface that faces the viewer, metres."""
     if isinstance(buffer.view, PerspectiveView):
         eye, _ = buffer.view.in_frame(buffer.frame)
-        return float(np.linalg.norm(buffer.position_frame_m[buffer.valid] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
+        return (
+            float(np.linalg.norm(buffer.position_frame_m[buffer.valid] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel_tangent
+        )
     steps = np.diff(buffer.position_frame_m[:: max(buffer.view.rows - 1, 1)], axis=1)
     sides_m = np.linalg.norm(steps, axis=-1)
     return float(np.nanmax(sides_m, initial=0.0))
@@ -356,7 +359,7 @@ def _unblocked_mask(
     directions /= length[:, None]
     start = _offset_origins(buffer, facing_mask, normals, directions, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing_mask] = ~rays.blocked(start, directions, length)
+    out[facing_mask] = ~rays.is_blocked(start, directions, length)
     return out
 
 
@@ -376,12 +379,12 @@ def lit_mask_towards(
     source = light_position(direction, 0.0)
     buffer = move_to_smooth_ground(buffer, source)
     normals = facing_normals(buffer, source)
-    facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.surface_kind == FOREST, direction)
     if receiver_mask is not None:
         facing &= receiver_mask
     start = _offset_origins(buffer, facing, normals, direction, offset_factor * rays.offset_m)
     out = np.zeros(buffer.valid.shape, bool)
-    out[facing] = ~rays.blocked(start, direction)
+    out[facing] = ~rays.is_blocked(start, direction)
     return out
 
 

@@ -35,7 +35,7 @@ from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
-from skugga.terrain.gl.stencil import MARK_BIT, CountMode, Side
+from skugga.terrain.gl.stencil import MARK_BIT, CountMode, FaceSide
 from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
@@ -101,10 +101,14 @@ def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> 
     therefore counted a second time, rotated by half a turn, where the centre falls to the other side.
     """
     view = buffer.view
-    if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
+    if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.is_flat:
         return False
     columns = buffer.columns
-    steps = (view.row_step * view.grid.stretch, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
+    steps = (
+        (view.row_step * view.grid.y_to_x_step_ratio, view.col_step)
+        if columns is None
+        else (columns.window.columns.grid.y_to_x_step_ratio, 1.0)
+    )
     down, right = -light[1] / steps[0], light[0] / steps[1]
     alignments = np.abs([down, right, down - right, down + right])
     return bool(alignments.min() <= ALIGNMENT_TOLERANCE * alignments.max())
@@ -175,7 +179,7 @@ def _count_points(
     parts = covering_rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.buffer_indices), np.uint8)
-    sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
+    sides: tuple[FaceSide, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
     with receiver_stencil(gl, buffer, scene, points, parts, uses_mark_bit) as (target, program):
         for number, volume_set in enumerate(volumes):
             if number:

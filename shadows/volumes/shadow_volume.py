@@ -16,7 +16,7 @@ from skugga.shadows.volumes.drawing import count_faces_in_front, count_volumes, 
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.shadows.volumes.work import volume_work
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.level.level import CasterKind

@@ -29,7 +29,7 @@ from skugga.terrain.casters.clip_space import affine_parts, camera_clip, map_cli
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import finer_view
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M, set_uniforms, shader_source
 from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -90,8 +90,8 @@ def points_of_view(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_
     for each cell. A point on a column lies at the middle of its top.
     """
     if buffer.columns is not None:
-        yield from _column_top_points(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
-        mask = mask & (buffer.kind != RELIEF)
+        yield from _column_top_points(buffer, scene, mask & (buffer.surface_kind == RELIEF), near_m)
+        mask = mask & (buffer.surface_kind != RELIEF)
     yield from pixel_points(buffer, scene, mask, near_m)
 
 
@@ -139,7 +139,7 @@ def receiver_stencil(
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
-    program = gl.program(shader("shadows/volumes/volume.vert"), shader("shadows/maps/depth.frag"))
+    program = gl.program(shader_source("shadows/volumes/volume.vert"), shader_source("shadows/maps/depth.frag"))
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
@@ -156,7 +156,9 @@ def receiver_stencil(
     texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, part_rectangles, rows, cols))
     texture.use(0)
     for marking in (False, True) if marks_pixels else (False,):
-        depth_program = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
+        depth_program = gl.program(
+            shader_source("shadows/pixels.vert"), shader_source("shadows/volumes/seen_depth.frag"), {"marking": marking}
+        )
         depth_program["seen"] = 0
         with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, overwrite=True):
             for part in part_rectangles.tolist():
@@ -195,24 +197,26 @@ def _visible_points(
         origin, camera_from_frame = view.in_frame(frame)
         clip = camera_clip(view, frame, origin, near_m)
         (left, right), (top, bottom) = (
-            [(first + (size * k - 0.5) * view.step) / view.focal_px for k in (0, 1)]
+            [(first + (size * k - 0.5) * view.step_px) / view.focal_px for k in (0, 1)]
             for first, size in ((view.col0, view.cols), (view.row0, view.rows))
         )
         corners = np.array([[left, top, 1.0], [right, top, 1.0], [right, bottom, 1.0], [left, bottom, 1.0]])
         near = origin + near_m * corners @ camera_from_frame
     else:
         low, high = points[indices].min(axis=0), points[indices].max(axis=0)
-        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all casters
+        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_object_m)  # above all casters
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
-    bends = not (scene.world.flat or isinstance(view, PerspectiveView) or buffer.columns is not None)  # columns have no cap on top
+    bends = not (
+        scene.world.is_flat or isinstance(view, PerspectiveView) or buffer.columns is not None
+    )  # columns have no cap on top
     draws_ground = ground_has_gaps(buffer, scene) or bends
     ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
-    is_drawn = buffer.kind.ravel()[indices] == MESHES
+    is_drawn = buffer.surface_kind.ravel()[indices] == MESHES
     if draws_ground:
-        is_drawn |= buffer.kind.ravel()[indices] == RELIEF
+        is_drawn |= buffer.surface_kind.ravel()[indices] == RELIEF
     if buffer.is_lifted is not None:
         is_drawn &= ~buffer.is_lifted.ravel()[indices]
     return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
@@ -276,4 +280,4 @@ def near_plane_distance_m(buffer: GeometryBuffer) -> float:
         return 0.0
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
     low, _ = light_bounds(buffer.position_frame_m, buffer.valid, camera_from_frame, -camera_from_frame @ eye)
-    return max(0.5 * float(low[2]), NEAR_M) if np.isfinite(low[2]) else NEAR_M
+    return max(0.5 * float(low[2]), NEAR_PLANE_M) if np.isfinite(low[2]) else NEAR_PLANE_M

@@ -36,8 +36,8 @@ from skugga.shadows.volumes.silhouettes import (
     silhouette,
 )
 from skugga.terrain.cache import MIB, Cache, Missing, cached
-from skugga.terrain.casters.casting import Mesh, caster_sheets, caster_solids
-from skugga.terrain.casters.reach import Casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.casting import VerticesAndTriangles, caster_sheets, caster_solids
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import ground_nodes, nodes_have_gaps
 from skugga.terrain.ground.sheet import Sheet, has_gaps
@@ -110,7 +110,7 @@ def volumes_of(
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
         volume_sets += _sheet_volumes(sheet, light_frame)
-    meshes: list[tuple[Mesh, int | None]] = []
+    meshes: list[tuple[VerticesAndTriangles, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
         ground_rule = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
         meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), ground_rule))

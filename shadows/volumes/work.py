@@ -8,8 +8,8 @@ from skugga.shadows.area_light import scale_work
 from skugga.shadows.volumes.settings import StencilSettings, VolumeSettings
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX, MIN_RECTANGLE_COST, RECTANGLE_COST
 from skugga.shadows.work import Counts, Work, Workload
+from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.clip_space import AFFINE_PART_PX
-from skugga.terrain.casters.reach import PATCH_QUADS
 from skugga.terrain.level.level import SUN
 
 MARKED_LAYER_COST_RATIO = 50.0

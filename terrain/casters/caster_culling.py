@@ -1,9 +1,9 @@
 """Cull shadow casters of a map's block: find ground that provably casts no shadow of the sun on the block.
 
 A block is a square of a map, at most ``BLOCK_PX`` pixels a side, that is drawn at once. The ground under the block and beside it is
-divided into patches of ``PATCH_QUADS`` x ``PATCH_QUADS`` quads of its grid. Each patch has ``PARTS_PER_SIDE`` x ``PARTS_PER_SIDE``
-parts. Two quantities of each part are stored, since they do not depend on the sun: its range of heights, and its steepest facets.
-Either of two conditions proves that a part cannot shade a block:
+divided into patches of ``PATCH_QUADS`` x ``PATCH_QUADS`` quads of its grid. Each patch has ``PARTS_PER_PATCH_SIDE`` x
+``PARTS_PER_PATCH_SIDE`` parts. Two quantities of each part are stored, since they do not depend on the sun: its range of heights,
+and its steepest facets. Either of two conditions proves that a part cannot shade a block:
 
 * **The part is too low.** Seen from the sun, the part's highest ground lies below the lowest ground of the block's parts that its
   shadow could reach. Then no ray from the block to the sun meets the part. The comparison is made in light space (axes right, up
@@ -31,8 +31,8 @@ from typing import Literal
 import numpy as np
 
 from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch, Receivers
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, count_missing, gather_rises, write_rise_support
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch, Receivers
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
@@ -47,7 +47,7 @@ from skugga.terrain.scene import Scene
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
 """Sine of the sun's angular radius."""
 
-MIN_FACING_SINE = SUN_RADIUS_SINE + 1.1e-3
+MIN_SUN_FACING_SINE = SUN_RADIUS_SINE + 1.1e-3
 """Minimum sine of the angle between a facet and the sun's centre. It covers the disc, the error of float32 normals, and the
 change of the lengths of a quad's sides with its height.
 """
@@ -56,7 +56,7 @@ MAX_ROUNDING_M = 4e-3
 """Maximum rounding error of the two ends of a quad's side together, metres: positions are float32 within 20 km of a frame's origin.
 """
 
-MARGIN_NODES = 4
+RAY_MARGIN_NODES = 4
 """Distance in nodes within which ground beside a ray counts as crossed by the ray. The sweep algorithm's lines lie between nodes.
 """
 
@@ -66,12 +66,12 @@ ALTITUDE_SINE_MARGIN = 0.05
 HALO_NODES = 1
 """Width, in nodes, of the border round a part whose heights must be known, too."""
 
-SAMPLE_POSITIONS = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
+PATCH_SAMPLE_POSITIONS = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
 """Positions in a patch, its corners and its middle, at which the sides of its quads are computed: shares of its rows, and of its
 columns.
 """
 
-PARTS_PER_SIDE = 4
+PARTS_PER_PATCH_SIDE = 4
 """Parts along the side of a patch."""
 
 MAX_RUN_PATCHES = 16
@@ -84,7 +84,7 @@ class PatchBounds:
 
     Attributes
     ----------
-    low_m, high_m
+    min_height_m, max_height_m
         (n, m), the heights of the lowest and of the highest node, metres; NaN without ground.
     rise_support_m
         (n, m, 8), the support of the facets' rises in ``RISE_DIRECTIONS``, metres.
@@ -92,14 +92,18 @@ class PatchBounds:
         bool (n, m), whether all heights of the part, and those of ``HALO_NODES`` nodes round it, are known.
     """
 
-    low_m: np.ndarray
-    high_m: np.ndarray
+    min_height_m: np.ndarray
+    max_height_m: np.ndarray
     rise_support_m: np.ndarray
     is_complete: np.ndarray
 
     def restricted_to(self, part_mask: np.ndarray) -> PatchBounds:
         """Return a copy that has ground only in the parts that ``part_mask`` (n, m) selects."""
-        return replace(self, low_m=np.where(part_mask, self.low_m, np.nan), high_m=np.where(part_mask, self.high_m, np.nan))
+        return replace(
+            self,
+            min_height_m=np.where(part_mask, self.min_height_m, np.nan),
+            max_height_m=np.where(part_mask, self.max_height_m, np.nan),
+        )
 
 
 def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
@@ -109,28 +113,30 @@ def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...
     """
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
-    grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
+    grid, patches_of_block = _ground_grid_of(receivers), block_patches(receivers)
     block_ground = patch_bounds(scene.world, scene.elevation, grid, patches_of_block).restricted_to(block_part_mask(receivers))
     block_bounds, block_part_bounds = (
-        _light_space_bounds(scene, grid, patches_of_block, block_ground, parts, "lowest") for parts in (1, PARTS_PER_SIDE)
+        _light_space_bounds(scene, grid, patches_of_block, block_ground, parts, "lowest") for parts in (1, PARTS_PER_PATCH_SIDE)
     )
-    margin_m = MARGIN_NODES * scene.surface(grid).step_m
-    assert scene.light is not None
-    max_altitude_sine = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
+    margin_m = RAY_MARGIN_NODES * scene.surface(grid).step_m
+    assert scene.light_space is not None
+    max_altitude_sine = min(float(np.sin(np.radians(max(scene.light_space.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
     slack = margin_m, margin_m * max_altitude_sine
     culled: set[Patch] = set()
     for lod in {patch.lod for patch in patches}:
         level_patches = [patch for patch in patches if patch.lod == lod]
         coarser = grid.coarser(lod)
         ground = patch_bounds(scene.world, scene.elevation, coarser, level_patches)
-        casts = np.isfinite(ground.low_m)
+        casts = np.isfinite(ground.min_height_m)
         if lod == 0:
             casts &= ~(sun_facing_parts(scene, grid, level_patches, ground) & ground.is_complete)
         may_shade = casts.any(axis=1)
         may_shade[may_shade] = _may_occlude(
             _light_space_bounds(scene, coarser, level_patches, ground, 1, "highest")[may_shade], block_bounds, *slack
         )
-        parts = _light_space_bounds(scene, coarser, level_patches, ground, PARTS_PER_SIDE, "highest").reshape(*casts.shape, -1)
+        parts = _light_space_bounds(scene, coarser, level_patches, ground, PARTS_PER_PATCH_SIDE, "highest").reshape(
+            *casts.shape, -1
+        )
         casts &= may_shade[:, None]
         casts[casts] = _may_occlude(parts[casts], block_part_bounds, *slack)
         culled |= {patch for patch, may_cast in zip(level_patches, casts.any(axis=1), strict=True) if not may_cast}
@@ -144,7 +150,7 @@ def block_ground_casts_no_shadow(scene: Scene, receivers: Receivers) -> bool:
     """
     if not block_ground_faces_sun(scene, receivers):
         return False
-    ground = patch_bounds(scene.world, scene.elevation, _grid_of(receivers), block_patches(receivers))
+    ground = patch_bounds(scene.world, scene.elevation, _ground_grid_of(receivers), block_patches(receivers))
     return bool(ground.is_complete[block_part_mask(receivers)].all())
 
 
@@ -155,7 +161,7 @@ def block_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
     """
     if receivers.surface is None:
         return False
-    grid, patches_of_block = _grid_of(receivers), block_patches(receivers)
+    grid, patches_of_block = _ground_grid_of(receivers), block_patches(receivers)
     facing = sun_facing_parts(scene, grid, patches_of_block, patch_bounds(scene.world, scene.elevation, grid, patches_of_block))
     return bool(facing[block_part_mask(receivers)].all())
 
@@ -174,13 +180,17 @@ def block_patches(receivers: Receivers) -> list[Patch]:
 def block_part_mask(receivers: Receivers) -> np.ndarray:
     """Return which parts of the patches under a map's block contain quads of the block, bool (n, m).
 
-    Rows follow ``block_patches``. Columns are the ``PARTS_PER_SIDE`` x ``PARTS_PER_SIDE`` parts of a patch, row by row.
+    Rows follow ``block_patches``. Columns are the ``PARTS_PER_PATCH_SIDE`` x ``PARTS_PER_PATCH_SIDE`` parts of a patch, row by row.
     """
-    window, quads = receivers.surface, PATCH_QUADS // PARTS_PER_SIDE
+    window, quads = receivers.surface, PATCH_QUADS // PARTS_PER_PATCH_SIDE
     assert window is not None
     first = np.array([(patch.row, patch.col) for patch in block_patches(receivers)])[:, None, :] * PATCH_QUADS
     part_offset = (
-        np.stack(np.unravel_index(np.arange(PARTS_PER_SIDE * PARTS_PER_SIDE), (PARTS_PER_SIDE, PARTS_PER_SIDE)), axis=-1) * quads
+        np.stack(
+            np.unravel_index(np.arange(PARTS_PER_PATCH_SIDE * PARTS_PER_PATCH_SIDE), (PARTS_PER_PATCH_SIDE, PARTS_PER_PATCH_SIDE)),
+            axis=-1,
+        )
+        * quads
     )
     part_start, block_start = first + part_offset, np.array([window.row0, window.col0])
     return np.asarray(((part_start < block_start + np.array(window.shape) - 1) & (part_start + quads > block_start)).all(axis=-1))
@@ -225,13 +235,13 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
     sun. The facet's normal times s is s (f x e) + a s (f x u) + b s (u x e). This is linear in a and b, and ``rise_support_m``
     bounds such weighted sums of a and b. e, f and u vary over a patch, so the condition is tested at its corners and in its middle.
     """
-    assert scene.light is not None
-    to_sun = -scene.light.light_from_earth[2]
+    assert scene.light_space is not None
+    to_sun = -scene.light_space.light_from_earth[2]
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
-    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(SAMPLE_POSITIONS))
-    _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
+    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(PATCH_SAMPLE_POSITIONS))
+    _, up = scene.world.points_at_zero_height(grid.crs, grid.x(col), grid.y(row))
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
-    points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
+    points = [scene.world.points_at_zero_height(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
     right, down = points[0] - points[1], points[2] - points[3]
     constant_term, right_weight, down_weight = (
         (np.cross(first_side, second_side) @ to_sun)[:, None]
@@ -244,7 +254,7 @@ def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground:
         constant_term - _support_bound(rise_support_m, -right_weight, -down_weight) - MAX_ROUNDING_M * (right_length + down_length)
     )
     max_normal_length = right_length * down_length + steep_right * down_length + steep_down * right_length
-    return np.asarray((min_facing > MIN_FACING_SINE * max_normal_length).all(axis=2))
+    return np.asarray((min_facing > MIN_SUN_FACING_SINE * max_normal_length).all(axis=2))
 
 
 def _support_bound(rise_support_m: np.ndarray, right_weight: np.ndarray, down_weight: np.ndarray) -> np.ndarray:
@@ -281,20 +291,22 @@ def _light_space_bounds(
     along every ray to the sun, and does not depend on the height. ``reference_height`` is the height at which the bounds of the
     coordinate up are computed: the part's lowest or highest one.
     """
-    assert scene.light is not None
-    low_m, high_m = ground.low_m, ground.high_m
+    assert scene.light_space is not None
+    low_m, high_m = ground.min_height_m, ground.max_height_m
     if parts_per_side == 1:
         low_m, high_m = np.fmin.reduce(low_m, axis=1, keepdims=True), np.fmax.reduce(high_m, axis=1, keepdims=True)
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
     offset = np.arange(parts_per_side + 1) * (PATCH_QUADS / parts_per_side)
     row, col = np.broadcast_arrays(corner[:, :1, None] + offset[:, None], corner[:, 1:, None] + offset)
-    point, up = (_part_corners(values, parts_per_side) for values in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    point, up = (
+        _part_corners(values, parts_per_side) for values in scene.world.points_at_zero_height(grid.crs, grid.x(col), grid.y(row))
+    )
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
-    in_light = scene.light.from_earth(ends)
-    in_light = np.concatenate([in_light, scene.light.horizontal_sunward_m(in_light)[..., None]], axis=-1)
+    in_light = scene.light_space.points_from_earth(ends)
+    in_light = np.concatenate([in_light, scene.light_space.horizontal_sunward_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if reference_height == "lowest" else 1, ..., 1]
     bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
-    if not scene.world.flat:
+    if not scene.world.is_flat:
         bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
     low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)
@@ -336,7 +348,7 @@ def _may_occlude(bounds, receiver_bounds, margin_m, up_margin_m):
     return may_occlude
 
 
-def _grid_of(receivers: Receivers) -> Grid:
+def _ground_grid_of(receivers: Receivers) -> Grid:
     assert isinstance(receivers.view, MapView)
     return receivers.view.grid
 
@@ -358,12 +370,12 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
         cols.start * PATCH_QUADS - halo,
         PATCH_QUADS + 1 + 2 * halo,
         len(cols) * PATCH_QUADS + 1 + 2 * halo,
-        rim=True,
+        includes_rim=True,
     )
-    out = np.empty((len(cols), PARTS_PER_SIDE * PARTS_PER_SIDE, 3 + len(RISE_DIRECTIONS)))
+    out = np.empty((len(cols), PARTS_PER_PATCH_SIDE * PARTS_PER_PATCH_SIDE, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
-    height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
-    _write_part_bounds(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_SIDE, out)
+    height_m = window.coarser_window.height_m if isinstance(window, RefinedWindow) else window.height_m
+    _write_part_bounds(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_PATCH_SIDE, out)
     return out
 
 
@@ -375,11 +387,11 @@ def _write_part_bounds(height_m, refined, row_parity, col_parity, halo, quads, o
     of a grid with half as many nodes per side, from which ``refine_row`` interpolates. ``row_parity`` and ``col_parity`` are then 1
     where the first row or column of the patches' nodes lies between two of the coarser grid, else 0.
     """
-    cols = len(out) * PARTS_PER_SIDE * quads + 1
+    cols = len(out) * PARTS_PER_PATCH_SIDE * quads + 1
     rise_extremes, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
     missing = np.empty(cols + 2 * halo, np.int32)
     band = np.empty((quads + 1 + 2 * halo, cols + 2 * halo), np.float32)
-    for down in range(PARTS_PER_SIDE):
+    for down in range(PARTS_PER_PATCH_SIDE):
         missing[:] = 0
         for i in range(len(band)):
             row = down * quads + i
@@ -396,7 +408,7 @@ def _write_part_bounds(height_m, refined, row_parity, col_parity, halo, quads, o
         gather_rises(nodes, halo, rise_extremes)
         for number in range(cols // quads):
             left = number * quads
-            part = out[number // PARTS_PER_SIDE, down * PARTS_PER_SIDE + number % PARTS_PER_SIDE]
+            part = out[number // PARTS_PER_PATCH_SIDE, down * PARTS_PER_PATCH_SIDE + number % PARTS_PER_PATCH_SIDE]
             low, high = bounds[0, left], bounds[1, left]
             for j in range(left + 1, left + quads + 1):
                 low = bounds[0, j] if bounds[0, j] < low else low

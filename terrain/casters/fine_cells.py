@@ -66,17 +66,17 @@ def fine_cells(
         close. Columns of the result are those of the turn nearest to the parents' columns.
     """
     overview, elevation = scene.elevation.overview, scene.elevation
-    if overview.fine_high_m is None:
+    if overview.fine_max_heights_m is None:
         return None
     ratio = 2 ** (overview.lod - overview.fine_lod)
     parent_row, parent_col = np.nonzero(parent_mask)
     down, right = (v.ravel() for v in np.mgrid[:ratio, :ratio])
     i, j = (parent_row[:, None] * ratio + down).ravel(), (parent_col[:, None] * ratio + right).ravel()
-    high = overview.fine_high_m[i, j]
+    high = overview.fine_max_heights_m[i, j]
     valid = np.isfinite(high)
     factor = 2**overview.fine_lod
     x, y = elevation.xy((i[valid] + 0.5) * factor - 0.5, (j[valid] + 0.5) * factor - 0.5)
-    point, up = scene.world.ground(elevation.crs, x, y)
+    point, up = scene.world.points_at_zero_height(elevation.crs, x, y)
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
     col_above, half_above = (np.repeat(v, ratio * ratio)[valid] for v in parent_extent)
@@ -84,5 +84,5 @@ def fine_cells(
     if period_nodes is not None:
         col = col + period_nodes * np.rint((col_above - col) / period_nodes)
     cell_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
-    light_space_m = light.from_earth(point + up * high[valid, None])
+    light_space_m = light.points_from_earth(point + up * high[valid, None])
     return FineCells(row, col, (half_above - 1.0) / ratio + 1.0, light_space_m, cell_m)

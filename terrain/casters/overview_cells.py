@@ -21,19 +21,19 @@ def overview_light_space(scene: Scene) -> tuple[np.ndarray, float]:
     The ground is a point in light space (rows, cols, 3) above the cell's centre, NaN in holes.
     """
     point, up = _overview_on_earth(scene.world, scene.elevation)
-    assert scene.light is not None
-    top = point + up * scene.elevation.overview.high_m[..., None]
-    return scene.light.from_earth(top), _overview_cell_m(scene) * CELL_MARGIN_WIDTHS
+    assert scene.light_space is not None
+    top = point + up * scene.elevation.overview.max_heights_m[..., None]
+    return scene.light_space.points_from_earth(top), _overview_cell_m(scene) * CELL_MARGIN_WIDTHS
 
 
 @cached("scene", 256 * MIB)
 def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    return world.ground(elevation.crs, *_overview_xy(elevation))
+    return world.points_at_zero_height(elevation.crs, *_overview_xy(elevation))
 
 
 def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     overview = elevation.overview
-    rows, cols = overview.heights_m.shape
+    rows, cols = overview.mean_heights_m.shape
     factor = 2**overview.lod
     col, row = np.meshgrid((np.arange(cols) + 0.5) * factor - 0.5, (np.arange(rows) + 0.5) * factor - 0.5)
     return elevation.xy(row, col)

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.terrain.cache import bytes_of
+from skugga.terrain.cache import estimated_bytes
 from skugga.terrain.casters.sheet_rays import SheetRays
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import RenderError
@@ -35,8 +35,8 @@ from skugga.terrain.ground.sheet import Sheet
 from skugga.terrain.interpolation import bilinear
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
-OFFSET_ULPS = 16.0
-MAX_LAYERS = 256
+RAY_OFFSET_ULPS = 16.0
+MAX_TRANSPARENT_LAYERS = 256
 """Maximum number of transparent surfaces that a ray passes before it counts as stopped."""
 
 TRIANGLE_BYTES = 128
@@ -57,7 +57,7 @@ class AlphaMesh:
         (n, 2) in [0, 1], texture coordinates; v = 0 is the texture's first row.
     alpha
         (h, w) or (layers, h, w) in [0, 1], read bilinearly between texel centres and clamped at the border.
-    threshold
+    alpha_threshold
         The minimum alpha of opaque texels.
     layer
         (m,), each triangle's layer of ``alpha``.
@@ -67,7 +67,7 @@ class AlphaMesh:
     triangles: np.ndarray
     uv: np.ndarray
     alpha: np.ndarray
-    threshold: float = 0.5
+    alpha_threshold: float = 0.5
     layer: np.ndarray | None = None
 
 
@@ -80,7 +80,7 @@ class RayScene:
         Grid meshes of the ground.
     meshes
         Vertices (n, 3) and triangles (m, 3) of each opaque mesh.
-    alpha
+    alpha_meshes
         Alpha-tested meshes.
     traverse_sheets
         Whether ``skugga.terrain.casters.sheet_rays`` traces rays through the sheets, which is faster for few rays in one direction.
@@ -98,22 +98,22 @@ class RayScene:
         self,
         sheets: Iterable[Sheet] = (),
         meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
-        alpha: Iterable[AlphaMesh] = (),
+        alpha_meshes: Iterable[AlphaMesh] = (),
         traverse_sheets: bool = False,
     ) -> None:
         ground, solids = [sheet for sheet in sheets if sheet.is_cut_nw_se.size], list(meshes)
-        self._alpha_meshes = tuple(alpha)
+        self._alpha_meshes = tuple(alpha_meshes)
         vertices = [sheet.position_frame_m for sheet in ground] + [part for part, _ in solids]
         vertices += [mesh.vertices_m for mesh in self._alpha_meshes]
         low, high = bounding_box(vertices)
         self._centre = (low + high) / 2
-        self.offset_m = float(OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
+        self.offset_m = float(RAY_OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
         self._sheet_rays = SheetRays(ground, self._centre) if traverse_sheets and ground else None
         parts = [] if traverse_sheets else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
         opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
         self._opaque = self._build_embree_scene(opaque) if opaque else None
         triangles = sum(len(faces) for _, faces in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
-        self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
+        self.nbytes = TRIANGLE_BYTES * triangles + estimated_bytes(self._alpha_meshes)
         self.nbytes += 0 if self._sheet_rays is None else self._sheet_rays.nbytes
         self._alpha = [self._build_embree_scene([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
@@ -133,7 +133,7 @@ class RayScene:
             mesh_construction.TriangleMesh(scene, local, np.ascontiguousarray(triangles, np.int32))
         return scene
 
-    def blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
+    def is_blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
         """Return whether rays from starts (n, 3) towards unit directions (3,) or (n, 3) meet opaque geometry, bool (n,).
 
         ``length_m`` (n,) limits the rays' lengths; ``None`` means no limit. Raises ``ValueError`` if the scene was built with
@@ -148,7 +148,7 @@ class RayScene:
         if not len(start):
             return stopped
         if self._sheet_rays is not None:
-            stopped |= self._sheet_rays.blocked(start_m, direction)
+            stopped |= self._sheet_rays.is_blocked(start_m, direction)
         if self._opaque is not None:
             length_limits = {} if length_m is None else {"dists": length_m.astype(np.float32)}
             stopped |= self._opaque.run(start, directions, query="OCCLUDED", **length_limits) != -1
@@ -163,7 +163,7 @@ class RayScene:
     ) -> np.ndarray:
         stopped = np.zeros(len(start), bool)
         active, start, remaining = np.arange(len(start)), start.copy(), length.astype(np.float64)
-        for _ in range(MAX_LAYERS):
+        for _ in range(MAX_TRANSPARENT_LAYERS):
             if not len(active):
                 return stopped
             intersections = scene.run(start[active], directions[active], query="INTERSECT", output=True)
@@ -176,7 +176,7 @@ class RayScene:
                 + v[:, None] * mesh.uv[corners[:, 2]]
             )
             layer = None if mesh.layer is None else mesh.layer[intersections["primID"][is_hit]]
-            opaque = sample_alpha(mesh.alpha, uv, layer) >= mesh.threshold
+            opaque = sample_alpha(mesh.alpha, uv, layer) >= mesh.alpha_threshold
             stopped[active[opaque]] = True
             advance = intersections["tfar"][is_hit] + self.offset_m
             start[active] += (advance[:, None] * directions[active]).astype(np.float32)

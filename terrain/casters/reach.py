@@ -14,35 +14,22 @@ block's farthest receiver, it lies within the block's width, and it is not wholl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from pyproj import CRS
 
+from skugga.terrain.casters.caster_types import NO_CASTERS, PATCH_QUADS, Casters, Patch, Reach, Receivers
 from skugga.terrain.casters.fine_cells import fine_cells
 from skugga.terrain.casters.overview_cells import CELL_MARGIN_WIDTHS, columns_per_turn, overview_light_space, overview_on_grid
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import Grid, MapView
 from skugga.terrain.geo.light_space import LightSpace, light_bounds
-from skugga.terrain.geo.sun import position_at
-from skugga.terrain.geo.world import (
-    EARTH_RADIUS_M,
-    LONGITUDE_LATITUDE,
-    LocalFrame,
-    is_longitude_latitude,
-    transformer,
-)
-from skugga.terrain.ground.columns import ColumnIndices, ColumnWindow
+from skugga.terrain.geo.sun import azimuth_and_altitude
+from skugga.terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, is_longitude_latitude, transformer
+from skugga.terrain.ground.columns import ColumnWindow
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
-
-PATCH_QUADS = 256
-"""Side of a patch in quads. A patch is a square of ground beside a block that may cast shadows on it.
-
-The sides of patches lie on multiples of this number, counted from the grid's origin.
-"""
 
 FULL_DETAIL_NODES = 4096
 """Maximum distance in nodes from a block at which casters are read on the block's own grid. Up to twice as far they have half its
@@ -55,7 +42,7 @@ ends. The distance falls in proportion to the number of nodes per cell. Nodes th
 bilinear surface. Without this rule maps with pixels of centimetres would read millions of patches.
 """
 
-COARSE_CELL_NODES = PATCH_QUADS / 4
+MAX_CELL_HALF_WIDTH_NODES = PATCH_QUADS / 4
 """Half the width of an overview cell, in nodes of the block's grid, above which finer cells replace the cell."""
 
 UNKNOWN_RELIEF_M = 1500.0
@@ -65,113 +52,23 @@ Where the level's own ground rises higher above that point, its height is assume
 """
 
 
-@dataclass(frozen=True)
-class Reach:
-    """The distance towards the sun within which ground counts as a caster, in metres from the block's edge.
-
-    Attributes
-    ----------
-    used_m
-        The distance up to which ground was examined.
-    needed_m
-        The distance up to which ground can cast a shadow on the block. If the raster ends before that, unknown ground beyond it
-        counts, up to the assumed height ``UNKNOWN_RELIEF_M``.
-    clipped
-        Whether the raster ends before ``needed_m``, so that casters may be missing.
-    """
-
-    used_m: float
-    needed_m: float
-    clipped: bool
-
-
-@dataclass(frozen=True)
-class Patch:
-    """A patch: a square of ground of ``PATCH_QUADS`` x ``PATCH_QUADS`` quads of a grid, which may cast shadows on a block.
-
-    Attributes
-    ----------
-    lod
-        Level of detail: the patch has every ``2**lod``-th node of the block's grid.
-    row, col
-        Row and column of the patch: its first node is ``PATCH_QUADS * (row, col)`` of the grid of these nodes.
-    """
-
-    lod: int
-    row: int
-    col: int
-
-
-def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
+def longest_shadow_m(relief_m: float, altitude_deg: float, is_curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
     """Return the length, metres, of the longest shadow that ground of the height range ``relief_m`` can cast.
 
     It is the solution L of H = L tan(a) + L^2 / 2R. H is ``relief_m``, a the sun's altitude and R ``radius_m``, the earth's radius.
-    Without ``curved`` the term with R is left out. Terrestrial refraction is neglected. The result is infinite for a sun at the
+    Without ``is_curved`` the term with R is left out. Terrestrial refraction is neglected. The result is infinite for a sun at the
     horizon of flat ground.
     """
     if relief_m <= 0:
         return 0.0
     slope = np.tan(np.radians(max(altitude_deg, 0.0)))
-    if not curved:
+    if not is_curved:
         return float(relief_m / slope) if slope > 0 else np.inf
     return float(radius_m * (np.sqrt(slope**2 + 2.0 * relief_m / radius_m) - slope))
 
 
-RAY_ORIGIN_COUNT = 64
+SUNWARD_RAY_ORIGIN_COUNT = 64
 """Approximate number of points of a perspective view from which the raster's extent towards the sun is measured."""
-
-
-class Receivers(Protocol):
-    """Points that can be shaded, and the ground of the map that they belong to.
-
-    The points ``position_frame_m`` have the shape (rows, cols, 3), the mask ``valid`` the shape (rows, cols). ``surface`` holds the
-    nodes of smooth ground, ``columns`` ground of upright columns. ``GeometryBuffer`` and ``BareNodes`` implement this protocol.
-    """
-
-    @property
-    def view(self) -> MapView | PerspectiveView: ...
-
-    @property
-    def frame(self) -> LocalFrame: ...
-
-    @property
-    def valid(self) -> np.ndarray: ...
-
-    @property
-    def position_frame_m(self) -> np.ndarray: ...
-
-    @property
-    def surface(self) -> NodeHeights | None: ...
-
-    @property
-    def columns(self) -> ColumnIndices | None: ...
-
-
-@dataclass(frozen=True)
-class Casters:
-    """The ground outside a block that can shade it.
-
-    Attributes
-    ----------
-    patches
-        Patches of the ground that can shade the block.
-    reach
-        The distance up to which the ground was searched.
-    culled
-        Patches that provably cast no shadow on the block (``skugga.terrain.casters.caster_culling``).
-    """
-
-    patches: tuple[Patch, ...]
-    reach: Reach
-    culled: frozenset[Patch] = frozenset()
-
-    @property
-    def casting(self) -> tuple[Patch, ...]:
-        """The patches that may cast a shadow on the block."""
-        return tuple(patch for patch in self.patches if patch not in self.culled)
-
-
-NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
 def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
@@ -210,7 +107,7 @@ def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
 
 
 def _needs_sun_casters(scene: Scene, buffer: Receivers) -> bool:
-    return scene.light is not None and scene.sun_is_up and bool(buffer.valid.any())
+    return scene.light_space is not None and scene.sun_is_up and bool(buffer.valid.any())
 
 
 def _occluder_cell_mask(scene: Scene, buffer: Receivers) -> np.ndarray:
@@ -225,8 +122,8 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, 
     The region between them is the bounding box of the buffer's points, extended without limit towards the sun and upwards. Points
     within ``slack_m`` of the region count, too.
     """
-    assert scene.light is not None
-    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
+    assert scene.light_space is not None
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light_space.transform_from_frame(buffer.frame))
     is_towards_sun: np.ndarray = (
         (light_space_m[..., 0] >= low[0] - slack_m) & (light_space_m[..., 0] <= high[0] + slack_m)
         & (light_space_m[..., 1] >= low[1] - slack_m) & (light_space_m[..., 2] <= high[2] + slack_m)
@@ -285,11 +182,11 @@ def _sunward_extent_m(scene: Scene, buffer: Receivers, occluder_mask: np.ndarray
 
     The distance is horizontal, and counts from the receiver of the buffer that is nearest to the sun.
     """
-    assert scene.light is not None
+    assert scene.light_space is not None
     if not occluder_mask.any():
         return 0.0
-    towards = scene.light.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
-    return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
+    towards = scene.light_space.horizontal_sunward_m(overview_light_space(scene)[0][occluder_mask])
+    return max(float(towards.max()) - _sunward_edge_m(scene.light_space, buffer), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,21 +199,21 @@ class _OccluderCells:
         float64 (n,), rows and columns of the cells' centres on the block's grid, in nodes.
     half_extent_nodes
         float64 (n,), half the cells' widths with a margin, in nodes.
-    distance
+    distance_nodes
         float64 (n,), distances of the cells' centres from the block, in nodes; 0 on it.
     """
 
     row: np.ndarray
     col: np.ndarray
     half_extent_nodes: np.ndarray
-    distance: np.ndarray
+    distance_nodes: np.ndarray
 
 
 def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _OccluderCells]:
     """Find the overview's cells whose ground can shade a block.
 
     The first result is the mask (rows, cols) of these cells, without those under the block. The second one also includes cells
-    under the block. It has finer cells where the overview's cells are larger than ``COARSE_CELL_NODES``.
+    under the block. It has finer cells where the overview's cells are larger than ``MAX_CELL_HALF_WIDTH_NODES``.
     """
     occluder_mask = _occluder_cell_mask(scene, buffer)
     grid, block_ground = _grid_and_ground(buffer)
@@ -329,9 +226,9 @@ def _find_occluder_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _
         col = col + period * np.rint((block_ground.col0 + cols / 2 - np.median(col)) / period)
     outside = occluder_mask.copy()
     outside[occluder_mask] = _node_distances(block_ground, row, col) > 0
-    if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > COARSE_CELL_NODES:
-        assert scene.light is not None
-        finer_cells = fine_cells(scene, scene.light, grid, occluder_mask, (col, half_extent_nodes), period)
+    if len(half_extent_nodes) and float(np.median(half_extent_nodes)) > MAX_CELL_HALF_WIDTH_NODES:
+        assert scene.light_space is not None
+        finer_cells = fine_cells(scene, scene.light_space, grid, occluder_mask, (col, half_extent_nodes), period)
         if finer_cells is not None:
             selected = (
                 _is_towards_sun(scene, buffer, finer_cells.light_space_m, finer_cells.width_m * CELL_MARGIN_WIDTHS)
@@ -372,13 +269,13 @@ def _occluder_patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...
         cells.row,
         cells.col,
         cells.half_extent_nodes,
-        cells.distance,
+        cells.distance_nodes,
     )
     rows, cols = block_ground.shape
-    assert scene.light is not None
+    assert scene.light_space is not None
     caster_m = _sunward_extent_m(scene, buffer, outside)
-    relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
-    longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
+    relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light_space.altitude_deg
+    longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.is_flat, scene.world.radius_m)
     farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half_extent_nodes.max(
         initial=0.0
     )
@@ -425,28 +322,28 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     """
     if not patches:
         return []
-    assert scene.light is not None
+    assert scene.light_space is not None
     (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].lod
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
-    point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
-    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
-    in_light = scene.light.from_earth(point + scene.height_range_m[1] * up)
+    point, up = scene.world.points_at_zero_height(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light_space.transform_from_frame(buffer.frame))
+    in_light = scene.light_space.points_from_earth(point + scene.height_range_m[1] * up)
     slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
     in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
     keep = in_window & (in_light[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(in_light).all(axis=1)
     return [patch for patch, is_kept in zip(patches, keep, strict=True) if is_kept]
 
 
-def _unique_rows(spans: np.ndarray) -> list[list[int]]:
+def _unique_rows(rows: np.ndarray) -> list[list[int]]:
     """Return the distinct rows of an integer array (n, k).
 
     Each row is encoded as one integer first, since ``np.unique`` over rows is 20 times slower.
     """
-    if not len(spans):
+    if not len(rows):
         return []
-    first = spans.min(axis=0)
-    sizes = np.ptp(spans, axis=0) + 1
-    keys = np.unique(np.ravel_multi_index(tuple((spans - first).T), tuple(sizes)))
+    first = rows.min(axis=0)
+    sizes = np.ptp(rows, axis=0) + 1
+    keys = np.unique(np.ravel_multi_index(tuple((rows - first).T), tuple(sizes)))
     return (np.stack(np.unravel_index(keys, tuple(sizes)), axis=1) + first).tolist()
 
 
@@ -461,7 +358,7 @@ def _is_inside_window(row: int, col: int, quads: int, row0: int, col0: int, rows
 
 def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     """Return the maximum of ``LightSpace.horizontal_sunward_m`` over a buffer's receivers, metres: the edge nearest to the sun."""
-    rotation, translation = light.from_frame(buffer.frame)
+    rotation, translation = light.transform_from_frame(buffer.frame)
     row, offset = light.horizontal_sunward_m(rotation.T), light.horizontal_sunward_m(translation)
     _, high = light_bounds(buffer.position_frame_m, buffer.valid, np.tile(row, (3, 1)), np.full(3, offset))
     return float(high[0])
@@ -493,7 +390,7 @@ def _ray_origins(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS,
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     valid = np.flatnonzero(buffer.valid)
-    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_ORIGIN_COUNT, 1)]]
+    start_points = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // SUNWARD_RAY_ORIGIN_COUNT, 1)]]
     points = buffer.frame.points_to_earth(start_points)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
@@ -505,18 +402,18 @@ def _data_and_shadow_limits_m(scene: Scene, buffer: GeometryBuffer | BareNodes) 
     The first distance is the minimum over the positions of ``_ray_origins``. The second one is the longest shadow of ground that
     rises ``UNKNOWN_RELIEF_M``, or as high as the level's ground, above the lowest receiver.
     """
-    assert scene.sun is not None and scene.light is not None
+    assert scene.sun is not None and scene.light_space is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
     crs, x, y, middle = _ray_origins(scene, buffer)
-    if scene.world.flat:
+    if scene.world.is_flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:
-        point, up = scene.world.ground(crs, *middle)
-        azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
-    needed_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
+        point, up = scene.world.points_at_zero_height(crs, *middle)
+        azimuth, altitude = azimuth_and_altitude(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
+    needed_m = min(longest_shadow_m(relief, altitude, not scene.world.is_flat, scene.world.radius_m), 1e6)
     along_m = np.linspace(0.0, needed_m, 65)
-    if scene.world.flat:
+    if scene.world.is_flat:
         unit = scene.world.metres_per_unit
         x = x[:, None] + along_m * np.sin(np.radians(azimuth)) / unit
         y = y[:, None] + along_m * np.cos(np.radians(azimuth)) / unit

@@ -59,13 +59,13 @@ class SheetRays:
         self._cached_pyramids: tuple[tuple[float, ...], Pyramids] | None = None
         self.nbytes = 2 * sum(sheet.position_frame_m.nbytes for sheet in self._sheets)
 
-    def blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    def is_blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
         if not self._sheets:
             return np.zeros(len(start_m), bool)
         axes, pyramids = _axes_along(direction), self._pyramids_along(tuple(map(float, direction)))
         parts = np.array_split((start_m - self._centre_m) @ axes.T, CORES)
-        return np.concatenate(map_on_cores(partial(_blocked, pyramids), parts))
+        return np.concatenate(map_on_cores(partial(_are_blocked, pyramids), parts))
 
     def _pyramids_along(self, direction: tuple[float, ...]) -> Pyramids:
         """Return the pyramids of the sheets for rays in a direction. Those of the last direction are cached."""
@@ -152,7 +152,7 @@ def _set_box(box, box_index, a0, a1, b0, b1, d1):
 
 
 @compiled
-def _blocked(pyramids, start):
+def _are_blocked(pyramids, start):
     """Return whether rays from starts (n, 3), in the rotated axes, meet a triangle of any sheet, bool (n,)."""
     out = np.zeros(len(start), np.bool_)
     stack = np.empty((256, 3), np.int64)

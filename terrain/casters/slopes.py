@@ -2,8 +2,8 @@
 
 A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, has the slope (a, b). It faces the sun in the
 direction (e, n, u) if u > a e + b n. Over all facets, the right side has its maximum and minimum at corners of the convex hull of
-the slopes. The hull is stored by its support function: the maximum of a cos(t) + b sin(t), for ``SUPPORT_DIRECTIONS`` angles t.
-These values define a polygon that contains the hull and exceeds it by at most 0.12 %.
+the slopes. The hull is stored by its support function: the maximum of a cos(t) + b sin(t), for ``SUPPORT_DIRECTION_COUNT`` angles
+t. These values define a polygon that contains the hull and exceeds it by at most 0.12 %.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import Surface
 
-SUPPORT_DIRECTIONS = 64
+SUPPORT_DIRECTION_COUNT = 64
 
 MAX_SLOPE = 50.0
 """Maximum slope of a facet, metres per metre: 89 degrees. With steeper facets, also on another side of the earth, the support is
@@ -30,18 +30,20 @@ unknown.
 
 
 class SlopeSupport(NamedTuple):
-    """Support functions of a ground's slopes, metres per metre: maximum slopes in ``SUPPORT_DIRECTIONS`` directions from the east.
+    """Support functions of a ground's slopes, metres per metre: maximum slopes in ``SUPPORT_DIRECTION_COUNT`` directions from the
+    east.
 
     Attributes
     ----------
-    casting
-        (``SUPPORT_DIRECTIONS``,), over all facets that cast shadows, also those of the rim (one node of ground beyond the raster).
-    visible
-        (``SUPPORT_DIRECTIONS``,), over the facets that an image shows.
+    casting_facets
+        (``SUPPORT_DIRECTION_COUNT``,), over all facets that cast shadows, also those of the rim (one node of ground beyond the
+        raster).
+    visible_facets
+        (``SUPPORT_DIRECTION_COUNT``,), over the facets that an image shows.
     """
 
-    casting: np.ndarray
-    visible: np.ndarray
+    casting_facets: np.ndarray
+    visible_facets: np.ndarray
 
 
 def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
@@ -52,13 +54,16 @@ def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray)
     """
     if support is None:
         return None, None
-    minimum, maximum = _facing_range_of_support(support.casting, to_sun_enu), _facing_range_of_support(support.visible, to_sun_enu)
+    minimum, maximum = (
+        _facing_range_of_support(support.casting_facets, to_sun_enu),
+        _facing_range_of_support(support.visible_facets, to_sun_enu),
+    )
     return minimum[0], maximum[1]
 
 
 def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tuple[float, float]:
-    turn = 2.0 * np.pi / SUPPORT_DIRECTIONS
-    angle, next_support = np.arange(SUPPORT_DIRECTIONS) * turn, np.roll(support, -1)
+    turn = 2.0 * np.pi / SUPPORT_DIRECTION_COUNT
+    angle, next_support = np.arange(SUPPORT_DIRECTION_COUNT) * turn, np.roll(support, -1)
     # Corners of the polygon: intersections of the lines of neighbouring directions.
     across = (next_support - support * np.cos(turn)) / np.sin(turn)
     corners = np.column_stack([support * np.cos(angle) - across * np.sin(angle), support * np.sin(angle) + across * np.cos(angle)])
@@ -134,12 +139,12 @@ def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tupl
 
 
 def _directions() -> np.ndarray:
-    angle = np.arange(SUPPORT_DIRECTIONS) * (2.0 * np.pi / SUPPORT_DIRECTIONS)
+    angle = np.arange(SUPPORT_DIRECTION_COUNT) * (2.0 * np.pi / SUPPORT_DIRECTION_COUNT)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _empty_support() -> np.ndarray:
-    return np.full(SUPPORT_DIRECTIONS, -np.inf)
+    return np.full(SUPPORT_DIRECTION_COUNT, -np.inf)
 
 
 @compiled

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-FOLDER = Path(__file__).with_name("bundled")
+BUNDLED_LOOPS_FOLDER = Path(__file__).with_name("bundled")
 VERSIONS_FILE = "versions.json"
 
 NUMBA_TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
@@ -36,7 +36,7 @@ def installed_versions() -> dict[str, str]:
     return versions | {"numpy": ".".join(version("numpy").split(".")[:2])}
 
 
-def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
+def use_bundled_loops(folder: Path = BUNDLED_LOOPS_FOLDER, cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
     """Make numba use the bundled loops in this process and its children. Return whether they match this machine.
 
     Sets environment variables and must run before numba is imported. Only programs call it, never library code.

@@ -17,7 +17,7 @@ import numpy as np
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
-LIBRARIES = frozenset({"_heapq", "builtins", "cmath", "heapq", "math", "numba", "numpy", "operator"})
+PACKAGES_IDENTIFIED_BY_NAME = frozenset({"_heapq", "builtins", "cmath", "heapq", "math", "numba", "numpy", "operator"})
 """Packages whose functions are identified by name. Their versions are part of the cache key of every loop."""
 
 DigestFunction = Callable[[Dispatcher], str]
@@ -98,17 +98,17 @@ def _describe_globals(function: FunctionType, digest_of_callee: DigestFunction) 
 
     ``co_names`` also holds attribute names. A global that has the name of an attribute is therefore included.
     """
-    names = tuple(dict.fromkeys(_names(function.__code__)))
+    names = tuple(dict.fromkeys(_code_names(function.__code__)))
     for name in names:
         if name in function.__globals__:
             yield name, _describe(function.__globals__[name], names, digest_of_callee)
 
 
-def _names(code: CodeType) -> Iterator[str]:
+def _code_names(code: CodeType) -> Iterator[str]:
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _names(constant)
+            yield from _code_names(constant)
 
 
 def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestFunction) -> Hashable:
@@ -159,7 +159,7 @@ def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestF
 
 
 def _is_library(module: str) -> bool:
-    return module.partition(".")[0] in LIBRARIES
+    return module.partition(".")[0] in PACKAGES_IDENTIFIED_BY_NAME
 
 
 def _describe_class(cls: type) -> Hashable:

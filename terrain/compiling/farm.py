@@ -41,14 +41,14 @@ class Task(NamedTuple):
     ----------
     loop
         The numba dispatcher.
-    args
+    argument_types
         Types of its arguments.
     product_index
         Index of the first requested product that needs the loop.
     """
 
     loop: Any
-    args: tuple[Any, ...]
+    argument_types: tuple[Any, ...]
     product_index: int
 
 
@@ -94,7 +94,7 @@ def _compile_lock(background: bool) -> Iterator[None]:
 
 def missing_tasks(products: Sequence[str]) -> list[Task]:
     """Return the loops of some products that the store lacks."""
-    return [task for task, name in named_tasks(products) if not loop_store().has(name)]
+    return [task for task, name in named_tasks(products) if not loop_store().contains(name)]
 
 
 def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
@@ -229,7 +229,7 @@ def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
             callees_by_loop[loop] = set()  # ends the recursion of a loop that calls itself
             function = loop.py_func
             cells = [cell.cell_contents for cell in function.__closure__ or ()]
-            values = [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]
+            values = [*cells, *(function.__globals__.get(name) for name in _code_names(function.__code__))]
             for callee in values:
                 if isinstance(callee, Dispatcher) and callee is not loop:
                     callees_by_loop[loop] |= {callee} | visit(callee)
@@ -240,11 +240,11 @@ def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
     return callees_by_loop
 
 
-def _names(code: CodeType) -> Iterator[str]:
+def _code_names(code: CodeType) -> Iterator[str]:
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _names(constant)
+            yield from _code_names(constant)
 
 
 def _code_bytes(loop: Any) -> int:

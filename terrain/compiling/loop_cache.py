@@ -25,7 +25,7 @@ from skugga.terrain.compiling.digest import UnknownValueError, describe_function
 from skugga.terrain.compiling.hooks import compile_needed_products
 from skugga.terrain.compiling.store import LoopStore, default_store
 
-ENTRY_FORMAT = 1
+ENTRY_FORMAT_VERSION = 1
 """Version of the format of cache entries."""
 
 NUMBA_OPTIONS = (
@@ -34,7 +34,7 @@ NUMBA_OPTIONS = (
 )  # fmt: skip
 """Numba settings that affect the machine code."""
 
-MAX_NAME_CHARS = 40
+MAX_LOOP_NAME_CHARS = 40
 """Number of characters of the loop's name in the name of its entry. The name helps people who inspect the folder."""
 
 Loop = Any
@@ -44,12 +44,12 @@ log = logging.getLogger("skugga")
 
 _rebuild: Callable[..., Any] = CompileResult._rebuild
 _dumps: Callable[[Any], bytes] = dumps
-_normalized: Callable[[Any], tuple[tuple[Type, ...], Any]] = sigutils.normalize_signature
+_normalize_signature: Callable[[Any], tuple[tuple[Type, ...], Any]] = sigutils.normalize_signature
 
 _store: list[LoopStore] = []
 _inconsistent_loops: set[Loop] = set()
 
-recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
+compile_recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
 """Callbacks for each loop that this process compiles: called with the loop and the types of its arguments."""
 
 _lock = threading.RLock()
@@ -116,12 +116,12 @@ class LoopCache(_Cache):
         except UnknownValueError as error:
             log.debug("%s: cannot be stored: it reads %s", self._dispatcher, error)
             return None
-        readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:MAX_NAME_CHARS]
+        readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:MAX_LOOP_NAME_CHARS]
         return f"{readable}-{digest((_codegen_inputs(target), loop_digest, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:
         """Return the stored machine code of a signature as numba's compile result, or ``None`` on a cache miss."""
-        args = _normalized(sig)[0]
+        args = _normalize_signature(sig)[0]
         if not self._enabled:
             with suppress(UnknownValueError):
                 self.digest()  # fix the digest now: callers that are compiled later include the same values
@@ -135,8 +135,8 @@ class LoopCache(_Cache):
         """Write the machine code ``data`` (numba's compile result) of a signature to the store."""
         if not self._enabled:
             return
-        args = _normalized(sig)[0]
-        for record in recorders:
+        args = _normalize_signature(sig)[0]
+        for record in compile_recorders:
             record(self._dispatcher, args)
         if data.library.has_dynamic_globals or data.lifted:
             return
@@ -186,6 +186,7 @@ def _digest_of(dispatcher: Loop, callers: tuple[Loop, ...]) -> str:
 def _codegen_inputs(target: Hashable) -> Hashable:
     """Return the inputs that the machine code of every loop depends on: versions, the processor, settings."""
     return (
-        ENTRY_FORMAT, sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__.split(".")[:2], target,
+        ENTRY_FORMAT_VERSION, sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__.split(".")[:2],
+        target,
         tuple((name, repr(getattr(config, name, None))) for name in NUMBA_OPTIONS),
     )  # fmt: skip

@@ -16,19 +16,19 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from skugga.terrain.compiling.bundle import FOLDER
-from skugga.terrain.user_cache import user_cache
+from skugga.terrain.compiling.bundle import BUNDLED_LOOPS_FOLDER
+from skugga.terrain.user_cache import user_cache_folder
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 """Environment variable that overrides the folder in the user's cache."""
 
-SUFFIX = ".loop"
+ENTRY_SUFFIX = ".loop"
 
-MAX_BYTES = 256 * 2**20
+MAX_FOLDER_BYTES = 256 * 2**20
 """Maximum size of the writable folder. All loops of one version take 10 MB."""
 
 EVICTION_TARGET_SHARE = 0.75
-"""Fraction of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
+"""Fraction of ``MAX_FOLDER_BYTES`` that an eviction leaves, so that not every write evicts."""
 
 SCAN_EVERY_BYTES = 8 * 2**20
 """Number of bytes that a process writes between two checks of the folder's size."""
@@ -36,7 +36,7 @@ SCAN_EVERY_BYTES = 8 * 2**20
 TOUCH_AFTER_S = 86_400.0
 """Age of an entry's time stamp after which a read renews it. The time stamp is the time of last use."""
 
-PARTIAL_AGE_S = 3600.0
+MIN_ABANDONED_FILE_AGE_S = 3600.0
 """Age after which a partial file is treated as left behind by a killed process."""
 
 _MAGIC = b"skugga-loop-1\n"
@@ -52,7 +52,7 @@ class LoopStore:
     ----------
     folder
         Folder for reading and writing. The first write creates it with mode 0700.
-    bundled
+    bundled_folder
         Read-only folder that is searched first, or ``None`` if the installation has none.
 
     Attributes
@@ -61,16 +61,16 @@ class LoopStore:
         Why entries cannot be stored or read, as a sentence that names the folder. ``None`` while no problem has occurred.
     """
 
-    def __init__(self, folder: Path, bundled: Path | None = None) -> None:
-        self.folder, self.bundled = folder, bundled
+    def __init__(self, folder: Path, bundled_folder: Path | None = None) -> None:
+        self.folder, self.bundled = folder, bundled_folder
         self.problem: str | None = None
         self._unscanned_bytes = SCAN_EVERY_BYTES  # the first write checks the size
 
     def read(self, name: str) -> bytes | None:
         """Return the content of an entry, or ``None`` if it is missing or corrupt, or if another user may have written it."""
-        if self.bundled is not None and (content := _read_verified(self.bundled / (name + SUFFIX))) is not None:
+        if self.bundled is not None and (content := _read_verified(self.bundled / (name + ENTRY_SUFFIX))) is not None:
             return content
-        path = self.folder / (name + SUFFIX)
+        path = self.folder / (name + ENTRY_SUFFIX)
         try:
             with path.open("rb") as file:
                 state = os.fstat(file.fileno())
@@ -100,7 +100,7 @@ class LoopStore:
             try:
                 with os.fdopen(number, "wb") as file:
                     file.write(_MAGIC + hashlib.sha256(content).digest() + content)
-                os.replace(partial, self.folder / (name + SUFFIX))
+                os.replace(partial, self.folder / (name + ENTRY_SUFFIX))
             except BaseException:
                 with suppress(OSError):
                     os.unlink(partial)
@@ -112,13 +112,13 @@ class LoopStore:
         except OSError as error:
             self._warn(f"{self.folder} cannot be written ({error.strerror}), so every process compiles its loops again")
 
-    def has(self, name: str) -> bool:
+    def contains(self, name: str) -> bool:
         """Return whether an entry has a file. The file may turn out to be corrupt."""
         folders = (self.folder,) if self.bundled is None else (self.bundled, self.folder)
-        return any((folder / (name + SUFFIX)).is_file() for folder in folders)
+        return any((folder / (name + ENTRY_SUFFIX)).is_file() for folder in folders)
 
     def _evict(self) -> None:
-        """Evict the least recently used entries beyond ``MAX_BYTES``, and remove partial files of killed processes."""
+        """Evict the least recently used entries beyond ``MAX_FOLDER_BYTES``, and remove partial files of killed processes."""
         with (self.folder / ".lock").open("a") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -128,18 +128,18 @@ class LoopStore:
             for file in os.scandir(self.folder):
                 with suppress(FileNotFoundError):
                     state = file.stat(follow_symlinks=False)
-                    if file.name.startswith(".partial-") and now_s - state.st_mtime > PARTIAL_AGE_S:
+                    if file.name.startswith(".partial-") and now_s - state.st_mtime > MIN_ABANDONED_FILE_AGE_S:
                         os.unlink(file.path)
-                    elif file.name.endswith(SUFFIX):
+                    elif file.name.endswith(ENTRY_SUFFIX):
                         entries.append((state.st_mtime, state.st_size, file.path))
             total = sum(size for _, size, _ in entries)
-            if total <= MAX_BYTES:
+            if total <= MAX_FOLDER_BYTES:
                 return
             for _, size, path in sorted(entries):
                 with suppress(FileNotFoundError):
                     os.unlink(path)
                 total -= size
-                if total <= EVICTION_TARGET_SHARE * MAX_BYTES:
+                if total <= EVICTION_TARGET_SHARE * MAX_FOLDER_BYTES:
                     return
 
     def _warn(self, problem: str) -> None:
@@ -154,7 +154,9 @@ def default_store() -> LoopStore:
     Its folder is ``NUMBA_CACHE_DIR`` if that is set, otherwise the user's cache. The bundled folder is searched first.
     """
     named = os.environ.get(FOLDER_VARIABLE)
-    return LoopStore(Path(named) if named else user_cache("loops"), FOLDER if FOLDER.is_dir() else None)
+    return LoopStore(
+        Path(named) if named else user_cache_folder("loops"), BUNDLED_LOOPS_FOLDER if BUNDLED_LOOPS_FOLDER.is_dir() else None
+    )
 
 
 def _is_trusted(state: os.stat_result) -> bool:

@@ -46,4 +46,6 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"drawn": trees is not None and len(trees) > 0}
 
 
-EFFECT = Effect("alpha test: light passes the gaps in foliage", judge, facts, needs=("cast_shadows",), verdict_without_facts=None)
+EFFECT = Effect(
+    "alpha test: light passes the gaps in foliage", judge, facts, required_effects=("cast_shadows",), verdict_without_facts=None
+)

@@ -35,10 +35,10 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-COARSE_NODES = 2**18
+MAX_COARSE_NODES = 2**18
 """Maximum number of nodes of the coarse ground that is tested first. If coarse ground casts shadows, finer ground does, too."""
 
-MAX_NODES = 2**21
+MAX_TESTED_NODES = 2**21
 """Maximum number of nodes of ground that is tested facet by facet, which takes about 0.3 s per million. Larger ground counts as a
 possible caster.
 """
@@ -46,10 +46,10 @@ possible caster.
 MAX_TREES_TESTED = 2000
 """Maximum number of trees that are tested one by one. If more are in view or towards the light, some of them cast shadows."""
 
-DEPTH_GRID_CELLS = 128
+DEPTH_GRID_SIDE_CELLS = 128
 """Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
 
-SUN_DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+SUN_DISC_SINE_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
 
 A facet whose plane is closer than this to the centre of the sun may cut the disc. The value is for unit normals. A test with the
@@ -117,7 +117,7 @@ def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
 
 
 def _facing_tolerance(altitude_deg: float) -> float:
-    return SUN_DISC_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
+    return SUN_DISC_SINE_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
 def has_casters(descriptor: Descriptor) -> bool:
@@ -138,7 +138,9 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     min_excess, max_excess = _sun_facing_range(scene, view, coarse_view)
     result: dict[str, Fact] = {"least_slope": min_excess, "most_slope": max_excess}
     if coarse_view is not None and isinstance(view, PerspectiveView):
-        result |= {kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
+        result |= {
+            kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.caster_kinds if kind != "relief"
+        }
     return result
 
 
@@ -157,11 +159,11 @@ def _sun_facing_range(
     assert isinstance(sampled_view, MapView)
     grid = sampled_view.grid
     nodes = node_count(scene.world, scene.elevation, grid)
-    halvings = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
+    halvings = max(int(np.ceil(np.log2(max(nodes / MAX_COARSE_NODES, 1.0)) / 2.0)), 0)
     min_excess, max_excess = facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid.coarser(halvings)), to_sun)
     if halvings == 0 or (min_excess is not None and max_excess is not None and min_excess <= 0.0 and max_excess >= 0.0):
         return min_excess, max_excess
-    if nodes > MAX_NODES:
+    if nodes > MAX_TESTED_NODES:
         return None, None
     return facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid), to_sun)
 
@@ -176,7 +178,9 @@ def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view
     if trees is None:
         return None, False
     eye, camera_from_frame = view.in_frame(coarse_view.buffer.frame)
-    ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
+    ends = [
+        [start - view.step_px, start + count * view.step_px] for start, count in ((view.col0, view.cols), (view.row0, view.rows))
+    ]
     tangents = np.array(ends) / view.focal_px
     candidates = trees.in_frustum(eye, camera_from_frame, tangents)
     if not 0 < len(candidates) <= MAX_TREES_TESTED:
@@ -199,7 +203,7 @@ def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseVie
     the height of the tallest object if trees are in view.
     """
     return coarse_view.distance_m * coarse_view.spacing_tangent + (
-        scene.objects.tallest_m if find_visible_trees(scene.objects, view, coarse_view)[1] else 0.0
+        scene.objects.tallest_object_m if find_visible_trees(scene.objects, view, coarse_view)[1] else 0.0
     )
 
 
@@ -209,10 +213,10 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     Its first coordinate runs to the right in light space, its second one horizontally towards the sun. The second has no upper
     bound.
     """
-    assert scene.light is not None
-    rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
-    rows = np.stack([rotation[0], scene.light.horizontal_sunward_m(rotation.T)])
-    offsets = np.array([translation[0], scene.light.horizontal_sunward_m(translation)])
+    assert scene.light_space is not None
+    rotation, translation = scene.light_space.transform_from_frame(coarse_view.buffer.frame)
+    rows = np.stack([rotation[0], scene.light_space.horizontal_sunward_m(rotation.T)])
+    offsets = np.array([translation[0], scene.light_space.horizontal_sunward_m(translation)])
     in_light, tolerance_m = coarse_view.points_frame_m @ rows.T + offsets, _sample_radius_m(scene, view, coarse_view)[:, None]
     low, high = (
         ((in_light - tolerance_m).min(axis=0), (in_light + tolerance_m).max(axis=0))
@@ -227,15 +231,15 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
 
     Trees in view always count as occluders.
     """
-    assert scene.light is not None
+    assert scene.light_space is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
-        box_low, box_high = _boxes_of_meshes(objects, scene.light)
+        box_low, box_high = _boxes_of_meshes(objects, scene.light_space)
     else:
         trees, in_view = find_visible_trees(scene.objects, view, coarse_view)
         if trees is None or in_view:
             return in_view
-        rotation, translation = scene.light.from_frame(frame)
+        rotation, translation = scene.light_space.transform_from_frame(frame)
         points = coarse_view.points_frame_m @ rotation.T + translation
         tolerance_m = _sample_radius_m(scene, view, coarse_view)[:, None]
         low, high = (
@@ -246,14 +250,14 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
             return len(candidates) > 0
         in_light = trees.select(candidates).outlines() @ rotation.T + translation
         box_low, box_high = (end.reshape(-1, 3) for end in (in_light.min(axis=2), in_light.max(axis=2)))
-    rotation, translation = scene.light.from_frame(frame)
+    rotation, translation = scene.light_space.transform_from_frame(frame)
     return bool(
         _any_occludes(
             box_low,
             box_high,
             coarse_view.points_frame_m @ rotation.T + translation,
             _sample_radius_m(scene, view, coarse_view),
-            DEPTH_GRID_CELLS,
+            DEPTH_GRID_SIDE_CELLS,
         )
     )
 
@@ -262,7 +266,7 @@ def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_vie
 def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounding boxes of the meshes' casting triangles in light space. They do not depend on the camera."""
     assert objects.solids is not None
-    return _triangle_boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
+    return _triangle_boxes(light.points_from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
 
 
 @compiled

@@ -34,15 +34,15 @@ from skugga.terrain.shading_loops import twilight_sky_share
 CLOUD_HEIGHT_M, CLOUD_CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
-DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
+CLOUD_DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
 """East and north components of the clouds' velocity: 10 m/s towards the east-north-east."""
 
-MIN_ALTITUDE_SINE = np.sin(np.radians(5.0))
+MIN_SUN_ALTITUDE_SINE = np.sin(np.radians(5.0))
 """Lower bound of the sine of the sun's altitude in the projection of points to the layer. Without it shadows would move ever faster
 towards sunset.
 """
 
-COARSEST_WAVELENGTH_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
+COARSEST_CLOUD_WAVELENGTH_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
 
 CLOUD_EDGE_WIDTH = 0.26
@@ -54,13 +54,13 @@ CLOUD_TRANSMITTANCE = 0.25
 MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
 """Upper bounds of the value and of the slope of ``skugga.terrain.ground.noise.noise_at``, over all its gradients."""
 
-NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
+MAX_OCTAVE_SUM = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Upper bound of the sum of all octaves."""
 
 FADE_WAVELENGTH_SHARES = 1 / 16, 1 / 2
-"""Pixel sizes, as shares of ``COARSEST_WAVELENGTH_M``, between which clouds fade into their mean density."""
+"""Pixel sizes, as shares of ``COARSEST_CLOUD_WAVELENGTH_M``, between which clouds fade into their mean density."""
 
-INVISIBLE_SHARE = 0.008
+MAX_INVISIBLE_LIGHT_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
 
 If light loses the share ``a``, its sRGB code loses the share ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``. The code, without the
@@ -69,13 +69,13 @@ offset of the sRGB curve, is at most 1.055. The loss is smaller in the linear pa
 here allows for the 4096 steps of the encoding table.
 """
 
-MIN_SKY_SHARE = 0.25
+MIN_SKY_LIGHT_SHARE = 0.25
 """Lower bound of the share of sky light on a face towards a sun at the horizon.
 
 An upright face receives half of the sky. An overhanging face receives less, but is darker, too.
 """
 
-MAX_EVALUATIONS = 2**17
+MAX_DENSITY_EVALUATIONS = 2**17
 """Maximum number of evaluations in the search for the densest cloud. An undecided search counts as full density."""
 
 
@@ -84,9 +84,9 @@ class CloudLayer(NamedTuple):
 
     Attributes
     ----------
-    cover
+    cloud_cover
         Share of the sky that clouds cover.
-    threshold
+    noise_threshold
         Value of the noise in the middle of a cloud's edge.
     max_opacity
         Share of the direct sunlight that the densest cloud blocks.
@@ -94,18 +94,18 @@ class CloudLayer(NamedTuple):
         Height of the layer, metres.
     to_sun_anchor
         Unit vector to the sun (3,), in the anchor's axes.
-    centre_anchor_m
+    up_origin_anchor_m
         Point (3,) from which "up" points away, in the anchor's axes, metres.
     drift_m
         Drift east and north (2,), metres.
     """
 
-    cover: float
-    threshold: float
+    cloud_cover: float
+    noise_threshold: float
     max_opacity: float
     height_m: float
     to_sun_anchor: np.ndarray
-    centre_anchor_m: np.ndarray
+    up_origin_anchor_m: np.ndarray
     drift_m: np.ndarray
 
 
@@ -118,28 +118,28 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     world, cover = scene.world, scene.loaded.level.weather.cloud_cover
     anchor_from_earth = world.earth_from_anchor.T
     assert scene.sun is not None
-    centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
+    centre = np.array([0.0, 0.0, -1e12]) if world.is_flat else -anchor_from_earth @ world.anchor_earth_m
     return CloudLayer(
-        cover, threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
+        cover, noise_threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
         max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLOUD_CLEARANCE_M),
-        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(DRIFT_M_PER_S),
+        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.clock_seconds * np.array(CLOUD_DRIFT_M_PER_S),
     )  # fmt: skip
 
 
 @cached("scene", MIB)
 def _mean_height_m(elevation: Elevation) -> float:
-    return float(np.nanmean(elevation.overview.heights_m))
+    return float(np.nanmean(elevation.overview.mean_heights_m))
 
 
-def threshold_of(cover: float) -> float:
-    """Return the value that the noise exceeds on the share ``cover`` of a plane. For 0 and 1 it lies beyond all values."""
-    limit = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
-    shares, values = _distribution()
-    return float(np.interp(cover, [0.0, *shares, 1.0], [limit, *values, -limit]))
+def noise_threshold_of(cloud_cover: float) -> float:
+    """Return the value that the noise exceeds on the share ``cloud_cover`` of a plane. For 0 and 1 it lies beyond all values."""
+    limit = MAX_OCTAVE_SUM + CLOUD_EDGE_WIDTH / 2.0
+    shares, values = _noise_distribution()
+    return float(np.interp(cloud_cover, [0.0, *shares, 1.0], [limit, *values, -limit]))
 
 
 @cached("process", 16 * MIB)
-def _distribution() -> tuple[np.ndarray, np.ndarray]:
+def _noise_distribution() -> tuple[np.ndarray, np.ndarray]:
     """Return shares of a plane (n,), and for each the noise value (n,) that is exceeded on that share of the plane.
 
     They are measured on a square whose side is 195 of the coarsest wavelengths.
@@ -154,7 +154,9 @@ def _noise_on_grid(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
-            out[i * x.size + j] = _cloud_noise(x[j] * COARSEST_WAVELENGTH_M, x[i] * COARSEST_WAVELENGTH_M, -np.inf, np.inf)
+            out[i * x.size + j] = _cloud_noise(
+                x[j] * COARSEST_CLOUD_WAVELENGTH_M, x[i] * COARSEST_CLOUD_WAVELENGTH_M, -np.inf, np.inf
+            )
     return out
 
 
@@ -165,12 +167,12 @@ def _cloud_noise(x_m, y_m, low, high):
     The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
     """
     # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
-    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVELENGTH_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVELENGTH_M
+    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_CLOUD_WAVELENGTH_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_CLOUD_WAVELENGTH_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
         total += amplitude * noise_at(x, y, CLOUD_SEED + k)
         amplitude *= OCTAVE_GAIN
-        remaining = NOISE_BOUND - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
+        remaining = MAX_OCTAVE_SUM - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
         if total + remaining < low or total - remaining > high:
             break
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
@@ -178,39 +180,40 @@ def _cloud_noise(x_m, y_m, low, high):
 
 
 @compiled
-def density_at(x_m, y_m, threshold):
+def density_at(x_m, y_m, noise_threshold):
     """Return the relative cloud density at the place (``x_m``, ``y_m``) in the layer: 0 in gaps, 1 inside clouds.
 
-    ``threshold`` is that of the ``CloudLayer``.
+    ``noise_threshold`` is that of the ``CloudLayer``.
     """
     return _density_of_noise(
-        _cloud_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+        _cloud_noise(x_m, y_m, noise_threshold - CLOUD_EDGE_WIDTH / 2.0, noise_threshold + CLOUD_EDGE_WIDTH / 2.0), noise_threshold
     )
 
 
 @compiled
-def _density_of_noise(noise, threshold):
-    return smoothstep_value((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
+def _density_of_noise(noise, noise_threshold):
+    return smoothstep_value((noise - noise_threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
 @internal
-def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
+def _layer_position(x, y, z, height, layer_height_m, to_sun, up_origin, drift_m):
     """Return the intersection (x, y) of a point's ray to the sun with the layer, in metres of the noise.
 
-    These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_m`` that of
-    the layer. All coordinates are in the anchor's axes.
+    These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_height_m``
+    that of the layer. All coordinates are in the anchor's axes.
     """
-    ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
+    ux, uy, uz = x - up_origin[0], y - up_origin[1], z - up_origin[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
-    distance_m = (layer_m - height) / max(sine, MIN_ALTITUDE_SINE)
-    return x + distance_m * to_sun[0] - drift[0], y + distance_m * to_sun[1] - drift[1]
+    distance_m = (layer_height_m - height) / max(sine, MIN_SUN_ALTITUDE_SINE)
+    return x + distance_m * to_sun[0] - drift_m[0], y + distance_m * to_sun[1] - drift_m[1]
 
 
 @compiled
 def _fade_share(pixel_m):
     return min(
         max(
-            (pixel_m / COARSEST_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0]) / (FADE_WAVELENGTH_SHARES[1] - FADE_WAVELENGTH_SHARES[0]),
+            (pixel_m / COARSEST_CLOUD_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0])
+            / (FADE_WAVELENGTH_SHARES[1] - FADE_WAVELENGTH_SHARES[0]),
             0.0,
         ),
         1.0,
@@ -270,7 +273,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     blocked_share = numeric_fact(facts["taken"])
     if blocked_share is None:
         return Verdict(True, f"cloud cover {cover:.3g}")
-    if blocked_share <= INVISIBLE_SHARE:
+    if blocked_share <= MAX_INVISIBLE_LIGHT_SHARE:
         return Verdict(
             False, f"cloud cover {cover:.3g}: clouds block at most {blocked_share:.1%} of the light on any visible surface"
         )
@@ -297,8 +300,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         assert isinstance(view, PerspectiveView)
         distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
         boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
-        nearest, farthest = (_fade_share(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
-    densest = max((_max_density(*box, layer.threshold) for box in boxes), default=0.0)
+        nearest, farthest = (_fade_share(view.pixel_tangent * float(m)) for m in (distance_m.min(), distance_m.max()))
+    densest = max((_max_density(*box, layer.noise_threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
     return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
 
@@ -312,10 +315,10 @@ def _direct_share(scene: Scene) -> float:
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_sky_share(scene)
     low, high = scene.height_range_m
-    bare = low == high and scene.objects.kinds == ("relief",)
-    direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
-    sky = light.sky * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_SHARE)
-    sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
+    bare = low == high and scene.objects.caster_kinds == ("relief",)
+    direct = light.sun_irradiance * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
+    sky = light.sky_irradiance * (night + (1.0 - night) * float(twilight_sky_share(sine))) * (1.0 if bare else MIN_SKY_LIGHT_SHARE)
+    sky = sky * (1.0 - scene.style.sky_light_desaturation)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 
 
@@ -326,9 +329,9 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     """Return the bounds, in the cloud layer, of the rays from the ground of some cells and the objects on it to the sun."""
     row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
     x, y = scene.elevation.xy(row, col)
-    point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
+    point, up = (values.reshape(-1, 3) for values in scene.world.points_at_zero_height(scene.elevation.crs, x, y))
     low, high = scene.height_range_m
-    heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
+    heights = np.repeat([low, high + scene.objects.tallest_object_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     positions = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
@@ -349,7 +352,7 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
         distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])
     positions = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(distance_m, 1.0)))
-    rise_m = _missed_object_height_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_ALTITUDE_SINE)
+    rise_m = _missed_object_height_m(scene, coarse_view) / max(layer.to_sun_anchor[2], MIN_SUN_ALTITUDE_SINE)
     octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
         west, east, south, north = _position_bounds(
@@ -368,7 +371,7 @@ def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
     """
     view, trees = coarse_view.buffer.view, scene.objects.trees
     if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, coarse_view.buffer.frame) > 0.0:
-        return scene.objects.tallest_m
+        return scene.objects.tallest_object_m
     return 0.0 if trees is None else float(trees.height_m.max())
 
 
@@ -380,25 +383,28 @@ def _position_bounds(positions: np.ndarray, margin_m: float) -> CloudBounds:
 def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
     """Return the places (n, 2), metres, where rays from points (n, 3) to the sun meet the cloud layer (``_layer_position``)."""
     return _positions_of_points(
-        points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m
+        points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.up_origin_anchor_m, layer.drift_m
     )
 
 
 @compiled
-def _positions_of_points(points, height, layer_m, to_sun, centre, drift):
+def _positions_of_points(points, height, layer_height_m, to_sun, up_origin, drift_m):
     out = np.empty((len(points), 2))
     for n in range(len(points)):
         p = points[n]
-        out[n, 0], out[n, 1] = _layer_position(p[0], p[1], p[2], height[n], layer_m, to_sun, centre, drift)
+        out[n, 0], out[n, 1] = _layer_position(p[0], p[1], p[2], height[n], layer_height_m, to_sun, up_origin, drift_m)
     return out
 
 
 @cached("process", MIB)
-def _max_density(west: float, east: float, south: float, north: float, threshold: float) -> float:
+def _max_density(west: float, east: float, south: float, north: float, noise_threshold: float) -> float:
     """Return an upper bound of the cloud density in a box."""
     return float(
         _density_of_noise(
-            _max_noise(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+            _max_noise(
+                west, east, south, north, noise_threshold - CLOUD_EDGE_WIDTH / 2.0, noise_threshold + CLOUD_EDGE_WIDTH / 2.0
+            ),
+            noise_threshold,
         )
     )
 
@@ -411,7 +417,10 @@ def _max_noise(west, east, south, north, low, high):
     is discarded if this bound is not above the maximum found so far. Other cells are split into four, down to a radius of one
     metre.
     """
-    rows, cols = int((north - south) / (COARSEST_WAVELENGTH_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVELENGTH_M / 8.0)) + 1
+    rows, cols = (
+        int((north - south) / (COARSEST_CLOUD_WAVELENGTH_M / 8.0)) + 1,
+        int((east - west) / (COARSEST_CLOUD_WAVELENGTH_M / 8.0)) + 1,
+    )
     cells = np.empty((256, 4))
     best, evaluations = low, 0
     for i in range(rows):
@@ -425,12 +434,12 @@ def _max_noise(west, east, south, north, low, high):
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
                 value = _cloud_noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
-                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVELENGTH_M
+                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_CLOUD_WAVELENGTH_M
                 for _ in range(CLOUD_OCTAVES):
                     max_rise += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
                     amplitude, wave_m = amplitude * OCTAVE_GAIN, wave_m / 2.0
                 best, evaluations = max(best, value), evaluations + 1
-                if best >= high or evaluations > MAX_EVALUATIONS:
+                if best >= high or evaluations > MAX_DENSITY_EVALUATIONS:
                     return high
                 if value + max_rise <= best:
                     continue

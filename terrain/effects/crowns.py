@@ -25,7 +25,7 @@ from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
 from skugga.terrain.facts.mesh_rays import first_mesh_hits
-from skugga.terrain.facts.relief_rays import hidden_by_relief
+from skugga.terrain.facts.relief_rays import is_hidden_by_relief
 from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -35,12 +35,12 @@ from skugga.terrain.shading import daylight_of
 LEAF_TRANSMITTANCE = 0.65
 """Share of the sunlight that reaches leaves behind other leaves."""
 
-MIN_CELL_M = 2.0
+MIN_LEAF_CELL_M = 2.0
 """Minimum side, metres, of the cubic cells in which leaves share one ray to the sun. The ray tests for shadows of ground and
 meshes.
 """
 
-MIN_CELL_TANGENT = 0.004
+MIN_LEAF_CELL_TANGENT = 0.004
 """Minimum angle of a cell as seen from the eye, as a tangent. Sides of distant cells are doubled until they reach it."""
 
 CELL_INDEX_BITS = 18
@@ -68,7 +68,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if isinstance(view, MapView) or coarse_view is None:
         return {"trees": 0, "sunlit": scene.sun_is_up}
     trees, in_frustum = trees_in_view(scene, view, coarse_view.buffer.frame)
-    sunlit = scene.sun_is_up and bool(daylight_of(scene).sun.any())
+    sunlit = scene.sun_is_up and bool(daylight_of(scene).sun_irradiance.any())
     any_in_view = trees is not None and find_visible_trees(scene.objects, view, coarse_view)[1]
     return {"trees": len(in_frustum) if any_in_view else 0, "sunlit": sunlit}
 
@@ -78,16 +78,16 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
-    pixels = np.flatnonzero((buffer.kind == FOREST) & (sunlight < 1.0))
+    pixels = np.flatnonzero((buffer.surface_kind == FOREST) & (sunlight < 1.0))
     if not len(pixels):
         return
     points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
     run_in_chunks(len(pixels), _write_cell_keys, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
     # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
-    cell_side_m = MIN_CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
+    cell_side_m = MIN_LEAF_CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
     start, to_sun = (np.floor(points[pixels[first]] / cell_side_m) + 0.5) * cell_side_m, scene.sun.in_frame(buffer.frame)
-    is_shaded = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
+    is_shaded = is_hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
     if scene.objects.solids is not None:
         distance_m, _ = first_mesh_hits(
             scene.objects, buffer.frame, start, np.broadcast_to(to_sun, start.shape), np.full(len(start), np.inf)
@@ -105,8 +105,8 @@ def _write_cell_keys(first, last, points, pixels, eye, key):
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-        distance_m, doublings, cell_side_m = np.sqrt(x * x + y * y + z * z), 0, MIN_CELL_M
-        while cell_side_m < distance_m * MIN_CELL_TANGENT:
+        distance_m, doublings, cell_side_m = np.sqrt(x * x + y * y + z * z), 0, MIN_LEAF_CELL_M
+        while cell_side_m < distance_m * MIN_LEAF_CELL_TANGENT:
             doublings, cell_side_m = doublings + 1, 2.0 * cell_side_m
         number = doublings
         for k in range(3):
@@ -123,4 +123,4 @@ def _transmit(first, last, sunlight, pixels, is_shaded, cell, share):
             sunlight[row, col] = received + (np.float32(1.0) - received) * share
 
 
-EFFECT = Effect("light through foliage", judge, facts, "sunlight", apply_crowns, needs=("cast_shadows",))
+EFFECT = Effect("light through foliage", judge, facts, "sunlight", apply_crowns, required_effects=("cast_shadows",))

@@ -20,7 +20,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
-CHANNEL_STEP = 1.0 / 255.0
+SRGB_CHANNEL_STEP = 1.0 / 255.0
 """Largest invisible change: one step of an 8-bit channel. An effect that changes no pixel by more than that is not needed."""
 
 Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
@@ -35,7 +35,7 @@ Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
 All arrays are float32 and changed in place.
 """
 
-BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lamplight")
+STAGES_BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lamplight")
 
 
 @dataclass(frozen=True)
@@ -84,14 +84,14 @@ class PixelSize(NamedTuple):
     ----------
     eye_frame_m
         Position of the eye (3,), metres; zeros in a map.
-    tangent
+    pixel_tangent
         Width of a pixel at distance 1 from the eye; 0 in a map.
     width_m
         Width of all pixels of a map, metres; 0 in perspective.
     """
 
     eye_frame_m: np.ndarray
-    tangent: float
+    pixel_tangent: float
     width_m: float
 
 
@@ -99,7 +99,7 @@ def pixel_size(block: ShadingBlock) -> PixelSize:
     """Return the width of a block's pixels."""
     if isinstance(block.view, MapView):
         return PixelSize(np.zeros(3), 0.0, map_pixel_m(block.scene.world, block.view))
-    return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel, 0.0)
+    return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel_tangent, 0.0)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Effect:
     apply
         Function that changes this array in place. ``None`` if the effect switches a behaviour of other code instead
         (``skugga.terrain.effects.SWITCHES``).
-    needs
+    required_effects
         Names of the effects that this effect depends on.
     verdict_without_facts
         Verdict for a descriptor without the effect's facts, for example one written by hand. ``None`` if the predicate works
@@ -133,7 +133,7 @@ class Effect:
     facts: Callable[[Scene, MapView | PerspectiveView, CoarseView | None], dict[str, Fact]] | None = None
     stage: Stage | None = None
     apply: Callable[[np.ndarray, ShadingBlock], None] | None = None
-    needs: tuple[str, ...] = ()
+    required_effects: tuple[str, ...] = ()
     verdict_without_facts: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
 
     def verdict(self, name: str, descriptor: Descriptor) -> Verdict:

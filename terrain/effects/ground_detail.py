@@ -9,7 +9,7 @@ the line of sight and the ground's normal. Distant ground therefore keeps its pl
 coarser than all wavelengths.
 
 **Visibility.** If a linear colour c is multiplied by 1 + s, its sRGB code k changes by s c / (dc/dk). The change is largest on
-white. Below a relative change s of ``INVISIBLE_CHANGE`` no code changes by more than a step.
+white. Below a relative change s of ``MAX_INVISIBLE_ALBEDO_CHANGE`` no code changes by more than a step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
-from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
+from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact, numeric_fact
@@ -28,14 +28,14 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import noise_along
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import WATER_TOLERANCE_M
+from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M
 
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
 )  # fmt: skip
 """Wavelengths in metres, each with its amplitude as a share of the albedo."""
 
-HUE_SHIFT = (0.55, 0.0, -0.85)
+HUE_SHIFT_RGB = (0.55, 0.0, -0.85)
 """Additional change of red, green and blue by the waves that change the hue, relative to their amplitude. Lighter ground looks
 drier.
 """
@@ -48,16 +48,16 @@ FLAT_GROUND_AMPLITUDE_FACTOR = 0.45
 
 DETAIL_SEED = 71
 
-MAX_NOISE = 0.9
+MAX_GRADIENT_NOISE = 0.9
 """Upper bound of gradient noise."""
 
 LATTICE_ROTATION = (0.8, 0.6)
 """Cosine and sine of the rotation between the lattices of successive waves, so that their rows never coincide."""
 
-GRAZING_COSINE = 0.02
+MIN_VIEW_COSINE = 0.02
 """Lower bound of the cosine between the view and the ground's normal."""
 
-INVISIBLE_CHANGE = CHANNEL_STEP / 0.45
+MAX_INVISIBLE_ALBEDO_CHANGE = SRGB_CHANNEL_STEP / 0.45
 """Largest relative change of the albedo that changes no colour by more than one of 255."""
 
 MAX_BATCH_PIXELS = 256
@@ -79,7 +79,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     nearest_m, share = numeric_fact(facts["nearest_m"]), numeric_fact(facts["share"])
     if nearest_m is None or share is None:
         return Verdict(False, "no ground is in view")
-    if share <= INVISIBLE_CHANGE:
+    if share <= MAX_INVISIBLE_ALBEDO_CHANGE:
         return Verdict(False, f"the nearest ground is {nearest_m:.0f} m away, where pixels are as wide as its patches")
     return Verdict(True, f"ground {nearest_m:.1f} m away shows patches and tufts: up to {100.0 * share:.0f} % of its albedo")
 
@@ -95,22 +95,24 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if coarse_view is None or isinstance(view, MapView):
         return {"draped": draped, "nearest_m": None, "share": None}
     buffer = coarse_view.buffer
-    ground = buffer.kind[buffer.valid] == RELIEF
+    ground = buffer.surface_kind[buffer.valid] == RELIEF
     distance_m = coarse_view.distance_m[ground]
     if not len(distance_m):
         return {"draped": draped, "nearest_m": None, "share": None}
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(distance_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
-    steeper = np.clip(facing + coarse_view.spacing_tangent, GRAZING_COSINE, 1.0)
-    pixel_width_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
+    steeper = np.clip(facing + coarse_view.spacing_tangent, MIN_VIEW_COSINE, 1.0)
+    pixel_width_m = view.pixel_tangent * distance_m * np.maximum(facing, MIN_VIEW_COSINE) / steeper**2
     return {"draped": draped, "nearest_m": float(distance_m.min()), "share": max_albedo_change(float(pixel_width_m.min()))}
 
 
 def max_albedo_change(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo where pixels are ``pixel_m`` metres wide."""
     visible_amplitudes = [amplitude * _resolved_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(MAX_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT)) * sum(visible_amplitudes[:HUE_WAVE_COUNT])))
+    return float(
+        MAX_GRADIENT_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT_RGB)) * sum(visible_amplitudes[:HUE_WAVE_COUNT]))
+    )
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -123,18 +125,18 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
         len(albedo),
         _apply_detail,
         albedo,
-        _detail(buffer, scene, view),
+        _albedo_changes(buffer, scene, view),
         1.0 if high > low else FLAT_GROUND_AMPLITUDE_FACTOR,
-        np.array(HUE_SHIFT),
+        np.array(HUE_SHIFT_RGB),
     )
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
-    return buffer.position_frame_m, scene.elevation, view.pixel
+    return buffer.position_frame_m, scene.elevation, view.pixel_tangent
 
 
 @cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
-def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
+def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return how much lighter and drier the ground is, as relative changes of its albedo, float64 (rows, cols, 2).
 
     They do not depend on the sun.
@@ -142,20 +144,20 @@ def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.n
     out = np.zeros((*buffer.valid.shape, 2))
     run_in_chunks(
         len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + WATER_TOLERANCE_M,
-        view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
+        scene.elevation.water_m + WATER_HEIGHT_TOLERANCE_M,
+        view.in_frame(buffer.frame)[0], view.pixel_tangent, _WAVES, out,
     )  # fmt: skip
     return out
 
 
 @compiled
-def _apply_detail(first, last, albedo, detail, share, hue):
+def _apply_detail(first, last, albedo, detail, share, hue_shift):
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]
             if lighter != 0.0 or drier != 0.0:
                 for k in range(3):
-                    albedo[i, j, k] *= 1.0 + share * (lighter + hue[k] * drier)
+                    albedo[i, j, k] *= 1.0 + share * (lighter + hue_shift[k] * drier)
 
 
 @compiled
@@ -180,7 +182,7 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
                 dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                 facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(distance, 1e-9)
-                pixel_width_m[count] = pixel * distance / max(facing, GRAZING_COSINE)
+                pixel_width_m[count] = pixel * distance / max(facing, MIN_VIEW_COSINE)
                 if waves[0, 0] > 2.0 * pixel_width_m[count]:
                     x[count] = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
                     y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]

@@ -54,20 +54,20 @@ from skugga.terrain.shading_loops import tone_curve
 from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
 
-THRESHOLD_CONTRAST = 0.02
+VISIBILITY_CONTRAST = 0.02
 """Contrast of a black object with the horizon at the distance that defines the visibility."""
 
 CLEAR_AIR_VISIBILITY_M = 100_000.0
 """Default visibility: clear weather, without the dust of a dry summer."""
 
-SCALE_HEIGHT_M = 8000.0
+AIR_SCALE_HEIGHT_M = 8000.0
 """Height difference over which the density of air falls to 1/e."""
 
-RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
+RAYLEIGH_SCATTERING_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
-ENCODER_BIN_WIDTH = 1.0 / 4096.0
-"""Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
+SRGB_ENCODER_BIN_WIDTH = 1.0 / 4096.0
+"""Width of the bins of linear colour in ``skugga.terrain.shading.encode_srgb``."""
 
 TESTED_LIGHT_SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that the tests of visibility try, each 0.6 % larger than the one before."""
@@ -88,7 +88,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     if farthest_m <= shows_from_m:
         reason = f"no visible surface is farther than {_length_text(farthest_m)}; at {_length_text(visibility_m)} of visibility"
         return Verdict(False, f"{reason} haze shows from {_length_text(shows_from_m)} on")
-    share = 100.0 * -np.expm1(-farthest_m * extinction(visibility_m))
+    share = 100.0 * -np.expm1(-farthest_m * green_extinction_per_m(visibility_m))
     return Verdict(
         True,
         f"at {_length_text(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_length_text(farthest_m)} away",
@@ -105,7 +105,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if coarse_view is None:
         return {"visibility_m": scene.loaded.level.weather.visibility}
-    visibility_m = visibility_of(scene, view)
+    visibility_m = visibility_m_of(scene, view)
     shows_from_m = _visible_haze_distance_m(scene, visibility_m)
     farthest_m = float(coarse_view.distance_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
@@ -113,26 +113,26 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
 
 
-def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
+def visibility_m_of(scene: Scene, view: MapView | PerspectiveView) -> float:
     """Return the meteorological visibility in a view, metres."""
     visibility_m = scene.loaded.level.weather.visibility
     if visibility_m is not None:
         return visibility_m
     if isinstance(view, MapView):
         return CLEAR_AIR_VISIBILITY_M
-    height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
-    up = max(height_m - scene.height_range_m[0], 1e-3) / SCALE_HEIGHT_M
+    height_m = float(view.eye_earth_m[2] if scene.world.is_flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
+    up = max(height_m - scene.height_range_m[0], 1e-3) / AIR_SCALE_HEIGHT_M
     return CLEAR_AIR_VISIBILITY_M * up / -float(np.expm1(-up))
 
 
-def extinction(visibility_m: float) -> float:
+def green_extinction_per_m(visibility_m: float) -> float:
     """Return the extinction coefficient of green light, per metre, by Koschmieder's formula."""
-    return float(-np.log(THRESHOLD_CONTRAST) / visibility_m)
+    return float(-np.log(VISIBILITY_CONTRAST) / visibility_m)
 
 
-def extinctions(visibility_m: float) -> np.ndarray:
+def rgb_extinctions_per_m(visibility_m: float) -> np.ndarray:
     """Return the extinction coefficients of red, green and blue light (3,), per metre."""
-    green, air = extinction(visibility_m), np.array(RAYLEIGH_PER_M)
+    green, air = green_extinction_per_m(visibility_m), np.array(RAYLEIGH_SCATTERING_PER_M)
     return green + min(green, air[1]) * (air / air[1] - 1.0)
 
 
@@ -148,7 +148,7 @@ def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: Coa
         farthest.append(_max_clipped_distance(ground.position_frame_m, ground.triangles, eye, inward))
     trees, in_view = trees_in_view(scene, view, frame)
     if trees is not None:
-        size = np.hypot(np.sqrt(2.0) * trees.shape[in_view, :2].max(axis=1), trees.shape[in_view, 2])
+        size = np.hypot(np.sqrt(2.0) * trees.quad_sizes_m[in_view, :2].max(axis=1), trees.quad_sizes_m[in_view, 2])
         farthest.append(np.max(np.linalg.norm(trees.base_frame_m[in_view] - eye, axis=1) + size, initial=0.0))
     return float(max(farthest, default=0.0))
 
@@ -183,7 +183,7 @@ def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     """
     eye, camera_from_frame = view.in_frame(frame)
     first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
-    tangents = np.stack([first - view.step, first + count * view.step], axis=1) / view.focal_px
+    tangents = np.stack([first - view.step_px, first + count * view.step_px], axis=1) / view.focal_px
     (left, right), (top, bottom) = tangents
     inward = np.array([[0, 0, 1], [1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom]]) @ camera_from_frame
     return eye, camera_from_frame, tangents, inward
@@ -199,14 +199,14 @@ def shadow_hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
         return 0.0
     darkest = horizon_colors(scene).min(axis=0)
     shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _sunlit_white(scene), strict=True)]
-    return float((-np.log(shares) / extinctions(visibility_of(scene, view))).max())
+    return float((-np.log(shares) / rgb_extinctions_per_m(visibility_m_of(scene, view))).max())
 
 
 def _sunlit_white(scene: Scene) -> np.ndarray:
     """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
-    sunlight = daylight_of(scene).sun
+    sunlight = daylight_of(scene).sun_irradiance
     return np.array([tone_curve(channel) for channel in sunlight])
 
 
@@ -216,7 +216,7 @@ def _visible_haze_distance_m(scene: Scene, visibility_m: float) -> float:
     shares = [
         _max_invisible_share((dark,), (bright,)) for dark, bright in zip(horizon.min(axis=0), horizon.max(axis=0), strict=True)
     ]
-    return float((-np.log1p(-np.array(shares)) / extinctions(visibility_m)).min())
+    return float((-np.log1p(-np.array(shares)) / rgb_extinctions_per_m(visibility_m)).min())
 
 
 @cached("process", MIB)
@@ -228,7 +228,7 @@ def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ..
     air = (1.0 - TESTED_LIGHT_SHARES)[:, None] * np.array(horizon)
     lit = air + TESTED_LIGHT_SHARES[:, None] * np.array(white)
     is_indistinguishable = np.logical_and.reduce(
-        [_look_alike(covered_share * air, covered_share * lit) for covered_share in SAMPLED_PIXEL_SHARES]
+        [_are_indistinguishable(covered_share * air, covered_share * lit) for covered_share in SAMPLED_PIXEL_SHARES]
     )
     return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
@@ -240,16 +240,16 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
     Black and white are tested. The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
-    is_indistinguishable = _look_alike(black, TESTED_LIGHT_SHARES[:, None] * brightest)
-    is_indistinguishable &= _look_alike(1.0 - TESTED_LIGHT_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
+    is_indistinguishable = _are_indistinguishable(black, TESTED_LIGHT_SHARES[:, None] * brightest)
+    is_indistinguishable &= _are_indistinguishable(1.0 - TESTED_LIGHT_SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
     return float(TESTED_LIGHT_SHARES[is_indistinguishable].max(initial=TESTED_LIGHT_SHARES[0]))
 
 
-def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
+def _are_indistinguishable(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Return whether pairs of linear colours (n, k) differ by at most one sRGB code, wherever the encoder's bins lie, bool (n,)."""
-    lowest = np.maximum(dark - 0.5 * ENCODER_BIN_WIDTH, 0.5 * ENCODER_BIN_WIDTH)
-    bins = np.ceil((bright - dark) / ENCODER_BIN_WIDTH)
-    return (255.0 * (srgb_of_linear(lowest + bins * ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
+    lowest = np.maximum(dark - 0.5 * SRGB_ENCODER_BIN_WIDTH, 0.5 * SRGB_ENCODER_BIN_WIDTH)
+    bins = np.ceil((bright - dark) / SRGB_ENCODER_BIN_WIDTH)
+    return (255.0 * (srgb_of_linear(lowest + bins * SRGB_ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
 
 
 def _length_text(length_m: float) -> str:
@@ -265,17 +265,17 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     up = eye - scene.world.up_origin(frame)
     up /= np.linalg.norm(up)
     to_sun_horizontal = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.in_frame(frame), up)
-    buffer, air = block.buffer, extinctions(visibility_of(scene, view))
+    buffer, air = block.buffer, rgb_extinctions_per_m(visibility_m_of(scene, view))
     run_in_chunks(
         len(color), _apply_haze_rows, color, buffer.valid, buffer.position_frame_m, eye, air, up, to_sun_horizontal, sky_of(scene)
     )
 
 
 @compiled
-def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, to_sun_horizontal, sky):
+def _apply_haze_rows(first, last, color, valid, position, eye, rgb_extinction_per_m, up, to_sun_horizontal, sky):
     """Apply haze to the colours (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive), in place.
 
-    ``extinction`` holds the coefficients (3,) of the channels. The inner loops compile to vector instructions.
+    ``rgb_extinction_per_m`` holds the coefficients (3,) of the channels. The inner loops compile to vector instructions.
     """
     cols = valid.shape[1]
     distance, azimuth_cosine, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
@@ -293,7 +293,7 @@ def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, t
             distance[j] = np.sqrt(square)
         sky_colors(sky, at_horizon, azimuth_cosine, horizon_color)
         for k in range(3):
-            transmittances(extinction[k], distance, transmittance)
+            transmittances(rgb_extinction_per_m[k], distance, transmittance)
             horizon, channel = horizon_color[k], color[i, :, k]
             for j in range(cols):
                 value = horizon[j] + (channel[j] - horizon[j]) * transmittance[j]

@@ -12,17 +12,17 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
-from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
+from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
-from skugga.terrain.lights import CONE_FADE_SHARE, Lamp
+from skugga.terrain.lights import CONE_EDGE_FADE_SHARE, Lamp
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEAF_TRANSLUCENCY, daylight_of, exposure_of, night_sky_share
-from skugga.terrain.shading_loops import MIN_SKY_FACTOR, twilight_sky_share
+from skugga.terrain.shading_loops import MIN_SLOPE_SKY_FACTOR, twilight_sky_share
 from skugga.terrain.srgb import srgb_of_linear
 
 MAX_NAMED_LAMPS = 8
@@ -79,7 +79,7 @@ def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, c
     ground without objects the bound includes the cosine of incidence. The result is 0 where the lamp does not shine.
     """
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
-    strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
+    strength = max(lamp.color) * lamp.intensity * lamp.reference_distance_m**2 * exposure
     if coarse_view is None:
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
@@ -90,11 +90,11 @@ def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, c
         points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
         slack_m = coarse_view.distance_m * coarse_view.spacing_tangent
     to_points = points - lamp.position_earth_m
-    slack_m = slack_m + scene.objects.tallest_m
+    slack_m = slack_m + scene.objects.tallest_object_m
     distance_m = np.linalg.norm(to_points, axis=-1)
     near_m = np.maximum(distance_m - slack_m, 1e-3)
     light = strength / near_m**2
-    if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.kinds == ("relief",):
+    if scene.world.is_flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.caster_kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
     shines = light > 0.0  # False for NaN points
     if lamp.kind == "spot":
@@ -112,12 +112,14 @@ def _min_visible_irradiance(scene: Scene) -> float:
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_sky_share(scene)
-    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * twilight_sky_share(sine))
-    ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY_FACTOR) * sky if "meshes" not in scene.objects.kinds else 0.0
+    sky = float(daylight_of(scene).sky_irradiance.min()) * (night + (1.0 - night) * twilight_sky_share(sine))
+    ground_light = (
+        0.25 * (1.0 if scene.sun is None else MIN_SLOPE_SKY_FACTOR) * sky if "meshes" not in scene.objects.caster_kinds else 0.0
+    )
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(
         increments[
-            np.argmax(srgb_of_linear(ground_light + increments) - srgb_of_linear(np.array(ground_light)) > 0.75 * CHANNEL_STEP)
+            np.argmax(srgb_of_linear(ground_light + increments) - srgb_of_linear(np.array(ground_light)) > 0.75 * SRGB_CHANNEL_STEP)
         ]
     )
 
@@ -130,11 +132,13 @@ def _highest_points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray
     """
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.lod
-    cell_mask = np.zeros(overview.high_m.shape, bool)
-    cell_mask[block_slices(cells, factor, overview.high_m.shape)] = True
-    row, col = np.nonzero(cell_mask & np.isfinite(overview.high_m))
-    high, mean = overview.high_m[row, col], overview.heights_m[row, col]
-    point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+    cell_mask = np.zeros(overview.max_heights_m.shape, bool)
+    cell_mask[block_slices(cells, factor, overview.max_heights_m.shape)] = True
+    row, col = np.nonzero(cell_mask & np.isfinite(overview.max_heights_m))
+    high, mean = overview.max_heights_m[row, col], overview.mean_heights_m[row, col]
+    point, up = scene.world.points_at_zero_height(
+        elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5)
+    )
     cell_width_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
     return point + up * high[:, None], cell_width_m + 2.0 * np.nan_to_num(high - mean)
 
@@ -151,9 +155,9 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
             continue
         lamp = scene.lamps[name]
         position, axis, _ = lamp.in_frame(buffer.frame)
-        color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
+        color = np.array(lamp.color) * lamp.intensity * lamp.reference_distance_m**2 * exposure
         outer, inner = (
-            np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_FADE_SHARE)]))
+            np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE_FADE_SHARE)]))
             if lamp.kind == "spot"
             else (-2.0, -1.5)
         )
@@ -161,7 +165,7 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
 
 
 @compiled
-def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, translucency):
+def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer_cosine, inner_cosine, translucency):
     valid, kind, position, _, normal = shading_inputs
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
@@ -173,7 +177,7 @@ def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, i
             translucent_share = translucency if kind[i, j] == FOREST else 0.0
             incidence_cosine = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / distance
             cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / distance
-            rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)
+            rim = min(max((cosine - outer_cosine) / (inner_cosine - outer_cosine), 0.0), 1.0)
             share = (
                 (translucent_share + (1.0 - translucent_share) * incidence_cosine) * rim * visibility[i, j] / (distance * distance)
             )

@@ -3,7 +3,7 @@
 The lift is this increase of the altitude. The effect is needed if the lift moves the end of the longest shadow by more than a
 pixel, or changes the light on a slope by more than a step of 1/255. The cosine between a slope's normal and the light changes by at
 most the lift in radians. The change of the picture is this change times the exposure and the slope of the sRGB curve. By day the
-slope of the curve is at most ``SRGB_SLOPE``, on surfaces that only sky light reaches.
+slope of the curve is at most ``MAX_SRGB_SLOPE``, on surfaces that only sky light reaches.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.casters.reach import longest_shadow_m
-from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, Verdict
+from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
@@ -20,7 +20,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import exposure_of
 
-SRGB_SLOPE = 3.5
+MAX_SRGB_SLOPE = 3.5
 """Slope of the sRGB curve at a linear value of 0.03, the colour of white ground in shadow that sees half of the sky."""
 
 
@@ -36,7 +36,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
     moves_px = moves_m / pixel_m
-    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / CHANNEL_STEP
+    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * MAX_SRGB_SLOPE / SRGB_CHANNEL_STEP
     text = f"refraction lifts the sun by {lift_deg:.2g} degrees"
     if 0.0 < descriptor.weather.cloud_cover < 1.0:
         return Verdict(True, f"{text}, which moves the shadows of clouds")
@@ -55,8 +55,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if scene.sun is None:
         return {}
-    tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_m
-    altitude, curved = scene.sun.altitude_deg, not scene.world.flat
+    tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_object_m
+    altitude, curved = scene.sun.altitude_deg, not scene.world.is_flat
     longer_m = longest_shadow_m(tallest_m, altitude - scene.sun.refraction_deg, curved) - longest_shadow_m(
         tallest_m, altitude, curved
     )

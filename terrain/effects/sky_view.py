@@ -29,22 +29,22 @@ from skugga.terrain.ground.visible_cells import block_slices, visible_cells
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import (
     daylight_of,
+    encode_srgb,
     max_slope_sky_factor,
     night_sky_share,
     shading_parameters,
     sky_lit_albedo,
-    srgb_encoded,
 )
 from skugga.terrain.shading_loops import twilight_sky_share
 from skugga.terrain.style import tint_table
 
-COMPARED_SHADES = 4096
+COMPARED_SHADE_COUNT = 4096
 """Number of shades, from black to the brightest ground in shadow, that are compared. The table that encodes sRGB has as many
 entries.
 """
 
 
-MARGIN_NODES = 4
+INTERPOLATION_MARGIN_NODES = 4
 """Number of nodes beyond a map's edge that interpolation may read, also at the next coarser level of the pyramid."""
 
 
@@ -74,7 +74,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     - ``hidden``: maximum share of the sky that ground hides from any visible ground. A map uses means over its pixels.
     - ``steps``: number of steps of 1/255 by which this hidden share darkens the brightest ground in shadow.
     """
-    if not scene.world.on_earth:
+    if not scene.world.is_on_earth:
         return {}
     low, high = scene.height_range_m
     if high <= low:
@@ -92,22 +92,22 @@ def _max_hidden_in_map(scene: Scene, view: MapView, hidden_sky: SkyView) -> floa
 
     It is the maximum over all nodes that the map's pixels are interpolated from. ``hidden_sky`` holds the hidden shares at nodes.
     """
-    cells, (means, table) = visible_cells(scene.elevation, view), hidden_sky.means
+    cells, (means, table) = visible_cells(scene.elevation, view), hidden_sky.mean_pyramid
     if cells is None:
         return 0.0
     fractional_level = _pyramid_level(scene, view, hidden_sky)
     number = min(int(fractional_level), len(table) - 1)
-    level_values, margin = _pyramid_values(means, table, number), MARGIN_NODES if fractional_level > 0.0 else 1
+    level_values, margin = _pyramid_values(means, table, number), INTERPOLATION_MARGIN_NODES if fractional_level > 0.0 else 1
     return float(level_values[block_slices(cells, 2 ** (hidden_sky.lod + number), level_values.shape, margin)].max())
 
 
-def max_darkening_steps(light: float, hidden_share: float) -> int:
+def max_darkening_steps(max_light: float, hidden_share: float) -> int:
     """Return the maximum number of steps of 1/255 by which a colour darkens if the share ``hidden_share`` of its light is lost.
 
-    The colours are all linear values up to ``light``.
+    The colours are all linear values up to ``max_light``.
     """
-    shades = np.linspace(0.0, light, COMPARED_SHADES)
-    return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden_share))).max())
+    shades = np.linspace(0.0, max_light, COMPARED_SHADE_COUNT)
+    return int((encode_srgb(shades).astype(int) - encode_srgb(shades * (1.0 - hidden_share))).max())
 
 
 def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
@@ -116,17 +116,17 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     The surface has the brightest tint of the ground, or is white if the level has objects, imagery or snow.
     """
     level = scene.loaded.level
-    plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
-    tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
+    plain = scene.objects.caster_kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
+    tints = tint_table(scene.style.ramp, scene.style.has_latitude_tints).reshape(-1, 3)
     albedo = sky_lit_albedo(tints, shading_parameters(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_sky_share(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(twilight_sky_share(np.sin(np.radians(scene.highest_sun_deg))))
-    return float((albedo * daylight_of(scene).sky).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
+    return float((albedo * daylight_of(scene).sky_irradiance).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
 
 
 def _pyramid_level(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:
     """Return the fractional level of the pyramid of hidden shares at which nodes are as far apart as a map's pixels; 0 or more."""
-    return max(float(np.log2(map_pixel_m(scene.world, view) / hidden_sky.node_m)), 0.0)
+    return max(float(np.log2(map_pixel_m(scene.world, view) / hidden_sky.node_spacing_m)), 0.0)
 
 
 def _pyramid_values(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
@@ -153,7 +153,7 @@ def _max_hidden_in_view(hidden_sky: SkyView, coarse_view: CoarseView) -> float:
         previous_spacing, next_spacing = (np.insert(spacing, position, np.nan, axis=axis) for position in (0, spacing.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         radius = np.fmax(radius, np.fmin(previous_spacing, next_spacing))
-    highest, table = hidden_sky.maxima
+    highest, table = hidden_sky.max_pyramid
     has_node = buffer.valid & np.isfinite(nodes[..., 0])
     return float(_max_around_nodes(highest, table, nodes[has_node], radius[has_node]))
 
@@ -195,8 +195,9 @@ def _sky_view_factors(block: ShadingBlock) -> np.ndarray:
     nodes = sky_view_nodes(hidden_sky, buffer.frame, buffer.position_frame_m, buffer.height_m)
     out = np.ones(buffer.valid.shape)
     run_in_chunks(
-        len(out), _write_factors, out, nodes, buffer.position_frame_m, *hidden_sky.means, eye, tangent / hidden_sky.node_m,
-        width_m / hidden_sky.node_m
+        len(out), _write_factors, out, nodes, buffer.position_frame_m, *hidden_sky.mean_pyramid, eye,
+        tangent / hidden_sky.node_spacing_m,
+        width_m / hidden_sky.node_spacing_m
     )  # fmt: skip
     return out
 

@@ -15,15 +15,15 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import WATER_TOLERANCE_M
+from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M
 
 SNOW_ALBEDO, ROCK_ALBEDO = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of settled snow, and of the rock and scree on steep ground."""
 
-FULL_SNOW_DEG, NO_SNOW_DEG = 38.0, 52.0
+MAX_FULL_SNOW_SLOPE_DEG, MIN_BARE_SLOPE_DEG = 38.0, 52.0
 """Slopes below which all snow stays and above which none does. Most avalanches start between 30 and 45 degrees."""
 
-EDGE_NOISE_DEG, EDGE_NOISE_WAVELENGTH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
+SNOW_EDGE_NOISE_DEG, SNOW_EDGE_NOISE_WAVELENGTH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
 """Noise added to the slope, so that the snow's edge is irregular: amplitude in degrees, coarsest wavelength in metres, octaves,
 seed.
 """
@@ -49,12 +49,12 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     _apply_snow_albedo(
         albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame),
         scene.world.anchor_from_frame(buffer.frame),
-        scene.elevation.water_m + WATER_TOLERANCE_M, pixel_size(block),
+        scene.elevation.water_m + WATER_HEIGHT_TOLERANCE_M, pixel_size(block),
     )  # fmt: skip
 
 
 @compiled
-def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, centre, anchor_from_frame, water_m, size):
+def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, up_origin, anchor_from_frame, water_m, size):
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, tangent, pixel_m = size
@@ -63,7 +63,7 @@ def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, centre, anchor_fr
             if not valid[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
                 continue
             n, p = normal[i, j], position[i, j]
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             up_cosine = (n[0] * ux + n[1] * uy + n[2] * uz) / np.sqrt(ux * ux + uy * uy + uz * uz)
             away_x, away_y, away_z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
             pixel_width_m = pixel_m + tangent * np.sqrt(away_x * away_x + away_y * away_y + away_z * away_z)
@@ -89,9 +89,9 @@ def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
 
     ``slope_deg`` is the angle of the slope. (``x_m``, ``y_m``) is its place and ``pixel_m`` the width of pixels, for the noise.
     """
-    if FULL_SNOW_DEG - 2.0 * EDGE_NOISE_DEG < slope_deg < NO_SNOW_DEG + 2.0 * EDGE_NOISE_DEG:
-        slope_deg += EDGE_NOISE_DEG * _fading_noise(x_m, y_m, EDGE_NOISE_WAVELENGTH_M, pixel_m)
-    return 1.0 - smoothstep_value((slope_deg - FULL_SNOW_DEG) / (NO_SNOW_DEG - FULL_SNOW_DEG))
+    if MAX_FULL_SNOW_SLOPE_DEG - 2.0 * SNOW_EDGE_NOISE_DEG < slope_deg < MIN_BARE_SLOPE_DEG + 2.0 * SNOW_EDGE_NOISE_DEG:
+        slope_deg += SNOW_EDGE_NOISE_DEG * _fading_noise(x_m, y_m, SNOW_EDGE_NOISE_WAVELENGTH_M, pixel_m)
+    return 1.0 - smoothstep_value((slope_deg - MAX_FULL_SNOW_SLOPE_DEG) / (MIN_BARE_SLOPE_DEG - MAX_FULL_SNOW_SLOPE_DEG))
 
 
 @internal
@@ -121,7 +121,7 @@ def judge(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level sets no snow")
     if not facts["on"]:
         return Verdict(False, str(facts["why"]))
-    return Verdict(True, f"snow lies on slopes below {FULL_SNOW_DEG:.0f} to {NO_SNOW_DEG:.0f} degrees")
+    return Verdict(True, f"snow lies on slopes below {MAX_FULL_SNOW_SLOPE_DEG:.0f} to {MIN_BARE_SLOPE_DEG:.0f} degrees")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -133,7 +133,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     level = scene.loaded.level
     reason = None
-    if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
+    if level.water is not None and scene.objects.caster_kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
         reason = f"all ground lies below the water level, {level.water.level:g} m"
     elif coarse_view is not None and len(coarse_view.points_frame_m) == 0 and scene.objects.trees is None:
         reason = "the view shows only sky"

@@ -38,14 +38,14 @@ from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import (
-    WATER_TOLERANCE_M,
+    WATER_HEIGHT_TOLERANCE_M,
     daylight_of,
+    encode_srgb,
     exposure_of,
     night_sky_share,
     shading_parameters,
     sky_lit_albedo,
-    srgb_encoded,
-    water_in,
+    water_mask,
 )
 from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.sky import sky_color, sky_of
@@ -53,12 +53,12 @@ from skugga.terrain.sky import sky_color, sky_of
 WIND_SPEED_M_S = 3.0
 """A light breeze."""
 
-MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
+MEAN_SQUARE_WAVE_SLOPE = 0.003 + 0.00512 * WIND_SPEED_M_S
 
-NORMAL_REFLECTANCE = 0.02
+NORMAL_INCIDENCE_REFLECTANCE = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
-MAX_PIXELS = 2_000_000
+MAX_SEARCHED_PIXELS = 2_000_000
 """Maximum number of pixels that are drawn to search for water between the points of a coarse view. If more would be needed, water
 is assumed to be visible.
 """
@@ -76,10 +76,10 @@ The colours are densest near black, where entries of the encoding table are 0.8 
 of a dark lake.
 """
 
-INVISIBLE_GLINT = 0.5 / 255.0 / 12.92
+MAX_INVISIBLE_GLINT = 0.5 / 255.0 / 12.92
 """Maximum linear light that is invisible even on black: half a step at the steepest part of sRGB."""
 
-GLINT_DIRECTIONS = 33
+GLINT_DIRECTIONS_PER_SIDE = 33
 """Number of directions along each side of a perspective view that are tested for glint.
 
 Glint falls to half its brightness 4 degrees off its centre. In a field of view of 60 degrees no direction is more than one degree
@@ -120,7 +120,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if scene.loaded.level.water is None:
         return {"level_m": None, "covers": False, "change_steps": None, "glint": False}
     change: int | None = None
-    covers = scene.elevation.overview.lowest_m <= water_m + WATER_TOLERANCE_M
+    covers = scene.elevation.overview.lowest_ground_m <= water_m + WATER_HEIGHT_TOLERANCE_M
     if isinstance(view, MapView):
         covers = covers and _map_may_show_water(scene, view)
         change = _max_change_steps(scene, view, np.array([1.0])) if covers else None
@@ -145,11 +145,13 @@ def _cells_may_have_water(elevation: Elevation, overview_level: int, cells: Cell
     slices = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
     if np.prod([rows.stop - rows.start for rows in slices]) > MAX_CELLS_READ:
         overview = elevation.overview
-        means = overview.heights_m[block_slices(cells, 2**overview.lod, overview.heights_m.shape, 2)]
-        return overview_level < overview.lod or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + WATER_TOLERANCE_M)
+        means = overview.mean_heights_m[block_slices(cells, 2**overview.lod, overview.mean_heights_m.shape, 2)]
+        return overview_level < overview.lod or bool(
+            np.nanmin(means, initial=np.inf) <= elevation.water_m + WATER_HEIGHT_TOLERANCE_M
+        )
     row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in slices)
     height_m, valid = elevation.heights_at(overview_level, *np.meshgrid(row, col, indexing="ij"))
-    return bool((valid & (height_m <= elevation.water_m + WATER_TOLERANCE_M)).any())
+    return bool((valid & (height_m <= elevation.water_m + WATER_HEIGHT_TOLERANCE_M)).any())
 
 
 def _eye_zenith_cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -159,7 +161,7 @@ def _eye_zenith_cosines(scene: Scene, view: PerspectiveView, coarse_view: Coarse
     is searched for (``_submerged_nodes_between``).
     """
     buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
-    points = buffer.position_frame_m[water_in(buffer, scene)]
+    points = buffer.position_frame_m[water_mask(buffer, scene)]
     if not len(points):
         points = _submerged_nodes_between(scene, view, coarse_view)
     up = points - scene.world.up_origin(buffer.frame)
@@ -179,13 +181,15 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
 
     buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
-    sample_view, is_water = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= WATER_TOLERANCE_M
+    sample_view, is_water = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= WATER_HEIGHT_TOLERANCE_M
     points = ground.position_frame_m[is_water]
     eye, camera_from_frame = sample_view.in_frame(buffer.frame)
     in_camera = (points - eye) @ camera_from_frame.T
     points, in_camera = points[in_camera[:, 2] > 0.0], in_camera[in_camera[:, 2] > 0.0]
     first = sample_view.col0, sample_view.row0
-    col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * sample_view.focal_px - first[k]) / sample_view.step) for k in (0, 1))
+    col, row = (
+        np.rint((in_camera[:, k] / in_camera[:, 2] * sample_view.focal_px - first[k]) / sample_view.step_px) for k in (0, 1)
+    )
     inside = (row >= -1) & (row <= sample_view.rows) & (col >= -1) & (col <= sample_view.cols)
     points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.valid.shape, np.inf)
@@ -196,15 +200,15 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     is_visible = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing_tangent)
     if not is_visible.any():
         return points[:0]
-    pixels_per_sample = round(sample_view.step / view.step)
+    pixels_per_sample = round(sample_view.step_px / view.step_px)
     top, left = (max((int(v[is_visible].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
     bottom, right = (min((int(v[is_visible].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
-    if box.rows * box.cols > MAX_PIXELS:
+    if box.rows * box.cols > MAX_SEARCHED_PIXELS:
         return points[is_visible]
     submerged = is_water[ground.triangles].all(axis=1)
     for box_view in (box, finer_view(box)):
-        number = RasterisedView(scene, box_view, buffer.frame, kinds=("relief", "meshes")).id_buffer.number
+        number = RasterisedView(scene, box_view, buffer.frame, caster_kinds=("relief", "meshes")).id_buffer.triangle_number
         triangle_index = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
         if submerged[triangle_index].any():
             return points[is_visible]
@@ -220,11 +224,14 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     """
     light, night = daylight_of(scene), night_sky_share(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    sky = light.sky * (night + (1.0 - night) * twilight_sky_share(sine))
+    sky = light.sky_irradiance * (night + (1.0 - night) * twilight_sky_share(sine))
     draped = scene.loaded.level.terrain.imagery is not None
-    water_albedo = np.array(scene.style.water)
+    water_albedo = np.array(scene.style.water_albedo)
     darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
-    dark, bright = MIN_SKY_VIEW_FACTOR * sky * darkest, (sky + light.sun * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest
+    dark, bright = (
+        MIN_SKY_VIEW_FACTOR * sky * darkest,
+        (sky + light.sun_irradiance * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest,
+    )
     bright = np.array([tone_curve(channel) for channel in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, TESTED_ANGLE_COUNT))
     tested_colors = (dark + (bright - dark) * np.linspace(0.0, 1.0, TESTED_COLOR_COUNT)[:, None, None] ** 2).astype(np.float32)
@@ -236,8 +243,8 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = tested_colors.copy()
-        _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
-        max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(tested_colors)).max()))
+        _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_WAVE_SLOPE, to_sun, None, None)
+        max_steps = max(max_steps, int(np.abs(encode_srgb(color).astype(int) - encode_srgb(tested_colors)).max()))
     return max_steps
 
 
@@ -250,7 +257,7 @@ def _max_lamp_irradiance(scene: Scene) -> np.ndarray:
     total = np.zeros(3)
     for lamp in scene.lamps.values():
         height_m = float(scene.world.map_position(scene.elevation.crs, lamp.position_earth_m)[2]) - scene.elevation.water_m
-        total += np.array(lamp.color) * lamp.intensity * (lamp.reference_m / max(height_m, 1e-3)) ** 2 * exposure
+        total += np.array(lamp.color) * lamp.intensity * (lamp.reference_distance_m / max(height_m, 1e-3)) ** 2 * exposure
     return total
 
 
@@ -265,16 +272,16 @@ def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
         up = np.array([0.0, 0.0, 1.0])
     else:
         cols, rows = (
-            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS) * view.step) / view.focal_px
+            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS_PER_SIDE) * view.step_px) / view.focal_px
             for first, count in ((view.col0, view.cols), (view.row0, view.rows))
         )
         x, y = (v.ravel() for v in np.meshgrid(cols, rows))
         to_eye = -np.stack([x, y, np.ones_like(x)], axis=-1) @ view.earth_from_camera.T
         to_eye /= np.linalg.norm(to_eye, axis=-1, keepdims=True)
         to_sun = scene.sun.to_sun_earth
-        up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    brightest = float(daylight_of(scene).sun.max())
-    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > INVISIBLE_GLINT)
+        up = np.array([0.0, 0.0, 1.0]) if scene.world.is_flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+    brightest = float(daylight_of(scene).sun_irradiance.max())
+    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_WAVE_SLOPE) > MAX_INVISIBLE_GLINT)
 
 
 def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
@@ -284,15 +291,15 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
     to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
     sun = visibility = None
     if has_glint(scene, view) and SUN in block.visibilities:
-        sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
+        sun, visibility = daylight_of(scene).sun_irradiance, block.visibilities[SUN]
     _add_reflections(
-        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
-        MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
+        color, water_mask(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
+        MEAN_SQUARE_WAVE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 
 
 @compiled
-def _visible_facets(cosine, mean_square_slope):
+def _visible_facet_area_and_slope(cosine, mean_square_slope):
     """Return the visible area of the waves' facets, per area of the plane, and the facets' mean slope towards the eye.
 
     They are ``A(t)`` and the mean visible slope of the module's docstring. ``cosine`` is that of the eye's zenith angle t.
@@ -305,25 +312,29 @@ def _visible_facets(cosine, mean_square_slope):
 
 
 @internal
-def _reflection_at(cosine, mean_square_slope):
+def _sky_reflection(cosine, mean_square_slope):
     """Return mean Fresnel reflectance, sine of the altitude of the reflected sky, and visible area of facets for an eye.
 
     ``cosine`` is that of the eye's zenith angle.
     """
-    area, slope = _visible_facets(cosine, mean_square_slope)
+    area, slope = _visible_facet_area_and_slope(cosine, mean_square_slope)
     deviation = np.sqrt(0.5 * mean_square_slope)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     eye_dot_normal = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * grazing, 2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine, area
+    return (
+        NORMAL_INCIDENCE_REFLECTANCE + (1.0 - NORMAL_INCIDENCE_REFLECTANCE) * grazing,
+        2.0 * eye_dot_normal / (1.0 + slope * slope) - cosine,
+        area,
+    )
 
 
 @compiled
-def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope):
+def _glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, visible_area, mean_square_slope):
     """Return the glint divided by the sun's irradiance at normal incidence.
 
     ``eye_up_cosine``, ``sun_up_cosine`` and ``eye_sun_cosine`` are the cosines of the angles between the directions to the eye, to
-    the sun and up. ``area`` is the visible area of the facets (``_visible_facets``). Glint fades in over the first degree of the
-    sun's altitude, like direct light.
+    the sun and up. ``visible_area`` is the visible area of the facets (``_visible_facet_area_and_slope``). Glint fades in over the
+    first degree of the sun's altitude, like direct light.
     """
     if sun_up_cosine <= 0.0:
         return 0.0
@@ -333,10 +344,10 @@ def _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope
     tilt = min((eye_up_cosine + sun_up_cosine) / bisector_length, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * mean_square_slope:  # only 1e-11 of the waves are so steep
         return 0.0
-    fresnel = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
+    fresnel = NORMAL_INCIDENCE_REFLECTANCE + (1.0 - NORMAL_INCIDENCE_REFLECTANCE) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / mean_square_slope) / (mean_square_slope * tilt**4)
-    lit_area, _ = _visible_facets(sun_up_cosine, mean_square_slope)
-    return fresnel * slopes * sun_up_cosine / (4.0 * area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)
+    lit_area, _ = _visible_facet_area_and_slope(sun_up_cosine, mean_square_slope)
+    return fresnel * slopes * sun_up_cosine / (4.0 * visible_area * lit_area) * min(np.degrees(sun_up_cosine), 1.0)
 
 
 @compiled
@@ -346,27 +357,27 @@ def _largest_glint(to_eye, up, to_sun, mean_square_slope):
     for n in range(to_eye.shape[0]):
         v = to_eye[n]
         eye_up_cosine = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
-        area, _ = _visible_facets(eye_up_cosine, mean_square_slope)
+        area, _ = _visible_facet_area_and_slope(eye_up_cosine, mean_square_slope)
         eye_sun_cosine = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
-        largest = max(largest, _glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope))
+        largest = max(largest, _glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope))
     return largest
 
 
 @compiled
-def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope, to_sun, sun_irradiance, visibility):
+def _add_reflections(color, is_water, position, eye, up_origin, sky, mean_square_slope, to_sun, sun_irradiance, sun_visibility):
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fade, sun_altitude = sky
     sky_without_aureole = (below_sun, opposite, zenith, glow, 0.0, fade, sun_altitude)
-    fresnel, sine, area = _reflection_at(1.0, mean_square_slope)
+    fresnel, sine, area = _sky_reflection(1.0, mean_square_slope)
     mirrored_color, azimuth_cosine = np.empty(3), 0.0
     sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
-    for i in range(water.shape[0]):
-        for j in range(water.shape[1]):
-            if not water[i, j]:
+    for i in range(is_water.shape[0]):
+        for j in range(is_water.shape[1]):
+            if not is_water[i, j]:
                 continue
             p = position[i, j]
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             ux, uy, uz = ux / length, uy / length, uz / length
             if eye is None:
@@ -376,7 +387,7 @@ def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope
                 length = np.sqrt(vx * vx + vy * vy + vz * vz)
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
-                fresnel, sine, area = _reflection_at(cosine, mean_square_slope)
+                fresnel, sine, area = _sky_reflection(cosine, mean_square_slope)
                 sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                 eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
                 horizontal_product = np.sqrt(max((1.0 - sun_up_cosine * sun_up_cosine) * (1.0 - cosine * cosine), 1e-12))
@@ -384,10 +395,10 @@ def _add_reflections(color, water, position, eye, centre, sky, mean_square_slope
                 sky_color(sky_without_aureole, sine, azimuth_cosine, mirrored_color)
             glint = 0.0
             if sun_irradiance is not None:
-                if visibility[i, j] > 0.0:
+                if sun_visibility[i, j] > 0.0:
                     sun_up_cosine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                     eye_sun_cosine = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
-                    glint = visibility[i, j] * _glint(cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope)
+                    glint = sun_visibility[i, j] * _glint_share(cosine, sun_up_cosine, eye_sun_cosine, area, mean_square_slope)
             for k in range(3):
                 value = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored_color[k]
                 if sun_irradiance is not None:

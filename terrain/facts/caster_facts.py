@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.casting import closed_caster_mask
-from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, longest_shadow_m
 from skugga.terrain.facts.fact_types import CasterFacts
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
@@ -33,7 +34,7 @@ def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeIn
     return tuple(facts)
 
 
-def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
+def drawn_trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
     """Return the trees as a view draws them, or ``None`` if the level has none. A map uses the local frame at the anchor."""
     if isinstance(view, PerspectiveView):
         return tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
@@ -58,11 +59,11 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
     as the longest shadow of the level's relief. Their resolution halves at each doubling of the distance. ``rows`` and ``cols`` are
     the size of the block in nodes, ``node_m`` is the distance between nodes in metres.
     """
-    if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
+    if not scene.sun_is_up or scene.light_space is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0
     level_m = float(np.hypot(*scene.elevation.shape)) * scene.elevation.cell_size_m(scene.world.metres_per_unit)
     relief_m, world = float(np.ptp(scene.height_range_m)), scene.world
-    longest_m = longest_shadow_m(relief_m, scene.light.altitude_deg, not world.flat, world.radius_m)
+    longest_m = longest_shadow_m(relief_m, scene.light_space.altitude_deg, not world.is_flat, world.radius_m)
     far = min(longest_m, max(level_m - min(rows, cols) * node_m, 0.0)) / node_m
     total, near, level = 0.0, 0.0, 0
     while near < far:
@@ -76,7 +77,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
 @cached("scene", MIB)
 def _mesh_facts(objects: SceneObjects) -> CasterFacts:
     assert objects.placement is not None
-    casting = objects.placement.casting
+    casting = objects.placement.casting_bodies
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
     closed = closed_caster_mask(objects)
     return CasterFacts(
@@ -88,8 +89,8 @@ def _mesh_facts(objects: SceneObjects) -> CasterFacts:
 @cached("scene", MIB)
 def _forest_facts(trees: TreeInstances) -> CasterFacts:
     """Return the facts of the trees as drawn. Where trees are decimated, the remaining ones are larger."""
-    sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
-    gaps = leaf_gaps()[2 * trees.variant] * trees.shape[:, 2] if len(trees) else np.zeros(1)
+    sizes = np.median(trees.quad_sizes_m, axis=0) if len(trees) else np.zeros(4)
+    gaps = leaf_gap_shares()[2 * trees.variant] * trees.quad_sizes_m[:, 2] if len(trees) else np.zeros(1)
     return CasterFacts(
         kind="forest", count=len(trees), triangles=TRIANGLES_PER_TREE * len(trees), alpha_share=1.0,
         height_m=float(sizes[2]), width_m=2.0 * float(sizes[0]), leaf_gap_m=float(np.median(gaps)),
@@ -97,7 +98,7 @@ def _forest_facts(trees: TreeInstances) -> CasterFacts:
 
 
 @cached("process", MIB)
-def leaf_gaps() -> np.ndarray:
+def leaf_gap_shares() -> np.ndarray:
     """Return the mean width (2 * variants,) of leaves and gaps in each picture of a tree, as a share of the picture's side.
 
     The width is the mean length of successive leaf texels, or of successive gap texels, along the rows within the tree's outline.
@@ -119,7 +120,7 @@ def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]
     All three are 0 if the overview has no neighbouring cells with data.
     """
     cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.lod
-    heights = elevation.overview.heights_m.astype(np.float64)
+    heights = elevation.overview.mean_heights_m.astype(np.float64)
     if min(heights.shape) < 2:
         return 0.0, 0.0, 0.0
     down = (heights[1:, :-1] - heights[:-1, :-1]) / cell_m

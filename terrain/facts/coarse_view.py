@@ -20,7 +20,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.antialias import NEIGHBOUR_OFFSETS, edge_mask, edge_mask_of_neighbours, mesh_normals
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from skugga.terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M, IdBuffer
 from skugga.terrain.gbuffer.view_geometry import resolve_buffer, solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.world import LocalFrame
@@ -107,7 +107,7 @@ class _CoarseRaster:
 
 def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     """Return the cache key of a coarse view: the objects of the scene and the camera. Light does not matter."""
-    camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
+    camera = (view.focal_px, view.row0, view.col0, view.step_px, view.rows, view.cols)
     return scene.objects, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
@@ -127,7 +127,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
     The result holds ``edge_samples`` if they are given, else samples of its own. A view of every pixel gets those of the coarse
     view, since its own would need too much memory in the cache.
     """
-    coarse_camera = replace(view, step=view.step * step_px, rows=-(-view.rows // step_px), cols=-(-view.cols // step_px))
+    coarse_camera = replace(view, step_px=view.step_px * step_px, rows=-(-view.rows // step_px), cols=-(-view.cols // step_px))
     frame = view.frame(scene.world)
     ground, solids = ground_mesh(scene, coarse_camera), solid_vertices(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
@@ -138,7 +138,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
     )
     id_buffer = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if edge_samples is None:
-        row, col = (step_px * index.ravel() for index in np.indices(id_buffer.number.shape))
+        row, col = (step_px * index.ravel() for index in np.indices(id_buffer.triangle_number.shape))
         shape, normals = (len(row), len(NEIGHBOUR_OFFSETS)), mesh_normals(scene.objects)
         edge_samples = NeighbourSamples(
             view, row, col, number.reshape(shape), depth_m.reshape(shape), len(ground.triangles), normals
@@ -147,8 +147,10 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
             edge_samples.triangle_number, edge_samples.distance_m, edge_samples.ground_triangle_count, edge_samples.face_normals
         )
     else:
-        depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        has_edge = edge_mask(id_buffer.number, depth, edge_samples.ground_triangle_count, edge_samples.face_normals, NEAR_M)
+        depth = (NEAR_PLANE_M / depth_m[..., 0]).astype(np.float32)
+        has_edge = edge_mask(
+            id_buffer.triangle_number, depth, edge_samples.ground_triangle_count, edge_samples.face_normals, NEAR_PLANE_M
+        )
     geometry = resolve_buffer(scene, coarse_camera, _CoarseRaster(frame, ground, solids, id_buffer))
     points = geometry.position_frame_m[geometry.valid]
     eye, _ = view.in_frame(frame)
@@ -159,7 +161,7 @@ def _sample_at_step(scene: Scene, view: PerspectiveView, step_px: int, edge_samp
         points,
         distance_m,
         geometry.height_m[geometry.valid],
-        coarse_camera.pixel,
+        coarse_camera.pixel_tangent,
         float(has_edge.mean()),
         edge_samples,
     )
@@ -177,11 +179,11 @@ def rasterize_triangles(
     eye, camera_from_frame = view.in_frame(frame)
     number = np.zeros((view.rows, view.cols, len(sample_offsets)), np.uint32)
     depth = np.full(number.shape, np.inf)
-    tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
+    tangents = np.array([view.col0, view.row0, view.step_px]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
         in_camera, pixel = _project_vertices(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
+        _rasterize(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_PLANE_M, first, number, depth)
         first += len(triangles)
     return number, depth
 

@@ -29,30 +29,30 @@ MIN_LEAF_DISTANCE_M = 0.01
 
 
 class TreeGrid(NamedTuple):
-    """Uniform grid of trees. The trees of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
+    """Uniform grid of trees. The trees of cell k = row * cols + col are ``tree_number[first[k] : first[k + 1]]``.
 
     Attributes
     ----------
-    low_m
+    corner_m
         Corner of the first cell (2,), metres.
     cell_m
         Side of a cell, metres.
-    top_m
+    max_tree_top_m
         Maximum height of the trees of each cell (rows, cols), metres.
-    first
-        Index of each cell's first entry in ``tree`` (rows * cols + 1,).
-    tree
+    first_entry
+        Index of each cell's first entry in ``tree_number`` (rows * cols + 1,).
+    tree_number
         Tree numbers (k,), int32, ordered by cell.
-    disc
-        Position of each entry of ``tree`` from the corner ``low_m``, and its radius (k, 3), float32, metres.
+    tree_disc
+        Position of each entry of ``tree_number`` from the corner ``corner_m``, and its radius (k, 3), float32, metres.
     """
 
-    low_m: np.ndarray
+    corner_m: np.ndarray
     cell_m: float
-    top_m: np.ndarray
-    first: np.ndarray
-    tree: np.ndarray
-    disc: np.ndarray
+    max_tree_top_m: np.ndarray
+    first_entry: np.ndarray
+    tree_number: np.ndarray
+    tree_disc: np.ndarray
 
 
 class TreeArrays(NamedTuple):
@@ -60,14 +60,14 @@ class TreeArrays(NamedTuple):
 
     Attributes
     ----------
-    base_frame_m, shape, yaw_cos_sin, variant
+    base_frame_m, quad_sizes_m, yaw_cos_sin, variant
         Position, size, rotation and texture of each tree, as in ``TreeInstances``.
     leaf_mask
         Leaf masks of the textures (2 * variants, side, side), bool.
     """
 
     base_frame_m: np.ndarray
-    shape: np.ndarray
+    quad_sizes_m: np.ndarray
     yaw_cos_sin: np.ndarray
     variant: np.ndarray
     leaf_mask: np.ndarray
@@ -76,18 +76,18 @@ class TreeArrays(NamedTuple):
 @cached("scene", 64 * MIB)
 def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     """Return the uniform grid of some trees. Recent grids are cached."""
-    radius_m = 1.4143 * trees.shape[:, :2].max(axis=1)
+    radius_m = 1.4143 * trees.quad_sizes_m[:, :2].max(axis=1)
     base_xy = trees.base_frame_m[:, :2]
     low, high = (base_xy - radius_m[:, None]).min(axis=0), (base_xy + radius_m[:, None]).max(axis=0)
     extent = np.maximum(high - low, 1e-3)
     cell = max(float(np.sqrt(np.prod(extent) * TREES_PER_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))
-    top, first, tree, disc = _build_grid(trees.base_frame_m, trees.shape, radius_m, low, cell, rows, cols)
+    top, first, tree, disc = _build_grid(trees.base_frame_m, trees.quad_sizes_m, radius_m, low, cell, rows, cols)
     return TreeGrid(low, cell, top, first, tree, disc)
 
 
 @compiled
-def _build_grid(base, shape, radius_m, low, cell, rows, cols):
+def _build_grid(base, quad_sizes, radius_m, low, cell, rows, cols):
     top = np.full((rows, cols), -np.inf)
     first = np.zeros(rows * cols + 1, np.int64)
     tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
@@ -98,7 +98,7 @@ def _build_grid(base, shape, radius_m, low, cell, rows, cols):
             for r in range(max(r0, 0), min(r1, rows - 1) + 1):
                 for c in range(max(c0, 0), min(c1, cols - 1) + 1):
                     if fill == 0:
-                        top[r, c] = max(top[r, c], base[n, 2] + shape[n, 2])
+                        top[r, c] = max(top[r, c], base[n, 2] + quad_sizes[n, 2])
                         first[r * cols + c + 1] += 1
                     else:
                         entry = first[r * cols + c]
@@ -120,7 +120,7 @@ def leaf_masks() -> np.ndarray:
     return foliage().mip_levels[0][..., 3] >= ALPHA_THRESHOLD * 255
 
 
-def blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
+def is_blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
     """Return whether each ray (1 + k, n) hits a leaf before it reaches the light, bool."""
     start, direction = (np.ascontiguousarray(v).reshape(-1, 3) for v in (rays.start_frame_m, rays.direction_frame))
     met, _ = first_leaf_hits(trees, start, direction, np.ravel(rays.length_m))
@@ -136,7 +136,7 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    pictures = TreeArrays(trees.base_frame_m, trees.shape, trees.yaw_cos_sin, trees.variant, leaf_masks())
+    pictures = TreeArrays(trees.base_frame_m, trees.quad_sizes_m, trees.yaw_cos_sin, trees.variant, leaf_masks())
     return _trace_first_hits(tree_grid_of(trees), pictures, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 

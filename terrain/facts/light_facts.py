@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
-from skugga.terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
-from skugga.terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
-from skugga.terrain.facts.probes import MAX_PROBES, MAX_PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
-from skugga.terrain.facts.relief_rays import blocked_by_relief, overview_probes
-from skugga.terrain.facts.silhouette_facts import MAX_EYE_RAYS, mean_volume_layers, projected_length, silhouette_of
+from skugga.terrain.facts.leaf_rays import first_leaf_hits, is_blocked_by_leaves
+from skugga.terrain.facts.mesh_rays import first_mesh_hits, is_blocked_by_meshes
+from skugga.terrain.facts.probes import MAX_PROBES, MAX_PROBES_AMONG_TREES, ProbeRays, Probes, rays_to_light, stratified_indices
+from skugga.terrain.facts.relief_rays import is_blocked_by_relief, overview_probes
+from skugga.terrain.facts.silhouette_facts import MAX_EYE_RAYS, mean_volume_layers, projected_edge_length, silhouette_edges_of
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes, nodes_have_gaps
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
@@ -26,23 +26,23 @@ from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.lights import Lamp
 from skugga.terrain.scene import Scene
 
-MIN_DISTANCE_M = 1.0
+MIN_EYE_DISTANCE_M = 1.0
 """Minimum distance from the eye. Closer probes count as this far away."""
 
 MIN_INCIDENCE_SINE = 2.0**-20
 """Minimum sine of the angle between a light and a surface. A lower light counts as below the surface."""
 
-EDGE_TEXEL_SIZES = 6
+EDGE_TEXEL_SIZE_COUNT = 6
 """Number of entries of ``TEXEL_SIZES_PX`` whose rays detect a shadow edge near a point.
 
 The largest of these texels is 8 pixels wide, about the spacing of the points.
 """
 
-CUBE_FACE_PARTS = 8
+CUBE_FACE_PARTS_PER_SIDE = 8
 """Subdivision of a side of each cube-map face of an omni light, for the estimate of the visible share of its sphere."""
 
 
-RAY_OFFSET_M = 0.01
+BODY_RAY_OFFSET_M = 0.01
 """Offset of the start of a ray from the body that it starts on."""
 
 MAX_FOLIAGE_PROBES = 160
@@ -112,9 +112,9 @@ def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: floa
     lit_probes, facing_share = _find_lit_probes(
         scene, probes, lamp, MAX_PROBES if view_probes.trees is None else MAX_PROBES_AMONG_TREES
     )
-    rays = rays_to(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
+    rays = rays_to_light(lit_probes.probes, lit_probes.direction_frame, lit_probes.length_m)
     blocked = (
-        {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.kinds}
+        {kind: _find_blocked_rays(view_probes, kind, lit_probes.probes, rays) for kind in scene.objects.caster_kinds}
         if len(lit_probes.probes)
         else {}
     )
@@ -125,16 +125,17 @@ def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: floa
     )
     edge_m = [
         lit_probes.probes.distance_m[
-            blocked_rays.indices[
-                (blocked_rays.is_offset_occluded[:EDGE_TEXEL_SIZES] != blocked_rays.is_probe_occluded[blocked_rays.indices]).any(
-                    axis=0
-                )
+            blocked_rays.offset_probe_indices[
+                (
+                    blocked_rays.is_offset_occluded[:EDGE_TEXEL_SIZE_COUNT]
+                    != blocked_rays.is_probe_occluded[blocked_rays.offset_probe_indices]
+                ).any(axis=0)
             ]
         ]
         for blocked_rays in blocked.values()
     ]
     nearest_m = min((float(distances.min()) for distances in edge_m if len(distances)), default=None)
-    edges = {} if "meshes" not in scene.objects.kinds else _silhouette_facts(scene, camera, probes, lamp)
+    edges = {} if "meshes" not in scene.objects.caster_kinds else _silhouette_facts(scene, camera, probes, lamp)
     return LightFacts(
         to_view_deg=to_view, eye_to_lamp_m=eye_to_lamp_m, facing_share=facing_share,
         cast_share=facing_share * float(shaded.mean()) if len(shaded) else 0.0,
@@ -163,7 +164,7 @@ def _find_lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count:
         direction = to_lamp / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
-    indices = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > MIN_INCIDENCE_SINE) & inside)
+    indices = np.flatnonzero((np.where(probes.surface_kind == FOREST, np.abs(facing), facing) > MIN_INCIDENCE_SINE) & inside)
     chosen = indices[stratified_indices(len(indices), max_count)]
     return LitProbes(probes.select(chosen), direction[chosen], length[chosen]), len(indices) / len(probes)
 
@@ -177,8 +178,8 @@ class RayOcclusion:
     is_probe_occluded
         Whether the ray from each of the n probes is blocked (n,), bool.
     is_offset_occluded
-        Whether the rays from the k places beside each of the m probes ``indices`` are blocked (k, m), bool.
-    indices
+        Whether the rays from the k places beside each of the m probes ``offset_probe_indices`` are blocked (k, m), bool.
+    offset_probe_indices
         Indices of the m probes that have rays from places beside them (m,).
     occluder_distance_m
         Distances from blocked probes to their occluders, metres; ``None`` if they are unknown.
@@ -186,7 +187,7 @@ class RayOcclusion:
 
     is_probe_occluded: np.ndarray
     is_offset_occluded: np.ndarray
-    indices: np.ndarray
+    offset_probe_indices: np.ndarray
     occluder_distance_m: np.ndarray | None = None
 
 
@@ -198,17 +199,17 @@ def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes
         is_probe_occluded = np.isfinite(hit_m)
         return RayOcclusion(
             is_probe_occluded,
-            blocked_by_leaves(view_probes.trees, rays.select(slice(1, None), indices)),
+            is_blocked_by_leaves(view_probes.trees, rays.select(slice(1, None), indices)),
             indices,
             hit_m[is_probe_occluded],
         )
     if kind == "meshes":
-        is_blocked = blocked_by_meshes(scene.objects, probes, rays)
+        is_blocked = is_blocked_by_meshes(scene.objects, probes, rays)
         start, direction, length = (array[0][is_blocked[0]] for array in rays.arrays)
-        thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + RAY_OFFSET_M * direction, direction, length)
+        thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + BODY_RAY_OFFSET_M * direction, direction, length)
         return RayOcclusion(is_blocked[0], is_blocked[1:], all_probes, thrown_m[np.isfinite(thrown_m)])
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
-        is_blocked = blocked_by_relief(
+        is_blocked = is_blocked_by_relief(
             scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays
         )
     else:
@@ -216,17 +217,17 @@ def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes
     return RayOcclusion(is_blocked[0], is_blocked[1:], all_probes)
 
 
-def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by_distance: bool) -> Casting:
+def _cast_shadows(lit_probes: LitProbes, occlusion: RayOcclusion, facing_share: float, has_distance_bands: bool) -> Casting:
     """Return the cast shadows of one kind of casters on the visible surfaces.
 
     ``facing_share`` is the share of the visible surfaces that the lit probes represent.
     """
-    probes, distance_m = lit.probes, np.maximum(lit.probes.distance_m, MIN_DISTANCE_M)
+    probes, distance_m = lit_probes.probes, np.maximum(lit_probes.probes.distance_m, MIN_EYE_DISTANCE_M)
     octave, band_of_probe = np.unique(
-        np.ceil(np.log2(distance_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
+        np.ceil(np.log2(distance_m)).astype(int) if has_distance_bands else np.zeros(len(probes), int), return_inverse=True
     )
-    band_of_offset = band_of_probe[blocked.indices]
-    changed = blocked.is_offset_occluded != blocked.is_probe_occluded[blocked.indices]
+    band_of_offset = band_of_probe[occlusion.offset_probe_indices]
+    changed = occlusion.is_offset_occluded != occlusion.is_probe_occluded[occlusion.offset_probe_indices]
 
     def sums(values: np.ndarray, band: np.ndarray = band_of_probe) -> np.ndarray:
         return np.bincount(band, values, minlength=len(octave))
@@ -236,24 +237,24 @@ def _cast_shadows(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by
         np.stack([sums(offset_changed, band_of_offset) for offset_changed in changed], axis=1)
         / np.maximum(np.bincount(band_of_offset, minlength=len(octave)), 1)[:, None]
     )
-    cast, pixel_m = sums(blocked.is_probe_occluded) / count, sums(probes.pixel_m) / count
-    light_m = sums(lit.length_m) / count
+    cast, pixel_m = sums(occlusion.is_probe_occluded) / count, sums(probes.pixel_m) / count
+    light_m = sums(lit_probes.length_m) / count
     bands = tuple(
         CastBand(
-            near_m=2.0 ** (number - 1) if by_distance else 0.0, far_m=2.0**number if by_distance else None,
+            near_m=2.0 ** (number - 1) if has_distance_bands else 0.0, far_m=2.0**number if has_distance_bands else None,
             share=facing_share * float(count[i] / len(probes)), cast=float(cast[i]), pixel_m=float(pixel_m[i]),
             light_m=float(light_m[i]) if np.isfinite(light_m[i]) else None, differs=tuple(differs[i].tolist()),
         )
         for i, number in enumerate(octave.tolist())
     )  # fmt: skip
-    on_bodies = float((blocked.is_probe_occluded & (probes.kind != RELIEF)).mean())
+    on_bodies = float((occlusion.is_probe_occluded & (probes.surface_kind != RELIEF)).mean())
     thrown_m = (
-        float(np.median(blocked.occluder_distance_m))
-        if blocked.occluder_distance_m is not None and len(blocked.occluder_distance_m)
+        float(np.median(occlusion.occluder_distance_m))
+        if occlusion.occluder_distance_m is not None and len(occlusion.occluder_distance_m)
         else None
     )
     return Casting(
-        share=facing_share * float(blocked.is_probe_occluded.mean()),
+        share=facing_share * float(occlusion.is_probe_occluded.mean()),
         on_bodies=facing_share * on_bodies,
         bands=bands,
         thrown_m=thrown_m,
@@ -297,9 +298,13 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
         face = np.argmax(np.abs(in_lamp), axis=1)
         largest = np.take_along_axis(in_lamp, face[:, None], axis=1)
         tangential = np.take_along_axis(in_lamp, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
-        cell = np.clip(((tangential / np.abs(largest) + 1.0) / 2.0 * CUBE_FACE_PARTS).astype(int), 0, CUBE_FACE_PARTS - 1)
-        number = ((2 * face + (largest[:, 0] > 0.0)) * CUBE_FACE_PARTS + cell[:, 0]) * CUBE_FACE_PARTS + cell[:, 1]
-        return len(np.unique(number)) / (6 * CUBE_FACE_PARTS**2)
+        cell = np.clip(
+            ((tangential / np.abs(largest) + 1.0) / 2.0 * CUBE_FACE_PARTS_PER_SIDE).astype(int), 0, CUBE_FACE_PARTS_PER_SIDE - 1
+        )
+        number = ((2 * face + (largest[:, 0] > 0.0)) * CUBE_FACE_PARTS_PER_SIDE + cell[:, 0]) * CUBE_FACE_PARTS_PER_SIDE + cell[
+            :, 1
+        ]
+        return len(np.unique(number)) / (6 * CUBE_FACE_PARTS_PER_SIDE**2)
     max_tangent = np.tan(np.radians(lamp.cutoff_deg))
     is_ahead = in_lamp[:, 2] > 0.0
     tangents = in_lamp[is_ahead, :2] / in_lamp[is_ahead, 2:]
@@ -314,16 +319,16 @@ def _silhouette_facts(scene: Scene, camera: PerspectiveView | None, probes: Prob
         light, is_positional = scene.sun.to_sun_earth, False
     else:
         light, is_positional = lamp.position_earth_m, True
-    ends = silhouette_of(scene.objects, light, is_positional)
+    ends = silhouette_edges_of(scene.objects, light, is_positional)
     if camera is None or not len(ends):
         return {"silhouette_edges": len(ends)}
     ends_camera = (ends - camera.eye_earth_m) @ camera.earth_from_camera
     first_px, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
-    bounds = np.stack([first_px - 0.5 * camera.step, first_px + (count - 0.5) * camera.step]) / camera.focal_px
+    bounds = np.stack([first_px - 0.5 * camera.step_px, first_px + (count - 0.5) * camera.step_px]) / camera.focal_px
     from_eye = probes.select(stratified_indices(len(probes), MAX_EYE_RAYS)).point_earth_m - camera.eye_earth_m
     volume_layers = mean_volume_layers(ends, light, is_positional, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
     return {
         "silhouette_edges": len(ends),
-        "silhouette_px": projected_length(ends_camera, *bounds) / camera.pixel,
+        "silhouette_px": projected_edge_length(ends_camera, *bounds) / camera.pixel_tangent,
         "volume_layers": volume_layers,
     }

@@ -39,9 +39,9 @@ class Bvh:
         Longest side of the bounding box of all triangles, metres.
     box_low, box_high
         Minimum and maximum corner of each node's box (nodes, 3).
-    first
-        For an inner node i its first child; the second is ``first[i] + 1``. For a leaf its first triangle.
-    count
+    first_child_or_triangle
+        For an inner node i its first child; the second is ``first_child_or_triangle[i] + 1``. For a leaf its first triangle.
+    leaf_triangle_count
         Number of triangles of a leaf; 0 for an inner node.
     corner, edge_a, edge_b
         One corner and the two sides from it of each triangle (m, 3), in the order of the leaves.
@@ -51,14 +51,14 @@ class Bvh:
     extent_m: float
     box_low: np.ndarray
     box_high: np.ndarray
-    first: np.ndarray
-    count: np.ndarray
+    first_child_or_triangle: np.ndarray
+    leaf_triangle_count: np.ndarray
     corner: np.ndarray
     edge_a: np.ndarray
     edge_b: np.ndarray
 
 
-def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
+def is_blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Return whether each ray (1 + k, n) hits the casters of the meshes before it reaches the light, bool."""
     tree = _caster_bvh(objects)
     frame = probes.frame
@@ -97,7 +97,7 @@ def _find_hits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
-    boxes = tree.box_low, tree.box_high, tree.first, tree.count
+    boxes = tree.box_low, tree.box_high, tree.first_child_or_triangle, tree.leaf_triangle_count
     hits = _trace(*boxes, tree.corner, tree.edge_a, tree.edge_b, start, directions, np.ravel(length_m), find_nearest)
     return hits[0].reshape(np.shape(length_m)), hits[1].reshape(np.shape(length_m))
 

@@ -21,7 +21,7 @@ from skugga.terrain.geo.world import LocalFrame
 MAX_PROBES = 1000
 """Maximum number of probes that send rays to a light."""
 
-MIN_CAST_SHARE = 0.5 / MAX_PROBES
+MIN_CAST_SHADOW_SHARE = 0.5 / MAX_PROBES
 """Share of shadows to assume where no probe lies in shadow: half the share of one probe."""
 
 MAX_PROBES_AMONG_TREES = 500
@@ -52,7 +52,7 @@ class Probes:
         Side of a pixel at each point (n,), metres.
     distance_m
         Distance from the eye (n,), metres; 0 in a map.
-    kind
+    surface_kind
         Kind of surface (n,), as in ``skugga.terrain.gbuffer.resolve``.
     sequence_index
         Index of each probe in the quasirandom sequence (n,), int.
@@ -63,7 +63,7 @@ class Probes:
     normal_frame: np.ndarray
     pixel_m: np.ndarray
     distance_m: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     sequence_index: np.ndarray
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Probes:
 
     def select(self, index: np.ndarray) -> Probes:
         """Return the probes at some indices or in a mask."""
-        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "sequence_index")
+        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "surface_kind", "sequence_index")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     @property
@@ -121,7 +121,7 @@ def quasirandom(sequence_index: np.ndarray) -> np.ndarray:
     return (0.5 + (np.asarray(sequence_index, np.float64)[:, None] + 1.0) * _R2_INCREMENTS) % 1.0
 
 
-def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
+def rays_to_light(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
     """Return the rays from probes, and from places beside them, to a light.
 
     ``direction_frame`` (n, 3) holds the unit directions from the probes to the light, ``length_m`` (n,) the distances.

@@ -37,7 +37,7 @@ class OverviewProbes:
         Heights of the probes (n,), metres.
     up_frame
         Up directions in the probes' frame (n, 3).
-    row_from_frame, col_from_frame
+    row_gradient_frame, col_gradient_frame
         Gradients of the row and the column (n, 3): cells per metre along each axis of the probes' frame.
     """
 
@@ -45,8 +45,8 @@ class OverviewProbes:
     col: np.ndarray
     height_m: np.ndarray
     up_frame: np.ndarray
-    row_from_frame: np.ndarray
-    col_from_frame: np.ndarray
+    row_gradient_frame: np.ndarray
+    col_gradient_frame: np.ndarray
 
 
 @cached("scene", 64 * MIB)
@@ -58,7 +58,7 @@ def overview_probes(world: World, elevation: Elevation, probes: Probes) -> Overv
     return _locate_on_overview(world, elevation, probes.frame, probes.point_earth_m)
 
 
-def hidden_by_relief(
+def is_hidden_by_relief(
     world: World, elevation: Elevation, frame: LocalFrame, point_frame_m: np.ndarray, to_light: np.ndarray
 ) -> np.ndarray:
     """Return whether the overview's ground hides an infinitely distant light, in a direction (3,), from points (n, 3)."""
@@ -76,7 +76,7 @@ def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, p
     factor = 2**elevation.overview.lod
     row, col = elevation.cell_of(x, y)
     half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
-    point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
+    point, up = world.points_at_zero_height(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
     to_frame = frame.directions_from_earth
     south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))
@@ -90,7 +90,7 @@ def _dual_basis(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.nda
     return (ee * south - se * east) / area, (ss * east - se * south) / area
 
 
-def blocked_by_relief(
+def is_blocked_by_relief(
     world: World, elevation: Elevation, probe_positions: OverviewProbes, probes: Probes, rays: ProbeRays
 ) -> np.ndarray:
     """Return whether the ground blocks each ray (1 + k, n), bool.
@@ -101,9 +101,12 @@ def blocked_by_relief(
 
 
 def _is_occluded(
-    world: World, elevation: Elevation, probe_positions: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays
+    world: World, elevation: Elevation, probe_positions: OverviewProbes, start_offset_frame_m: np.ndarray, rays: ProbeRays
 ) -> np.ndarray:
-    """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are offsets of the starts from the probes."""
+    """Return whether the ground blocks each ray (k, n).
+
+    ``start_offset_frame_m`` (k, n, 3) are the offsets of the starts from the probes.
+    """
     heights, tops = _heights_and_block_maxima(elevation)
     direction = rays.direction_frame
 
@@ -114,10 +117,11 @@ def _is_occluded(
     bend = world.curvature / 2.0
     return _trace_blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
-        probe_positions.row + dot(start_offset, probe_positions.row_from_frame),
-        probe_positions.col + dot(start_offset, probe_positions.col_from_frame),
-        probe_positions.height_m + dot(start_offset, probe_positions.up_frame), dot(direction, probe_positions.row_from_frame),
-        dot(direction, probe_positions.col_from_frame), rise,
+        probe_positions.row + dot(start_offset_frame_m, probe_positions.row_gradient_frame),
+        probe_positions.col + dot(start_offset_frame_m, probe_positions.col_gradient_frame),
+        probe_positions.height_m + dot(start_offset_frame_m, probe_positions.up_frame), dot(direction,
+        probe_positions.row_gradient_frame),
+        dot(direction, probe_positions.col_gradient_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
     )  # fmt: skip
 
@@ -130,7 +134,7 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
     """
     from scipy.ndimage import maximum_filter
 
-    heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
+    heights = np.nan_to_num(elevation.overview.mean_heights_m, nan=-1e9)
     side = SKIP_BLOCK_CELLS
     padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
     rows, cols = (size // side for size in padded.shape)

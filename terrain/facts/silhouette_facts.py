@@ -60,7 +60,7 @@ def mesh_edges(merged_triangles: np.ndarray, triangles: np.ndarray) -> MeshEdges
 def _edges_of_bodies(placement: Placement) -> MeshEdges:
     """Return the edges of all bodies that cast shadows. They do not depend on time. Bodies share no edges."""
     merged_triangles, triangles, merged_count, vertex_count = [], [], 0, 0
-    for placed in placement.casting:
+    for placed in placement.casting_bodies:
         merged = placed.body.merged_triangles
         merged_triangles.append(merged + np.int64(merged_count))
         triangles.append(placed.body.triangles + np.int64(vertex_count))
@@ -81,7 +81,7 @@ def _face_normals_and_corners(objects: SceneObjects) -> tuple[np.ndarray, np.nda
     return np.cross(b - a, c - a), a
 
 
-def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, is_positional: bool) -> np.ndarray:
+def silhouette_edges_of(objects: SceneObjects, light_earth: np.ndarray, is_positional: bool) -> np.ndarray:
     """Return both ends of the silhouette edges of the meshes, shape (k, 2, 3), float64, earth-fixed metres.
 
     ``light_earth`` (3,) is the direction to the light, or its position if ``is_positional``.
@@ -111,7 +111,7 @@ def _silhouette_edges(normal, corner, triangle_pair, light, light_w):
     return out[:count].copy()
 
 
-def projected_length(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+def projected_edge_length(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Return the total length of edges (k, 2, 3), in camera axes, inside a picture from ``low`` to ``high`` (2,), as tangents."""
     return float(_clipped_length(ends_camera, low, high))
 

@@ -40,7 +40,7 @@ def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> 
 
     There is one in each of ``MAP_STRATA_PER_SIDE`` squared strata of the raster.
     """
-    probes = _points_in_map(scene.objects, trees)
+    probes = _visible_map_probes(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
 
@@ -49,7 +49,11 @@ def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeIn
 
     In a scene with trees they are at most ``MAX_LEAF_PROBES`` of these points. A leaf in front of a point replaces it.
     """
-    return _coarse_view_probes(coarse_view, view.pixel) if trees is None else _probes_with_leaves(coarse_view, view.pixel, trees)
+    return (
+        _coarse_view_probes(coarse_view, view.pixel_tangent)
+        if trees is None
+        else _probes_with_leaves(coarse_view, view.pixel_tangent, trees)
+    )
 
 
 @cached("scene", 64 * MIB)
@@ -58,7 +62,8 @@ def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
     return Probes(
         frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
         normal_frame=coarse_view.buffer.normal_frame[valid].astype(np.float64),
-        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m, kind=coarse_view.buffer.kind[valid],
+        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m,
+        surface_kind=coarse_view.buffer.surface_kind[valid],
         sequence_index=np.arange(len(coarse_view.distance_m)),
     )  # fmt: skip
 
@@ -75,7 +80,7 @@ def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstan
     count = len(chosen)
     row, col = np.divmod(chosen, coarse_camera.cols)
     tangents = (
-        np.stack([coarse_camera.col0 + col * coarse_camera.step, coarse_camera.row0 + row * coarse_camera.step], axis=1)
+        np.stack([coarse_camera.col0 + col * coarse_camera.step_px, coarse_camera.row0 + row * coarse_camera.step_px], axis=1)
         / coarse_camera.focal_px
     )
     _, camera_from_frame = coarse_camera.in_frame(coarse_view.buffer.frame)
@@ -112,7 +117,7 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
         index[chosen, None] + np.array(NEIGHBOUR_OFFSETS)[:, k] for k, index in enumerate((edge_samples.row, edge_samples.col))
     )
     x, y = (
-        (first + index * edge_samples.view.step) / edge_samples.view.focal_px
+        (first + index * edge_samples.view.step_px) / edge_samples.view.focal_px
         for first, index in ((edge_samples.view.col0, col), (edge_samples.view.row0, row))
     )
     _, camera_from_frame = edge_samples.view.in_frame(coarse_view.buffer.frame)
@@ -132,7 +137,7 @@ def _edge_share_with_trees(coarse_view: CoarseView, trees: TreeInstances) -> flo
 
 def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
     """Concatenate two sets of probes and renumber them."""
-    names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind")
+    names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "surface_kind")
     merged_fields: dict[str, Any] = {
         name: np.concatenate([getattr(surface_probes, name), getattr(leaf_probes, name)]) for name in names
     }
@@ -140,8 +145,8 @@ def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
 
 
 @cached("scene", 64 * MIB)
-def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
-    ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_m
+def _visible_map_probes(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
+    ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_object_m
     horizontal_slope = objects.world.curvature * ground_probes.point_frame_m[:, :2]
     up = (
         np.column_stack([horizontal_slope, np.ones(len(ground_probes))]) / np.sqrt(1.0 + (horizontal_slope**2).sum(axis=1))[:, None]
@@ -157,7 +162,7 @@ def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes
     leaf_probes = ground_probes.select(is_leaf)
     leaf_points = replace(
         leaf_probes, point_frame_m=start[is_leaf] - hit_m[is_leaf, None] * up[is_leaf], normal_frame=normal[is_leaf],
-        kind=np.full(len(leaf_probes), FOREST, np.uint8),
+        surface_kind=np.full(len(leaf_probes), FOREST, np.uint8),
     )  # fmt: skip
     return _concatenate_probes(ground_probes.select(~is_leaf), leaf_points)
 
@@ -175,7 +180,7 @@ def _move_to_roofs(
     return replace(
         ground_probes, point_frame_m=np.where(is_roof[:, None], start + length[:, None] * down, ground_probes.point_frame_m),
         normal_frame=np.where(is_roof[:, None], normal, ground_probes.normal_frame),
-        kind=np.where(is_roof, np.uint8(MESHES), ground_probes.kind),
+        surface_kind=np.where(is_roof, np.uint8(MESHES), ground_probes.surface_kind),
     ), length  # fmt: skip
 
 
@@ -185,7 +190,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
 
     Heights are bilinear between the cells of the overview. There are ``MAP_STRATA_PER_SIDE`` squared strata.
     """
-    heights, factor = elevation.overview.heights_m, 2**elevation.overview.lod
+    heights, factor = elevation.overview.mean_heights_m, 2**elevation.overview.lod
     jitter = quasirandom(np.arange(MAP_STRATA_PER_SIDE**2)).reshape(MAP_STRATA_PER_SIDE, MAP_STRATA_PER_SIDE, 2)
     stratum = np.stack(tuple(np.mgrid[:MAP_STRATA_PER_SIDE, :MAP_STRATA_PER_SIDE]), axis=-1)
     row, col = np.moveaxis((stratum + jitter) / MAP_STRATA_PER_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)
@@ -193,7 +198,9 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
     frame = world.frame_near_earth(world.anchor_earth_m)
 
     def point_at(row: np.ndarray, col: np.ndarray) -> np.ndarray:
-        point, up = world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+        point, up = world.points_at_zero_height(
+            elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5)
+        )
         return frame.points_from_earth(point + bilinear(heights, row, col)[:, None] * up)
 
     # The slope is the difference over a hundredth of a cell, always inside the same cell.

@@ -15,7 +15,7 @@ import numpy as np
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.id_buffer import NEAR_M
+from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, ground_imagery, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -24,19 +24,19 @@ from skugga.terrain.meshes.facets import face_normals
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-SAMPLES_PER_SIDE = 2
+EDGE_SAMPLES_PER_SIDE = 2
 """Number of samples along each side of a pixel on an edge. The pixel's own point is one more sample."""
 
-ALL_SAMPLES, DIAGONAL_SAMPLES = (0, 1, 2, 3), (0, 3)
-"""Indices of the samples in use: all four, or two diagonal ones in pictures with many edges (``DENSE_EDGE_SHARE``)."""
+ALL_SAMPLE_INDICES, DIAGONAL_SAMPLE_INDICES = (0, 1, 2, 3), (0, 3)
+"""Indices of the samples in use: all four, or two diagonal ones in pictures with many edges (``MIN_DENSE_EDGE_SHARE``)."""
 
-DENSE_EDGE_SHARE = 0.12
+MIN_DENSE_EDGE_SHARE = 0.12
 """Share of pixels on edges above which only the diagonal samples are used. Pictures of woods exceed it."""
 
 MIN_FACE_COSINE = 0.9
 """Cosine between the normals of neighbouring mesh faces below which an edge lies between them."""
 
-MAX_DEPTH_STEP = 0.02
+MAX_DEPTH_STEP_SHARE = 0.02
 """Maximum difference between the distances of two neighbours without an edge between them, as a share of the smaller distance."""
 
 NEIGHBOUR_OFFSETS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
@@ -50,25 +50,25 @@ class MultisampledBuffer:
     Attributes
     ----------
     buffer
-        The buffer: the picture's own rows, then rows of samples. Samples follow one another in the order of ``pixels``, and the
-        last row is padded with copies of the last sample.
-    rows
+        The buffer: the picture's own rows, then rows of samples. Samples follow one another in the order of ``sampled_pixels``, and
+        the last row is padded with copies of the last sample.
+    picture_rows
         The number of the picture's own rows.
-    pixels
+    sampled_pixels
         Rows (n,) and columns (n,) of the pixels that have samples.
     sample_count
         The number of samples of each of these pixels, without the pixel's own point.
     """
 
     buffer: GeometryBuffer
-    rows: int
-    pixels: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
-    sample_count: int = len(ALL_SAMPLES)
+    picture_rows: int
+    sampled_pixels: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    sample_count: int = len(ALL_SAMPLE_INDICES)
 
     @property
     def has_samples(self) -> bool:
         """Whether any pixel has samples."""
-        return len(self.pixels[0]) > 0
+        return len(self.sampled_pixels[0]) > 0
 
     @cached_property
     def pixel_buffer(self) -> GeometryBuffer:
@@ -80,7 +80,7 @@ class MultisampledBuffer:
         for item in fields(GeometryBuffer):
             value = getattr(self.buffer, item.name)
             if isinstance(value, np.ndarray) and value.shape[:2] == shape:
-                changes[item.name] = value[: self.rows]
+                changes[item.name] = value[: self.picture_rows]
         return replace(self.buffer, **changes)
 
     def pixels_of_points(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,33 +88,33 @@ class MultisampledBuffer:
 
         A point in a row of samples belongs to the pixel that it is a sample of.
         """
-        sample = np.flatnonzero(row >= self.rows)
+        sample = np.flatnonzero(row >= self.picture_rows)
         row, col = row.copy(), col.copy()
         if len(sample):
-            pixel_index = ((row[sample] - self.rows) * self.buffer.valid.shape[1] + col[sample]) // self.sample_count
-            pixel_index = np.minimum(pixel_index, len(self.pixels[0]) - 1)
-            row[sample], col[sample] = self.pixels[0][pixel_index], self.pixels[1][pixel_index]
+            pixel_index = ((row[sample] - self.picture_rows) * self.buffer.valid.shape[1] + col[sample]) // self.sample_count
+            pixel_index = np.minimum(pixel_index, len(self.sampled_pixels[0]) - 1)
+            row[sample], col[sample] = self.sampled_pixels[0][pixel_index], self.sampled_pixels[1][pixel_index]
         return row, col
 
-    def averaged(self, linear: np.ndarray) -> np.ndarray:
+    def average_samples(self, linear: np.ndarray) -> np.ndarray:
         """Average linear values (m, cols, k) of all the buffer's points to the picture's pixels (rows, cols, k).
 
         A pixel's mean includes its own point and its samples.
         """
-        out = linear[: self.rows].copy()
-        samples = linear[self.rows :].reshape(-1, linear.shape[-1])
-        run_in_chunks(len(self.pixels[0]), _average_samples, *self.pixels, samples, self.sample_count, out)
+        out = linear[: self.picture_rows].copy()
+        samples = linear[self.picture_rows :].reshape(-1, linear.shape[-1])
+        run_in_chunks(len(self.sampled_pixels[0]), _average_samples, *self.sampled_pixels, samples, self.sample_count, out)
         return out
 
 
 def finer_view(view: PerspectiveView) -> PerspectiveView:
-    """Return the view of the same camera with a pixel for each possible sample: ``SAMPLES_PER_SIDE`` along a pixel's side."""
-    return view.finer(SAMPLES_PER_SIDE)
+    """Return the view of the same camera with a pixel for each possible sample: ``EDGE_SAMPLES_PER_SIDE`` along a pixel's side."""
+    return view.finer(EDGE_SAMPLES_PER_SIDE)
 
 
 def samples_per_pixel(edge_share: float) -> float:
     """Return the mean number of extra samples per pixel of a perspective view in which the share ``edge_share`` lies on edges."""
-    return edge_share * len(DIAGONAL_SAMPLES if edge_share > DENSE_EDGE_SHARE else ALL_SAMPLES)
+    return edge_share * len(DIAGONAL_SAMPLE_INDICES if edge_share > MIN_DENSE_EDGE_SHARE else ALL_SAMPLE_INDICES)
 
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
@@ -140,15 +140,20 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)
     row, col = np.nonzero(
-        edge_mask(visible.id_buffer.number, visible.id_buffer.depth, len(visible.ground.triangles), normals, NEAR_M)
+        edge_mask(visible.id_buffer.triangle_number, visible.id_buffer.depth, len(visible.ground.triangles), normals, NEAR_PLANE_M)
     )
     if not len(row):
         return MultisampledBuffer(resolve_buffer(scene, view, visible), view.rows)
-    sample_positions = np.array(DIAGONAL_SAMPLES if len(row) > DENSE_EDGE_SHARE * view.rows * view.cols else ALL_SAMPLES)
+    sample_positions = np.array(
+        DIAGONAL_SAMPLE_INDICES if len(row) > MIN_DENSE_EDGE_SHARE * view.rows * view.cols else ALL_SAMPLE_INDICES
+    )
     padding = -len(row) * len(sample_positions) % view.cols
     fine_row, fine_col = (
-        np.pad((pixel_index[:, None] * SAMPLES_PER_SIDE + offset).ravel(), (0, padding), mode="edge").reshape(-1, view.cols)
-        for pixel_index, offset in ((row, sample_positions // SAMPLES_PER_SIDE), (col, sample_positions % SAMPLES_PER_SIDE))
+        np.pad((pixel_index[:, None] * EDGE_SAMPLES_PER_SIDE + offset).ravel(), (0, padding), mode="edge").reshape(-1, view.cols)
+        for pixel_index, offset in (
+            (row, sample_positions // EDGE_SAMPLES_PER_SIDE),
+            (col, sample_positions % EDGE_SAMPLES_PER_SIDE),
+        )
     )
     finer = finer_view(view)
     pixel_mask = np.zeros((finer.rows, finer.cols), np.bool_)
@@ -164,12 +169,14 @@ def mesh_normals(objects: SceneObjects) -> np.ndarray:
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 
-def edge_mask(number: np.ndarray, depth: np.ndarray, ground_triangle_count: int, normals: np.ndarray, near_m: float) -> np.ndarray:
+def edge_mask(
+    triangle_number: np.ndarray, depth: np.ndarray, ground_triangle_count: int, normals: np.ndarray, near_m: float
+) -> np.ndarray:
     """Return the mask (rows, cols) of pixels on edges, on both sides of each edge.
 
     Parameters
     ----------
-    number
+    triangle_number
         (rows, cols), the number of the triangle in each pixel, from 1; 0 without one. The ground's triangles come first, then those
         of the meshes, then those of the trees.
     depth
@@ -181,18 +188,18 @@ def edge_mask(number: np.ndarray, depth: np.ndarray, ground_triangle_count: int,
     near_m
         Distance of the near plane, metres.
     """
-    return _edges(number, depth, ground_triangle_count, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP)
+    return _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP_SHARE)
 
 
 def edge_mask_of_neighbours(
-    number: np.ndarray, distance_m: np.ndarray, ground_triangle_count: int, normals: np.ndarray
+    triangle_number: np.ndarray, distance_m: np.ndarray, ground_triangle_count: int, normals: np.ndarray
 ) -> np.ndarray:
     """Return which of n single pixels lie on edges, bool (n,), from each pixel and its four neighbours.
 
-    ``number`` and the distances ``distance_m`` along the view's axis, metres, have the shape (n, 5). The last axis follows
+    ``triangle_number`` and the distances ``distance_m`` along the view's axis, metres, have the shape (n, 5). The last axis follows
     ``NEIGHBOUR_OFFSETS``: the pixel itself comes first. The other parameters are those of ``edge_mask``.
     """
-    return _edges_of_neighbours(number, distance_m, ground_triangle_count, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP)
+    return _edges_of_neighbours(triangle_number, distance_m, ground_triangle_count, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP_SHARE)
 
 
 @compiled
@@ -210,17 +217,17 @@ def _average_samples(first, last, row, col, samples, sample_count, out):
 
 
 @compiled
-def _edges(number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step):
-    rows, cols = number.shape
+def _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step):
+    rows, cols = triangle_number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
         for j in range(cols):
-            triangle = np.int64(number[i, j]) - 1
+            triangle = np.int64(triangle_number[i, j]) - 1
             for step in range(2):
                 a, b = i + step, j + 1 - step
                 if a >= rows or b >= cols:
                     continue
-                neighbour = np.int64(number[a, b]) - 1
+                neighbour = np.int64(triangle_number[a, b]) - 1
                 if _is_edge(
                     triangle,
                     neighbour,
@@ -237,12 +244,12 @@ def _edges(number, depth, ground_triangle_count, normals, near, min_cosine, max_
 
 
 @compiled
-def _edges_of_neighbours(number, distance, ground_triangle_count, normals, min_cosine, max_depth_step):
-    out = np.zeros(len(number), np.bool_)
-    for n in range(len(number)):
-        triangle = np.int64(number[n, 0]) - 1
-        for k in range(1, number.shape[1]):
-            neighbour = np.int64(number[n, k]) - 1
+def _edges_of_neighbours(triangle_number, distance, ground_triangle_count, normals, min_cosine, max_depth_step):
+    out = np.zeros(len(triangle_number), np.bool_)
+    for n in range(len(triangle_number)):
+        triangle = np.int64(triangle_number[n, 0]) - 1
+        for k in range(1, triangle_number.shape[1]):
+            neighbour = np.int64(triangle_number[n, k]) - 1
             if _is_edge(
                 triangle, neighbour, distance[n, 0], distance[n, k], ground_triangle_count, normals, min_cosine, max_depth_step
             ):

@@ -18,7 +18,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.geometry import normal_stencil_radius
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
-from skugga.terrain.ground.cell_finder import STEREOGRAPHIC, cell_in_square, lattice_square, project_to_plane, square_corners
+from skugga.terrain.ground.cell_finder import STEREOGRAPHIC_PLANE, cell_in_square, lattice_square, project_to_plane, square_corners
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sky_view_factor import SkyView, mip_pair, sky_occlusion_row
 from skugga.terrain.ground.surface import Surface, map_pixel_m
@@ -47,7 +47,7 @@ class BareGround:
         float32 (r, c, 3), the smooth unit normal.
     up_frame
         float32 (r, c, 3), the unit vector away from the earth's centre.
-    sky_share
+    visible_sky_share
         float32 (r, c), the share of the sky, in [0, 1], that the ground sees.
     """
 
@@ -58,7 +58,7 @@ class BareGround:
     height_m: np.ndarray
     normal_frame: np.ndarray
     up_frame: np.ndarray
-    sky_share: np.ndarray
+    visible_sky_share: np.ndarray
 
     @property
     def window_view(self) -> MapView:
@@ -67,14 +67,14 @@ class BareGround:
         return self.view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
-def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround | None:
+def bare_ground(scene: Scene, view: MapView, sky_view: SkyView | None) -> BareGround | None:
     """Return the bare ground in the pixels of a map whose pixels lie on nodes of its grid.
 
     Parameters
     ----------
     scene, view
         The scene, and the view of the map.
-    sky
+    sky_view
         The sky that surrounding ground hides, which reduces the visible shares of the sky. ``None``: a point sees all sky above the
         plane of its own slope.
 
@@ -83,7 +83,7 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     BareGround | None
         The ground; ``None`` if ground is somewhere too narrow for a triangle or a smooth normal.
     """
-    return _bare_ground(scene.world, scene.elevation, view, sky)
+    return _bare_ground(scene.world, scene.elevation, view, sky_view)
 
 
 def trim_bare_ground_cache(max_entries: int) -> None:
@@ -92,7 +92,7 @@ def trim_bare_ground_cache(max_entries: int) -> None:
 
 
 @cached("scene", 448 * MIB)
-def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView | None) -> BareGround | None:
+def _bare_ground(world: World, elevation: Elevation, view: MapView, sky_view: SkyView | None) -> BareGround | None:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     stencil_radius = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - stencil_radius, int(view.col0) - stencil_radius
@@ -118,7 +118,9 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     )
     normal, up, share, window_valid, is_complete = _smooth_ground(
         exact_rows, first_row, surface.stride, row0, height, node_valid, stencil_radius,
-        world.up_origin(frame), None if sky is None else sky.finder.cells, *_sky_arguments(sky, frame, map_pixel_m(world, view)),
+        world.up_origin(frame), None if sky_view is None else sky_view.cell_finder.node_cells, *_sky_arguments(sky_view, frame,
+        map_pixel_m(world,
+        view)),
     )  # fmt: skip
     if not is_complete:
         return None
@@ -128,27 +130,28 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     )
 
 
-def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
+def _sky_arguments(sky_view: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
     """Return the last arguments of ``_smooth_ground``, from ``frame_from_earth`` on, for pixels ``pixel_m`` metres wide.
 
-    They come from ``sky``. Without it they are placeholders: the argument ``lattice`` is then ``None``, and numba compiles the loop
-    without the code that uses them.
+    They come from ``sky_view``. Without it they are placeholders: the argument ``lattice`` is then ``None``, and numba compiles the
+    loop without the code that uses them.
     """
-    if sky is None:
+    if sky_view is None:
         empty, empty_values = np.zeros(2), np.zeros(0, np.float32)
         mip_level = mip_pair(np.zeros((1, 3), np.int64), 1.0)
         return frame.frame_from_earth, frame.origin_earth_m, 0, np.eye(3), empty, empty, empty_values, mip_level, 1.0
-    finder, (values, table) = sky.finder, sky.means
+    finder, (values, table) = sky_view.cell_finder, sky_view.mean_pyramid
     return (
-        frame.frame_from_earth, frame.origin_earth_m, finder.plane, finder.axes, finder.first, finder.step, values,
-        mip_pair(table, pixel_m / sky.node_m), 2.0**sky.lod,
+        frame.frame_from_earth, frame.origin_earth_m, finder.plane, finder.axes_earth, finder.first_node_xy,
+        finder.node_spacing_xy, values,
+        mip_pair(table, pixel_m / sky_view.node_spacing_m), 2.0**sky_view.lod,
     )  # fmt: skip
 
 
 @compiled
 def _smooth_ground(
-    exact_rows, first_row, stride, row0, height, node_valid, stencil_radius, centre,
-    lattice, frame_from_earth, origin, plane, axes, first, step, values, mip_level, cells_per_node,
+    exact_rows, first_row, stride, row0, height, node_valid, stencil_radius, up_origin,
+    lattice, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, values, mip_level, cells_per_node,
 ):  # fmt: skip
     """Return unit normals, unit vectors up, sky shares and valid mask of a window, and whether all of its ground has normals.
 
@@ -195,12 +198,14 @@ def _smooth_ground(
             middle[1, stencil_radius : stencil_radius + cols],
             middle[2, stencil_radius : stencil_radius + cols],
         )
-        _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[window_row])
-        _write_up_vectors(x, y, z, (centre[0], centre[1], centre[2]), up[window_row])
+        _write_open_sky(x, y, z, own_normal, (up_origin[0], up_origin[1], up_origin[2]), share[window_row])
+        _write_up_vectors(x, y, z, (up_origin[0], up_origin[1], up_origin[2]), up[window_row])
         if lattice is not None:
             own_height = height[window_row + stencil_radius, stencil_radius : stencil_radius + cols]
-            _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, plane_position)
-            _convert_to_cells(plane_position, first, step, lattice, cells_per_node)
+            _write_plane_positions(
+                x, y, z, own_height, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, plane_position
+            )
+            _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, cells_per_node)
             _subtract_hidden_sky(plane_position[0], plane_position[1], values, mip_level, share[window_row])
     return normal, up, share, valid, is_complete
 
@@ -219,41 +224,44 @@ def _is_complete_row(z, height):
 
 
 @internal
-def _write_open_sky(px, py, pz, normal, centre, share):
+def _write_open_sky(px, py, pz, normal, up_origin, sky_share):
     """Write the share of the sky that lies above the tangent plane of each point's slope."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    for j in range(share.size):
-        x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
-        share[j] = 0.5 + 0.5 * (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
+    for j in range(sky_share.size):
+        x, y, z = px[j] - up_origin[0], py[j] - up_origin[1], pz[j] - up_origin[2]
+        sky_share[j] = 0.5 + 0.5 * (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
 
 
 @internal
-def _write_up_vectors(px, py, pz, centre, out):
-    """Write the unit vectors up (cols, 3) of a row of points: away from ``centre``."""
+def _write_up_vectors(px, py, pz, up_origin, out):
+    """Write the unit vectors up (cols, 3) of a row of points: away from ``up_origin``."""
     for j in range(px.size):
-        x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
+        x, y, z = px[j] - up_origin[0], py[j] - up_origin[1], pz[j] - up_origin[2]
         length = np.sqrt(x * x + y * y + z * z)
         out[j, 0], out[j, 1], out[j, 2] = x / length, y / length, z / length
 
 
 @internal
-def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, plane_position):
+def _write_plane_positions(
+    px, py, pz, height, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, plane_position
+):
     """Write the positions (2, cols) of a row of frame points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
     ox, oy, oz = origin[0], origin[1], origin[2]
     axis_rows = (
-        (axes[0, 0], axes[0, 1], axes[0, 2]), (axes[1, 0], axes[1, 1], axes[1, 2]), (axes[2, 0], axes[2, 1], axes[2, 2]),
+        (axes_earth[0, 0], axes_earth[0, 1], axes_earth[0, 2]), (axes_earth[1, 0], axes_earth[1, 1], axes_earth[1, 2]),
+        (axes_earth[2, 0], axes_earth[2, 1], axes_earth[2, 2]),
     )  # fmt: skip
-    first_xy, step_xy = (first[0], first[1]), (step[0], step[1])
+    first_xy, step_xy = (first_node_xy[0], first_node_xy[1]), (node_spacing_xy[0], node_spacing_xy[1])
     out_x, out_y = plane_position[0], plane_position[1]
-    if plane == STEREOGRAPHIC:
+    if plane == STEREOGRAPHIC_PLANE:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC, axis_rows, first_xy, step_xy)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC_PLANE, axis_rows, first_xy, step_xy)
     else:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
@@ -263,12 +271,17 @@ def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, 
 
 
 @internal
-def _convert_to_cells(plane_position, first, step, lattice, cells_per_node):
+def _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, cells_per_node):
     """Convert positions (2, cols) in the plane of a ``CellFinder`` to rows and columns of the nodes of a ``SkyView``, in place.
 
     Consecutive positions in one square of the finder's lattice are converted together.
     """
-    x, y, begin, by = plane_position[0], plane_position[1], (first[0], first[1]), (step[0], step[1])
+    x, y, begin, by = (
+        plane_position[0],
+        plane_position[1],
+        (first_node_xy[0], first_node_xy[1]),
+        (node_spacing_xy[0], node_spacing_xy[1]),
+    )
     rows, cols = lattice.shape[0], lattice.shape[1]
     square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
     for j in range(x.size):
@@ -290,13 +303,13 @@ def _convert_run_to_cells(x, y, corners, at_j, at_i, cells_per_node):
 
 
 @internal
-def _subtract_hidden_sky(row, col, values, mip_level, share):
+def _subtract_hidden_sky(row, col, values, mip_level, sky_share):
     """Multiply the sky shares of a row of pixels by the share of the sky that other ground leaves visible, in place."""
-    hidden_share = np.empty(share.size)
+    hidden_share = np.empty(sky_share.size)
     sky_occlusion_row(values, mip_level, row, col, hidden_share)
-    for j in range(share.size):
+    for j in range(sky_share.size):
         has_cell = np.isfinite(row[j]) & np.isfinite(col[j])
-        share[j] = share[j] * (1.0 - hidden_share[j]) if has_cell else share[j]
+        sky_share[j] = sky_share[j] * (1.0 - hidden_share[j]) if has_cell else sky_share[j]
 
 
 @internal

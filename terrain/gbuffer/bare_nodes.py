@@ -19,7 +19,7 @@ from skugga.terrain.scene import Scene
 HALO_NODES = 2
 """Extra rows and columns of nodes on each side of a view."""
 
-MAX_BOUNDING_NODES = 33
+MAX_BOUNDING_NODES_PER_SIDE = 33
 """Maximum number of rows and of columns of the nodes that bound a view's ground. The earth bends by less than a metre between them.
 """
 
@@ -79,14 +79,14 @@ def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pix
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
     heights = surface.height_window(
-        row0 - HALO_NODES, col0 - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES, rim=True
+        row0 - HALO_NODES, col0 - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES, includes_rim=True
     )
     row, col = (
-        np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES)).astype(np.int64))
+        np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES_PER_SIDE)).astype(np.int64))
         for first, count in ((row0, view.rows), (col0, view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
-    source_height = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
+    source_height = heights.coarser_window.height_m if isinstance(heights, RefinedWindow) else heights.height_m
     ends = np.nanmin(source_height), np.nanmax(source_height)
     position = np.stack([surface.node_positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
     return BareNodes(view, nodes_per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

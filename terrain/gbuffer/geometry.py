@@ -34,7 +34,7 @@ class ShadingInputs(NamedTuple):
     """The arrays of a ``GeometryBuffer`` that shading loops read."""
 
     valid: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     position_frame_m: np.ndarray
     height_m: np.ndarray
     shading_normal_frame: np.ndarray
@@ -65,7 +65,7 @@ class GeometryBuffer:
     crease
         float32, the bend of the surface: the largest distance between the triangle's unit normal and the unit normals of the
         triangles round the nearest node; 0 on a plane. Algorithms that sample beside the point derive their bias from it.
-    kind
+    surface_kind
         uint8, the kind of surface: NO_SURFACE, RELIEF, MESHES or FOREST of ``skugga.terrain.gbuffer.resolve``.
     triangle
         int32 (rows, cols, 3), for a map's ground only: row and column of the triangle's quad in ``surface``, then 0 for the
@@ -107,7 +107,7 @@ class GeometryBuffer:
     normal_frame: np.ndarray
     shading_normal_frame: np.ndarray
     crease: np.ndarray
-    kind: np.ndarray
+    surface_kind: np.ndarray
     triangle: np.ndarray | None = None
     surface: SurfaceWindow | None = None
     ground: GroundMesh | None = None
@@ -124,7 +124,7 @@ class GeometryBuffer:
     @property
     def shading_inputs(self) -> ShadingInputs:
         """The arrays that shading loops read."""
-        return ShadingInputs(self.valid, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
+        return ShadingInputs(self.valid, self.surface_kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ def map_geometry(
         raise ValueError(f"nodes: they span {ends}, but the view needs {(row0, col0, row1, col1)}. Use map_nodes of this view.")
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
-    on_nodes = view.on_nodes and stencil_radius == 1
+    on_nodes = view.is_on_nodes and stencil_radius == 1
     points = map_points(
         window.position_frame_m,
         window.height_m,
@@ -195,7 +195,7 @@ def map_geometry(
         col,
         pixel_mask,
     )
-    if view.on_nodes:
+    if view.is_on_nodes:
         _add_isolated_nodes(window, row, col, pixel_mask, points)
     valid, position, height, normal, shading_normal, crease, triangle = points
     kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
@@ -203,7 +203,7 @@ def map_geometry(
     lift = None
     if not on_nodes:
         lift = map_lifts(
-            window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.centre_frame_m, row, col,
+            window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.up_origin_frame_m, row, col,
             position, triangle, stencil_radius,
         )  # fmt: skip
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)

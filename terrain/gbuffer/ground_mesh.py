@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, run_in_chunks
-from skugga.terrain.geo.camera import FRAME_PITCH_SHARE, PerspectiveView
+from skugga.terrain.geo.camera import PERSPECTIVE_FRAME_SPACING_SHARE, PerspectiveView
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, transformer
 from skugga.terrain.ground.decimation import NodeErrors, decimate, node_errors
@@ -32,10 +32,10 @@ MAX_GROUND_TRIANGLES = 2_000_000
 MAX_UNDECIMATED_TRIANGLES = 250_000
 """Maximum number of triangles of a ground that is not decimated."""
 
-MAX_SIDE_NODES = 4096
+MAX_NODES_PER_SIDE = 4096
 """Maximum number of nodes along a side before decimation. In larger levels each node is the mean of 2 x 2, 4 x 4, ... nodes."""
 
-TOLERANCE_PX = 0.25
+DECIMATION_TOLERANCE_PX = 0.25
 """Maximum height error, in pixels, of a decimated ground at the nodes that it omits. It is exceeded if the mesh would otherwise
 have too many triangles.
 """
@@ -91,7 +91,7 @@ class GroundNodes:
         The first row and column on the grid.
     height_m
         float32 (rows, cols), NaN without ground, metres.
-    errors
+    decimation_errors
         Decimation errors of the nodes; ``None`` if the ground is drawn in full.
     """
 
@@ -99,7 +99,7 @@ class GroundNodes:
     row0: int
     col0: int
     height_m: np.ndarray
-    errors: NodeErrors | None
+    decimation_errors: NodeErrors | None
 
 
 def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GROUND_TRIANGLES) -> GroundMesh:
@@ -108,8 +108,8 @@ def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GR
     It is cached. Parts of a view, and views from the same eye in other directions, share one mesh.
     """
     world, elevation, crs = scene.world, scene.elevation, scene.map_crs
-    if _nodes(world, elevation, crs, max_triangles).errors is None:  # one full mesh serves every eye of a frame
-        return _whole_mesh(world, elevation, crs, view.frame(world), max_triangles)
+    if _nodes(world, elevation, crs, max_triangles).decimation_errors is None:  # one full mesh serves every eye of a frame
+        return _undecimated_mesh(world, elevation, crs, view.frame(world), max_triangles)
     return _ground_mesh(world, elevation, crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
 
 
@@ -150,21 +150,21 @@ def _ground_mesh(
 ) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
     grid = nodes.grid
-    assert nodes.errors is not None
+    assert nodes.decimation_errors is not None
     x, y, height = world.map_position(grid.crs, np.array(eye_earth_m))
     eye_row_col_m = (
         float((grid.y0 - y) / grid.step) - nodes.row0,
         float((x - grid.x0) / grid.step) - nodes.col0,
         float(height),
     )
-    decimated = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
-    frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_PITCH_SHARE)
+    decimated = decimate(nodes.decimation_errors, eye_row_col_m, DECIMATION_TOLERANCE_PX / focal_px, max_triangles)
+    frame = world.frame_near_earth(np.array(eye_earth_m), PERSPECTIVE_FRAME_SPACING_SHARE)
     row, col = decimated.nodes[:, 0], decimated.nodes[:, 1]
-    return _build_mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
+    return _build_mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance_rad * focal_px)
 
 
 @cached("scene", 256 * MIB)
-def _whole_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
+def _undecimated_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
     return _build_mesh(world, elevation, nodes, frame, *_full_triangulation(nodes.height_m), 0.0)
 
@@ -201,7 +201,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     is_complete = 2 * (rows - 1) * (cols - 1) <= (
         MAX_UNDECIMATED_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles
     )
-    return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.flat))
+    return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.is_flat))
 
 
 def _node_window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
@@ -223,7 +223,7 @@ def _node_window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, in
         grid = map_grid(world, crs, 1.01 * probe.step * detail_m / step_at_anchor_m(world, probe))
         first = int(np.ceil((grid.y0 - north) / grid.step)), int(np.ceil((west - grid.x0) / grid.step))
         last = int(np.floor((grid.y0 - south) / grid.step)), int(np.floor((east - grid.x0) / grid.step))
-    halvings = max(int(np.ceil(np.log2(max(last[0] - first[0], last[1] - first[1], 1) / MAX_SIDE_NODES))), 0)
+    halvings = max(int(np.ceil(np.log2(max(last[0] - first[0], last[1] - first[1], 1) / MAX_NODES_PER_SIDE))), 0)
     (row0, col0), (row1, col1) = (-(-v // 2**halvings) for v in first), (v // 2**halvings for v in last)
     return grid.coarser(halvings), row0, col0, max(row1 - row0 + 1, 1), max(col1 - col0 + 1, 1)
 

@@ -24,7 +24,7 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
         The local frame near the view's centre.
     """
     has_columns = scene.elevation.surface == "blocks"
-    ground = bare_ground(scene, view, None) if view.on_nodes and not has_columns else None
+    ground = bare_ground(scene, view, None) if view.is_on_nodes and not has_columns else None
     if ground is None:
         frame = scene.world.frame_near(view.grid.crs, *view.centre)
         points = (column_geometry if has_columns else map_geometry)(scene.surface(view.grid), view, frame)
@@ -43,7 +43,7 @@ def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
     the ellipsoid.
     """
     normal_frame, frame = ground_normals(scene, view)
-    if scene.world.flat:
+    if scene.world.is_flat:
         return normal_frame
     rows, cols = np.mgrid[: view.rows, : view.cols]
     x = view.grid.x(view.col0 + cols * view.col_step)

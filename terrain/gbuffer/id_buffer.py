@@ -26,7 +26,7 @@ from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 if TYPE_CHECKING:
     import moderngl
 
-NEAR_M = 0.005
+NEAR_PLANE_M = 0.005
 """Distance of the near plane from the eye, metres. Nearer surfaces are clipped."""
 
 
@@ -36,22 +36,22 @@ class IdBuffer:
 
     Attributes
     ----------
-    number
+    triangle_number
         uint32 (rows, cols), the triangle's number, from 1; 0 in empty pixels.
     sqrt_albedo
         uint8 (rows, cols, 4), the square root of the linear albedo where a tree is visible, times 255. Empty without trees.
     depth
-        float32 (rows, cols), ``NEAR_M`` over the distance along the view's axis. Empty in a map, and if only selected pixels were
-        drawn.
+        float32 (rows, cols), ``NEAR_PLANE_M`` over the distance along the view's axis. Empty in a map, and if only selected pixels
+        were drawn.
     """
 
-    number: np.ndarray
+    triangle_number: np.ndarray
     sqrt_albedo: np.ndarray
     depth: np.ndarray
 
 
 @cached("process", 8 * MIB)
-def shader(*parts: str) -> str:
+def shader_source(*parts: str) -> str:
     """Return the concatenated GLSL text of shader parts, each the name of a file.
 
     For example, ``terrain/gbuffer/tree`` is the file ``shaders/tree.glsl`` in the package ``skugga.terrain.gbuffer``.
@@ -83,11 +83,11 @@ def rasterise_perspective(
     uniforms = {
         "camera_from_frame": tuple(camera_from_frame.T.ravel()),
         "eye_frame_m": tuple(eye),
-        "window": (*(2.0 * view.focal_px / (view.step * size)), *((1.0 - 2.0 * first / view.step) / size - 1.0)),
-        "near_m": NEAR_M,
+        "window": (*(2.0 * view.focal_px / (view.step_px * size)), *((1.0 - 2.0 * first / view.step_px) / size - 1.0)),
+        "near_m": NEAR_PLANE_M,
     }
     target = gl.visibility_buffer_target(view.cols, view.rows)
-    tangent_bounds = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
+    tangent_bounds = np.array([[first[k] - view.step_px, first[k] + size[k] * view.step_px] for k in (0, 1)]) / view.focal_px
     visible_ground = _triangles_in_frustum(ground.position_frame_m, ground.triangles, eye, camera_from_frame, tangent_bounds)
     with gl.visibility_buffer_pass(target):
         if pixel_mask is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early
@@ -109,7 +109,7 @@ def rasterise_perspective(
         triangle_count,
         None if instances is None else visible_trees,
         visible_ground,
-        with_depth=pixel_mask is None,
+        reads_depth=pixel_mask is None,
     )
 
 
@@ -152,32 +152,33 @@ def rasterise_map(
             program = _program(gl, "visible_map.vert", "visible.frag", uniforms)
             triangle_count += gl.draw_triangles(program, (solids_px[0] - shift) * scale, solids_px[1], 0)
         if instances is not None and bases_px is not None:
-            reach = np.linalg.norm(px_from_m, 2) * instances.shape[:, :2].max(axis=1) * 1.5
+            reach = np.linalg.norm(px_from_m, 2) * instances.quad_sizes_m[:, :2].max(axis=1) * 1.5
             inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
             tree_indices = np.flatnonzero(inside[0] & inside[1])
             tree_uniforms = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
             tree_uniforms |= {"level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, tree_indices, (bases_px - shift) * scale, {**uniforms, **tree_uniforms}, triangle_count)
-    return _read_id_buffer(gl, target, instances, triangle_count, tree_indices, np.zeros(0, np.int64), with_depth=False)
+    return _read_id_buffer(gl, target, instances, triangle_count, tree_indices, np.zeros(0, np.int64), reads_depth=False)
 
 
 def _draw_trees(
     gl: Device, instances: TreeInstances, tree_indices: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
 ) -> None:
     program = gl.program(
-        shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
+        shader_source("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"),
+        shader_source("terrain/gbuffer/visible_tree.frag"),
     )
     texture = gl.srgb_texture_array(foliage().mip_levels)
     texture.use(0)
     tree_uniforms = {"foliage": 0, "threshold": ALPHA_THRESHOLD, "curvature": instances.curvature, "first": first}
     set_uniforms(program, {**uniforms, **tree_uniforms})
     variant = np.concatenate([instances.yaw_cos_sin, instances.variant[:, None]], axis=1)
-    attributes = [("base", base[tree_indices]), ("shape", instances.shape[tree_indices]), ("look", variant[tree_indices])]
+    attributes = [("base", base[tree_indices]), ("shape", instances.quad_sizes_m[tree_indices]), ("look", variant[tree_indices])]
     gl.draw_instances(program, QUAD_TRIANGLES, attributes)
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:
-    program = gl.program(shader(f"terrain/gbuffer/{vertex}"), shader(f"terrain/gbuffer/{fragment}"))
+    program = gl.program(shader_source(f"terrain/gbuffer/{vertex}"), shader_source(f"terrain/gbuffer/{fragment}"))
     set_uniforms(program, uniforms)
     return program
 
@@ -196,10 +197,10 @@ def _read_id_buffer(
     triangle_count: int,
     tree_indices: np.ndarray | None,
     visible_ground: np.ndarray,
-    with_depth: bool,
+    reads_depth: bool,
 ) -> IdBuffer:
     number = gl.read(target, 0, "u4")
-    depth = gl.read(target, -1) if with_depth else np.zeros((0, 0), np.float32)
+    depth = gl.read(target, -1) if reads_depth else np.zeros((0, 0), np.float32)
     run_in_chunks(
         len(number),
         _renumber,

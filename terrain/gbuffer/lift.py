@@ -41,9 +41,9 @@ def is_smooth(face, smooth_normal):
 
 
 @internal
-def write_up(point, centre, out):
-    """Write the unit vector up (3,) at a point: away from ``centre``, or the third axis if the centre is infinitely far below."""
-    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+def write_up(point, up_origin, out):
+    """Write the unit vector up (3,) at a point: away from ``up_origin``, or the third axis if that is infinitely far below."""
+    x, y, z = point[0] - up_origin[0], point[1] - up_origin[1], point[2] - up_origin[2]
     length = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = (0.0, 0.0, 1.0) if np.isinf(length) else (x / length, y / length, z / length)
 

@@ -22,7 +22,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.lift import write_up
-from skugga.terrain.gbuffer.map_points import EDGE_TOLERANCE, crease_at, facet_corners, facets_at
+from skugga.terrain.gbuffer.map_points import FACET_EDGE_TOLERANCE_NODES, crease_at, facet_corners, facets_at
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
@@ -43,7 +43,7 @@ MIN_LIFT_M = 1e-3
 Where the smooth ground is lower, as in a hollow, a facet that faces away from the light shades its points.
 """
 
-PARALLEL_TANGENT = 1e-6
+MAX_PARALLEL_TANGENT = 1e-6
 """Tangent of the angle, as seen from above, below which light counts as parallel to a side of a facet."""
 
 
@@ -88,7 +88,7 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
 def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
     if not _is_position_independent(buffer, light):
         return buffer, light
-    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.kind, buffer.lift_m, light
+    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
 
 
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
@@ -96,7 +96,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
     """Return the normals that a light uses at a buffer's points. Values in pixels without a surface are undefined."""
     nowhere = np.zeros(buffer.valid.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
-    view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
+    view, surface, ground = buffer.view, buffer.surface, buffer.surface_kind == RELIEF
     if not _is_position_independent(buffer, light):
         ground &= buffer.valid
     if surface is not None and isinstance(view, MapView):
@@ -104,7 +104,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.with_rim.sheet, buffer.position_frame_m
-        nodes, centre = sheet.position_frame_m, surface.centre_frame_m
+        nodes, centre = sheet.position_frame_m, surface.up_origin_frame_m
         _write_facing_facets(nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
         run_in_chunks(
@@ -115,7 +115,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
 
 
 @compiled
-def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, position, light, facing):
+def _write_facing_facets(nodes, faces, is_cut_nw_se, up_origin, row, col, ground, position, light, facing):
     """Write the fields of ``facing`` (``FacingNormals``) at points of a map's ground that several facets share.
 
     Normal and crease are those of the facet that faces the light most. Lifts are also written at points on the rim of the ground.
@@ -129,7 +129,7 @@ def _write_facing_facets(nodes, faces, is_cut_nw_se, centre, row, col, ground, p
             count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-            _write_local_axes(p, centre, axes)
+            _write_local_axes(p, up_origin, axes)
             up = axes[2]
             east, north = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
             flattest = _dot(normal[i, j], up)
@@ -187,13 +187,13 @@ def _dot(vector, axis):
 
 
 @internal
-def _write_local_axes(point, centre, out):
+def _write_local_axes(point, up_origin, out):
     """Write three orthogonal unit axes at a point as rows (3, 3): two horizontal ones, then up.
 
-    Up points away from ``centre``. In a flat world the axes are the frame's.
+    Up points away from ``up_origin``. In a flat world the axes are the frame's.
     """
     up = out[2]
-    write_up(point, centre, up)
+    write_up(point, up_origin, up)
     first = 0 if abs(up[0]) < 0.7 else 1
     for k in range(3):
         out[0, k] = (1.0 if k == first else 0.0) - up[first] * up[k]
@@ -228,7 +228,7 @@ def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
         area = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
         share = (side_y * b[0] - side_x * b[1]) / area
         inward_speed = (side_x * north - side_y * east) * np.sign(area)
-        if share <= 1e-5 and inward_speed < -PARALLEL_TANGENT * np.sqrt(
+        if share <= 1e-5 and inward_speed < -MAX_PARALLEL_TANGENT * np.sqrt(
             (side_x * side_x + side_y * side_y) * (east * east + north * north)
         ):
             return False
@@ -249,10 +249,10 @@ def _is_on_rim(is_cut_nw_se, facets, count, row, col):
         quads += 1
         is_paired = k + 1 < count and r == facets[k + 1, 0] and c == facets[k + 1, 1]
         diagonal_distance = (col - c) - (row - r) if is_cut_nw_se[r, c] else 1.0 - (row - r) - (col - c)
-        if not is_paired and abs(diagonal_distance) <= EDGE_TOLERANCE:
+        if not is_paired and abs(diagonal_distance) <= FACET_EDGE_TOLERANCE_NODES:
             return True
-    expected_quads = (2 if abs(row - np.rint(row)) <= EDGE_TOLERANCE else 1) * (
-        2 if abs(col - np.rint(col)) <= EDGE_TOLERANCE else 1
+    expected_quads = (2 if abs(row - np.rint(row)) <= FACET_EDGE_TOLERANCE_NODES else 1) * (
+        2 if abs(col - np.rint(col)) <= FACET_EDGE_TOLERANCE_NODES else 1
     )
     return quads < expected_quads
 
@@ -269,7 +269,7 @@ def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, nort
         for down, right in facet_corners(is_cut_nw_se[r, c], half):
             x, y = _plan_offset(nodes[r + down, c + right], p, axes)
             forward = x * east + y * north
-            if forward > 0.0 and abs(x * north - y * east) <= PARALLEL_TANGENT * forward:
+            if forward > 0.0 and abs(x * north - y * east) <= MAX_PARALLEL_TANGENT * forward:
                 return True
     return False
 

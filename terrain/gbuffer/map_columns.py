@@ -40,7 +40,7 @@ def column_top_corners(buffer: GeometryBuffer) -> np.ndarray:
     columns, corners = buffer.columns, buffer.corners_frame_m
     assert columns is not None
     corners = np.zeros((*buffer.valid.shape, 9), np.float32) if corners is None else corners.copy()
-    ground = buffer.valid & (buffer.kind == RELIEF)
+    ground = buffer.valid & (buffer.surface_kind == RELIEF)
     _write_corners(columns.window.sheet.position_frame_m, ground, columns.row, columns.col, corners)
     return corners
 

@@ -11,7 +11,7 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, write_up
 
-EDGE_TOLERANCE = 1e-6
+FACET_EDGE_TOLERANCE_NODES = 1e-6
 """Distance, in nodes, within which a point counts as lying on a facet's edge, so that the facets on both sides share it."""
 
 
@@ -56,7 +56,7 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
 
 
 @compiled
-def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row, col, point, triangle, stencil_radius):
+def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, row, col, point, triangle, stencil_radius):
     """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
     The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``).
@@ -73,7 +73,7 @@ def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row
             out[i, j] = 0.0
             if r < 0:
                 continue
-            write_up(point[i, j], centre, up)
+            write_up(point[i, j], up_origin, up)
             face = facet_normals[r, c, half]
             if stencil_radius > 1:
                 lift = 0.0
@@ -88,7 +88,10 @@ def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, centre, row
                         else np.nan
                     )
                 out[i, j] = lift
-            elif abs(row[i] - np.rint(row[i])) <= EDGE_TOLERANCE and abs(col[j] - np.rint(col[j])) <= EDGE_TOLERANCE:
+            elif (
+                abs(row[i] - np.rint(row[i])) <= FACET_EDGE_TOLERANCE_NODES
+                and abs(col[j] - np.rint(col[j])) <= FACET_EDGE_TOLERANCE_NODES
+            ):
                 out[i, j] = np.nan
             else:
                 u, v = _barycentric(is_cut_nw_se[r, c], half, row[i] - r, col[j] - c)
@@ -125,19 +128,19 @@ def facets_at(facet_normals, is_cut_nw_se, row, col, facets):
     ``facet_normals`` (rows, cols, 2, 3) holds the facets' normals, NaN if a corner is missing. Facets of the quad south-east of the
     position come first.
     """
-    r0, c0 = int(np.floor(row + EDGE_TOLERANCE)), int(np.floor(col + EDGE_TOLERANCE))
+    r0, c0 = int(np.floor(row + FACET_EDGE_TOLERANCE_NODES)), int(np.floor(col + FACET_EDGE_TOLERANCE_NODES))
     fr0, fc0 = row - r0, col - c0
     count = 0
     for k in range(4):
         up, left = k // 2, k % 2
-        if (up == 1 and fr0 > EDGE_TOLERANCE) or (left == 1 and fc0 > EDGE_TOLERANCE):
+        if (up == 1 and fr0 > FACET_EDGE_TOLERANCE_NODES) or (left == 1 and fc0 > FACET_EDGE_TOLERANCE_NODES):
             continue
         r, c, fr, fc = r0 - up, c0 - left, fr0 + up, fc0 + left
         for half in range(2):
             side_distance = fc - fr if is_cut_nw_se[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
-            if (side_distance >= -EDGE_TOLERANCE if half == 0 else side_distance <= EDGE_TOLERANCE) and np.isfinite(
-                facet_normals[r, c, half, 2]
-            ):
+            if (
+                side_distance >= -FACET_EDGE_TOLERANCE_NODES if half == 0 else side_distance <= FACET_EDGE_TOLERANCE_NODES
+            ) and np.isfinite(facet_normals[r, c, half, 2]):
                 facets[count, 0], facets[count, 1], facets[count, 2] = r, c, half
                 count += 1
     return count
@@ -186,8 +189,8 @@ def _nearest_nodes(row, col):
     First and last differ where the position is half-way between nodes.
     """
     return (
-        int(np.ceil(row - 0.5 - EDGE_TOLERANCE)), int(np.floor(row + 0.5 + EDGE_TOLERANCE)),
-        int(np.ceil(col - 0.5 - EDGE_TOLERANCE)), int(np.floor(col + 0.5 + EDGE_TOLERANCE)),
+        int(np.ceil(row - 0.5 - FACET_EDGE_TOLERANCE_NODES)), int(np.floor(row + 0.5 + FACET_EDGE_TOLERANCE_NODES)),
+        int(np.ceil(col - 0.5 - FACET_EDGE_TOLERANCE_NODES)), int(np.floor(col + 0.5 + FACET_EDGE_TOLERANCE_NODES)),
     )  # fmt: skip
 
 
@@ -198,26 +201,26 @@ def _is_nearest_node_valid(node_valid, row, col):
 
 
 @internal
-def facet_corners(is_cut_nw_se, half):
+def facet_corners(is_cut_nw_se, facet_in_quad):
     """Return the row and column offsets of a facet's three corners from its quad's north-west corner.
 
-    The corner that is not on the quad's diagonal comes first, then the others counter-clockwise. ``half`` is 0 for the facet on the
-    quad's north side, 1 for the other.
+    The corner that is not on the quad's diagonal comes first, then the others counter-clockwise. ``facet_in_quad`` is 0 for the
+    facet on the quad's north side, 1 for the other.
     """
     if is_cut_nw_se:
-        return ((0, 1), (0, 0), (1, 1)) if half == 0 else ((1, 0), (1, 1), (0, 0))
-    return ((0, 0), (1, 0), (0, 1)) if half == 0 else ((1, 1), (0, 1), (1, 0))
+        return ((0, 1), (0, 0), (1, 1)) if facet_in_quad == 0 else ((1, 0), (1, 1), (0, 0))
+    return ((0, 0), (1, 0), (0, 1)) if facet_in_quad == 0 else ((1, 1), (0, 1), (1, 0))
 
 
 @internal
-def _barycentric(is_cut_nw_se, half, fr, fc):
+def _barycentric(is_cut_nw_se, facet_in_quad, row_fraction, col_fraction):
     """Return the weights of the second and third corner of ``facet_corners`` at a position in a quad.
 
-    ``fr`` and ``fc`` are the position's row and column from the quad's north-west corner.
+    ``row_fraction`` and ``col_fraction`` are the position's row and column from the quad's north-west corner.
     """
     if is_cut_nw_se:
-        return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
-    return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
+        return (1.0 - col_fraction, row_fraction) if facet_in_quad == 0 else (col_fraction, 1.0 - row_fraction)
+    return (row_fraction, col_fraction) if facet_in_quad == 0 else (1.0 - row_fraction, 1.0 - col_fraction)
 
 
 @internal

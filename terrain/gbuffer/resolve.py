@@ -9,12 +9,17 @@ a pixel.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.lift import is_smooth, lift_distance
+from skugga.terrain.gbuffer.resolve_types import (
+    GroundInPerspective,
+    PixelCamera,
+    ResolvedPoints,
+    SolidsInPerspective,
+    TreesInPerspective,
+)
 from skugga.terrain.gbuffer.tree_instances import tree_corner
 
 CROWN_CENTRE_SHARE, CROWN_HALF_HEIGHT_SHARE = 0.55, 0.47
@@ -27,186 +32,39 @@ NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """The kinds of surface that a pixel shows."""
 
 
-class ResolvedPoints(NamedTuple):
-    """The per-pixel arrays of a ``GeometryBuffer`` (``skugga.terrain.gbuffer.geometry``) while they are computed.
-
-    ``cells`` (rows, cols, 2) are the points' rows and columns in the ground's imagery, empty without imagery. ``lift_m`` is 0 in
-    pixels that show no ground.
-    """
-
-    valid: np.ndarray
-    position: np.ndarray
-    height: np.ndarray
-    normal: np.ndarray
-    shading_normal: np.ndarray
-    crease: np.ndarray
-    kind: np.ndarray
-    albedo: np.ndarray
-    corners: np.ndarray
-    cells: np.ndarray
-    lift_m: np.ndarray
-
-
-class PixelCamera(NamedTuple):
-    """A camera and the directions of its pixels.
-
-    Attributes
-    ----------
-    tangents
-        float64 (3,), x / z and y / z of the first pixel in camera axes, and their increase from pixel to pixel.
-    finer_tangents
-        float64 (3,), the tangents of a finer view of the same camera, whose pixels are the anti-aliasing samples.
-    finer_row, finer_col
-        int64 (n, cols), rows and columns in the finer view of the samples. They fill n rows below the picture's own rows.
-    picture_rows
-        The number of the picture's own rows.
-    eye_frame_m
-        float64 (3,), the eye in the frame.
-    frame_from_camera
-        float64 (3, 3), the rotation from the camera's axes to the frame.
-    """
-
-    tangents: np.ndarray
-    finer_tangents: np.ndarray
-    finer_row: np.ndarray
-    finer_col: np.ndarray
-    picture_rows: int
-    eye_frame_m: np.ndarray
-    frame_from_camera: np.ndarray
-
-
-class Ground(NamedTuple):
-    """The mesh of a perspective view's ground.
-
-    Attributes
-    ----------
-    position_frame_m, height_m, normal_frame
-        Positions (n, 3), heights (n,) and smooth unit normals (n, 3) of the nodes; metres.
-    triangles, crease
-        Node indices (t, 3) of the triangles, and their creases (t,) as in ``GeometryBuffer``.
-    cells
-        (n, 2), the nodes' rows and columns in the ground's imagery; (0, 2) without imagery.
-    """
-
-    position_frame_m: np.ndarray
-    height_m: np.ndarray
-    normal_frame: np.ndarray
-    triangles: np.ndarray
-    crease: np.ndarray
-    cells: np.ndarray
-
-
-class Faces(NamedTuple):
-    """The triangles of meshes.
-
-    Attributes
-    ----------
-    triangles
-        int32 (t, 3), vertex indices.
-    albedo
-        float32 (t, 3), linear.
-    normals_frame
-        float32 (t, 3, 3), unit normals at the corners.
-    crease
-        float32 (t,), the triangles' creases as in ``GeometryBuffer``.
-    """
-
-    triangles: np.ndarray
-    albedo: np.ndarray
-    normals_frame: np.ndarray
-    crease: np.ndarray
-
-
-class SolidsInPerspective(NamedTuple):
-    """Meshes in perspective: positions (n, 3) and heights (n,) of their vertices, metres, and their faces."""
-
-    position_frame_m: np.ndarray
-    height_m: np.ndarray
-    faces: Faces
-
-
-class SolidsInMap(NamedTuple):
-    """Meshes in a map.
-
-    Attributes
-    ----------
-    position_frame_m
-        (n, 3), the vertices in the frame, metres.
-    col_row_height
-        (n, 3), the vertices' columns and rows in the map, in pixels, and their heights, metres.
-    faces
-        The meshes' triangles.
-    """
-
-    position_frame_m: np.ndarray
-    col_row_height: np.ndarray
-    faces: Faces
-
-
-class TreesInPerspective(NamedTuple):
-    """Trees (n,) in perspective. The arrays are those of ``skugga.terrain.gbuffer.tree_instances.TreeInstances``."""
-
-    base_frame_m: np.ndarray
-    base_height_m: np.ndarray
-    shape: np.ndarray
-    yaw_cos_sin: np.ndarray
-    curvature: float
-
-
-class TreesInMap(NamedTuple):
-    """Trees (n,) in a map.
-
-    Attributes
-    ----------
-    base_frame_m, shape, yaw_cos_sin, curvature
-        As in ``skugga.terrain.gbuffer.tree_instances.TreeInstances``.
-    col_row_height
-        (n, 3), columns and rows of the trees' feet in the map, in pixels, and their heights, metres.
-    px_from_m
-        (2, 2), the map's pixels per metre along the frame's first two axes.
-    """
-
-    base_frame_m: np.ndarray
-    col_row_height: np.ndarray
-    shape: np.ndarray
-    yaw_cos_sin: np.ndarray
-    curvature: float
-    px_from_m: np.ndarray
-
-
 def resolve_perspective(
-    number: np.ndarray,
+    triangle_number: np.ndarray,
     camera: PixelCamera,
-    ground: Ground,
+    ground: GroundInPerspective,
     solids: SolidsInPerspective,
     trees: TreesInPerspective,
     sqrt_albedo: np.ndarray,
 ) -> ResolvedPoints:
     """Return the points that a camera's pixels show.
 
-    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of the ground, then of the meshes, then of the
-    trees; 0 without one. ``sqrt_albedo`` (rows, cols, 4) holds the square roots of the albedo of visible leaves, times 255.
+    ``triangle_number`` (rows, cols) is the number of the triangle in each pixel, from 1: of the ground, then of the meshes, then of
+    the trees; 0 without one. ``sqrt_albedo`` (rows, cols, 4) holds the square roots of the albedo of visible leaves, times 255.
     """
-    size = number.shape
+    size = triangle_number.shape
     points = ResolvedPoints(
         np.empty(size, np.bool_), np.empty((*size, 3)), np.empty(size, np.float32),
         np.empty((*size, 3), np.float32), np.empty((*size, 3), np.float32), np.empty(size, np.float32),
         np.empty(size, np.uint8), np.empty((*size, 3), np.float32), np.empty((*size, 9), np.float32),
-        np.empty((*size, 2) if len(ground.cells) else (0, 0, 2), np.float32), np.empty(size, np.float32),
+        np.empty((*size, 2) if len(ground.imagery_cells) else (0, 0, 2), np.float32), np.empty(size, np.float32),
     )  # fmt: skip
-    run_in_chunks(size[0], _resolve, number, camera, ground, solids, trees, sqrt_albedo, points)
+    run_in_chunks(size[0], _resolve, triangle_number, camera, ground, solids, trees, sqrt_albedo, points)
     return points
 
 
 @compiled
-def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albedo, points):
+def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, sqrt_albedo, points):
     """Fill rows ``first`` to ``last`` (exclusive) of ``points``."""
     tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_height, tree_shape, tree_yaw, curvature = trees
     valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, cells, lift = points
-    cols = number.shape[1]
+    cols = triangle_number.shape[1]
     ground_count, solid_count = len(ground_triangles), len(solid_triangles)
     p, face = np.empty((3, 3)), np.empty(3, np.float32)
     ray, to_eye = np.empty(3), np.empty(3)
@@ -216,7 +74,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
     )  # the triangle that p, face and has_smooth_normals belong to: neighbouring pixels mostly show the same one
     for i in range(first, last):
         for j in range(cols):
-            t = np.int64(number[i, j]) - 1
+            t = np.int64(triangle_number[i, j]) - 1
             valid[i, j], kind[i, j], crease[i, j], lift[i, j] = t >= 0, NO_SURFACE, 0.0, 0.0
             for k in range(3):
                 albedo[i, j, k] = np.nan
@@ -308,22 +166,22 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
 
 
 @compiled
-def resolve_map(number, solids, trees, sqrt_albedo, points):
+def resolve_map(triangle_number, solids, trees, sqrt_albedo, points):
     """Replace the ground's points in ``points`` by those of meshes and trees where these are higher, in place.
 
-    ``number`` (rows, cols) is the number of the triangle in each pixel, from 1: of ``solids``, then of ``trees``; 0 without one.
-    ``sqrt_albedo`` is that of ``resolve_perspective``.
+    ``triangle_number`` (rows, cols) is the number of the triangle in each pixel, from 1: of ``solids``, then of ``trees``; 0
+    without one. ``sqrt_albedo`` is that of ``resolve_perspective``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_yaw, curvature, px_from_m = trees
     valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, _, _ = points
-    rows, cols = number.shape
+    rows, cols = triangle_number.shape
     solid_count = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
     down = np.array([0.0, 0.0, -1.0])
     for i in range(rows):
         for j in range(cols):
-            t = np.int64(number[i, j]) - 1
+            t = np.int64(triangle_number[i, j]) - 1
             if t < 0:
                 continue
             tree = (t - solid_count) // 6
@@ -371,11 +229,11 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
 
 
 @internal
-def _write_tree_triangle(p, base, shape, yaw_cos_sin, curvature, part):
-    quad, second = part // 2, part % 2
+def _write_tree_triangle(p, base, quad_sizes, yaw_cos_sin, curvature, triangle_in_tree):
+    quad, second = triangle_in_tree // 2, triangle_in_tree % 2
     for c in range(3):
         corner = c if second == 0 or c == 0 else c + 1
-        x, y, z = tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner)
+        x, y, z = tree_corner(base, quad_sizes, yaw_cos_sin, curvature, quad, corner)
         p[c, 0], p[c, 1], p[c, 2] = x, y, z
 
 
@@ -429,18 +287,18 @@ def _face_normal(p, out):
 
 
 @compiled
-def _write_leaf_shading(point, ray, base, shape, sqrt_albedo, shading_normal, albedo):
+def _write_leaf_shading(point, ray, base, quad_sizes, sqrt_albedo, shading_normal, albedo):
     """Write the shading normal and the albedo of a visible leaf.
 
     A tree is drawn as crossed quads. The normal is instead that of an ellipsoid with the size of the crown, at the place where the
     ray to the point meets it or passes nearest to it. So it does not depend on the quad, and the quads are not visible. It is
     tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are.
     """
-    half_width, half_height = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF_HEIGHT_SHARE * shape[2], 1e-3)
+    half_width, half_height = max(np.float64(quad_sizes[0]), 1e-3), max(CROWN_HALF_HEIGHT_SHARE * quad_sizes[2], 1e-3)
     qx, qy, qz = (
         (point[0] - base[0]) / half_width,
         (point[1] - base[1]) / half_width,
-        (point[2] - base[2] - CROWN_CENTRE_SHARE * shape[2]) / half_height,
+        (point[2] - base[2] - CROWN_CENTRE_SHARE * quad_sizes[2]) / half_height,
     )
     dx, dy, dz = ray[0] / half_width, ray[1] / half_width, ray[2] / half_height
     length = np.sqrt(dx * dx + dy * dy + dz * dz)

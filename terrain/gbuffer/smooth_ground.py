@@ -33,7 +33,7 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
     in_map = isinstance(buffer.view, MapView)
     if isinstance(buffer.view, MapView):
         assert buffer.surface is not None
-        origin_frame_m = buffer.surface.centre_frame_m
+        origin_frame_m = buffer.surface.up_origin_frame_m
     else:
         origin_frame_m = buffer.view.in_frame(buffer.frame)[0]
     run_in_chunks(

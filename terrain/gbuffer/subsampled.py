@@ -11,8 +11,8 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 
-PIXEL_ARRAYS = (
-    "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "kind", "triangle",
+PIXEL_ARRAY_NAMES = (
+    "valid", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "surface_kind", "triangle",
     "corners_frame_m", "lift_m", "is_lifted",
 )  # fmt: skip
 
@@ -23,7 +23,7 @@ def subsampled_view(view: MapView | PerspectiveView, stride: int) -> MapView | P
     if isinstance(view, MapView):
         row_step, col_step = view.row_step * stride, view.col_step * stride
         return replace(view, row_step=row_step, col_step=col_step, rows=rows, cols=cols, pixel_share=share)
-    return replace(view, step=view.step * stride, rows=rows, cols=cols, pixel_share=share)
+    return replace(view, step_px=view.step_px * stride, rows=rows, cols=cols, pixel_share=share)
 
 
 def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:
@@ -33,7 +33,7 @@ def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int
     """
     row, col = first
     view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), stride)
-    arrays = {name: getattr(buffer, name) for name in PIXEL_ARRAYS}
+    arrays = {name: getattr(buffer, name) for name in PIXEL_ARRAY_NAMES}
     subsampled: dict[str, Any] = {
         name: None if array is None else np.ascontiguousarray(array[row::stride, col::stride]) for name, array in arrays.items()
     }

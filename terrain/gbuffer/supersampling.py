@@ -30,13 +30,13 @@ PixelSampling = Literal["means", "points"]
 of accuracy.
 """
 
-MAX_BARE_NODES = 16 * BLOCK_PX**2
+MAX_TERRAIN_ONLY_NODES = 16 * BLOCK_PX**2
 """Maximum number of nodes in a block of tiles whose only casters are smooth ground and whose only light is the sun.
 
 These are 4 x 4 nodes per pixel of a block that is full of ground, and more where ground fills only a part of the block.
 """
 
-MAX_NODES = 4 * BLOCK_PX**2
+MAX_BLOCK_NODES = 4 * BLOCK_PX**2
 """Maximum number of nodes in any other block: with objects on the ground, with lamps, or where a block of sub-pixels is wider than
 ``MAX_PARALLEL_RAYS_M``.
 """
@@ -46,17 +46,17 @@ MAX_PARALLEL_RAYS_M = 150e3
 wider blocks.
 """
 
-SIDE_TOLERANCE = 1e-6
+SIDE_TOLERANCE_NODES = 1e-6
 """Tolerance, in nodes, within which a pixel's side coincides with the side of a node's square."""
 
 
 def is_terrain_only(scene: Scene) -> bool:
     """Return whether a level has only smooth ground, and no light but the sun."""
     smooth = scene.elevation.surface == "smooth"
-    return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.kinds) <= {"relief"}
+    return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.caster_kinds) <= {"relief"}
 
 
-def ground_pixels(scene: Scene, view: MapView) -> float:
+def max_ground_pixels(scene: Scene, view: MapView) -> float:
     """Return an upper bound of the pixels of a map's block that show ground."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     return min(BLOCK_PX**2, scene.elevation.rows * scene.elevation.cols * (cell_m / map_pixel_m(scene.world, view)) ** 2)
@@ -68,11 +68,11 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
     The result is 0 if pixels are not divided. It is smaller where a block would have too many nodes.
     """
     pixel_m, cell_m = map_pixel_m(scene.world, view), scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    block = ground_pixels(scene, view)
+    block = max_ground_pixels(scene, view)
     count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
     while count > 0:
-        is_narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
-        if 4.0**count * block <= (MAX_BARE_NODES if is_narrow and is_terrain_only(scene) else MAX_NODES):
+        is_narrow = scene.world.is_flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
+        if 4.0**count * block <= (MAX_TERRAIN_ONLY_NODES if is_narrow and is_terrain_only(scene) else MAX_BLOCK_NODES):
             break
         count -= 1
     return count
@@ -88,7 +88,7 @@ def covered_nodes(view: MapView, grid: Grid) -> MapView:
     """Return the view whose pixels are the nodes of a finer grid that a map's pixels cover."""
     ends = []
     for sides in _pixel_sides(view, grid):
-        first, last = int(np.floor(sides[0] + SIDE_TOLERANCE)), int(np.ceil(sides[-1] - SIDE_TOLERANCE))
+        first, last = int(np.floor(sides[0] + SIDE_TOLERANCE_NODES)), int(np.ceil(sides[-1] - SIDE_TOLERANCE_NODES))
         ends.append((first, last - first))
     (row0, rows), (col0, cols) = ends
     return MapView(grid, float(row0), float(col0), 1.0, 1.0, rows, cols)
@@ -113,7 +113,7 @@ def _pixel_sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     grid, or lie half-way between two of them.
     """
     steps = float(np.rint(view.grid.step / grid.step))
-    offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.stretch), (grid.x0 - view.grid.x0) / grid.step
+    offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.y_to_x_step_ratio), (grid.x0 - view.grid.x0) / grid.step
     axes = (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
     row, col = (
         (first + (np.arange(count + 1) - 0.5) * step) * steps - np.rint(2.0 * offset) / 2.0 + 0.5
@@ -140,7 +140,10 @@ def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
     that the first pixel covers, from square 0 on. ``sides`` are those of ``_sides_in``.
     """
     step = int(np.rint(sides[1] - sides[0]))
-    if np.abs(np.diff(sides) - step).max() > SIDE_TOLERANCE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > SIDE_TOLERANCE:
+    if (
+        np.abs(np.diff(sides) - step).max() > SIDE_TOLERANCE_NODES
+        or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > SIDE_TOLERANCE_NODES
+    ):
         return None
     first, halves = int(np.rint(sides[0] * 2.0)), np.arange(int(np.rint(sides[1] * 2.0)))
     return step, np.bincount(halves[first:] // 2).astype(np.int64)
@@ -159,14 +162,14 @@ def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
 @internal
 def _square_range(sides, i):
     """Return the first square that pixel ``i`` covers along an axis, and the exclusive end. ``sides`` bound the pixels."""
-    return int(np.floor(sides[i] + SIDE_TOLERANCE)), int(np.ceil(sides[i + 1] - SIDE_TOLERANCE))
+    return int(np.floor(sides[i] + SIDE_TOLERANCE_NODES)), int(np.ceil(sides[i + 1] - SIDE_TOLERANCE_NODES))
 
 
 @internal
 def _overlap(sides, i, n):
     """Return the share of square ``n`` that pixel ``i`` covers along an axis; exactly 1 if it covers all of it up to rounding."""
     share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
-    return 1.0 if share > 1.0 - SIDE_TOLERANCE else share
+    return 1.0 if share > 1.0 - SIDE_TOLERANCE_NODES else share
 
 
 @compiled

@@ -41,11 +41,11 @@ class TreeInstances:
 
     Attributes
     ----------
-    number
+    tree_number
         int64 (n,), the trees' indices in the arrays of ``Trees``.
     base_frame_m, base_height_m
         float64 (n, 3) and (n,), the feet of the trees in the frame, and their heights, metres.
-    shape
+    quad_sizes_m
         float32 (n, 4), metres. A tree is drawn as two upright quads and a horizontal one. The values are half the width of the
         upright quads, half the width of the horizontal quad, the tree's height, and the height of the horizontal quad.
     yaw_cos_sin
@@ -56,10 +56,10 @@ class TreeInstances:
         Tilt of the vertical, radians, per metre from the frame's origin: 1 / radius of the earth; 0 in a flat world.
     """
 
-    number: np.ndarray
+    tree_number: np.ndarray
     base_frame_m: np.ndarray
     base_height_m: np.ndarray
-    shape: np.ndarray
+    quad_sizes_m: np.ndarray
     yaw_cos_sin: np.ndarray
     variant: np.ndarray
     curvature: float
@@ -70,7 +70,7 @@ class TreeInstances:
     def select(self, selection: np.ndarray) -> TreeInstances:
         """Return the trees that indices or a mask select."""
         return TreeInstances(
-            self.number[selection], self.base_frame_m[selection], self.base_height_m[selection], self.shape[selection],
+            self.tree_number[selection], self.base_frame_m[selection], self.base_height_m[selection], self.quad_sizes_m[selection],
             self.yaw_cos_sin[selection], self.variant[selection], self.curvature,
         )  # fmt: skip
 
@@ -80,7 +80,9 @@ class TreeInstances:
         ``low`` and ``high`` (3,) bound the box in the axes ``rotation @ point + translation``.
         """
         is_inside = np.empty(len(self), np.bool_)
-        run_in_chunks(len(self), _mark_trees_in_box, self.base_frame_m, self.shape, rotation, translation, low, high, is_inside)
+        run_in_chunks(
+            len(self), _mark_trees_in_box, self.base_frame_m, self.quad_sizes_m, rotation, translation, low, high, is_inside
+        )
         return np.flatnonzero(is_inside)
 
     def in_frustum(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
@@ -90,7 +92,7 @@ class TreeInstances:
         ``tangents`` (2, 2) are the minimum and maximum of x / z and of y / z.
         """
         is_inside = np.empty(len(self), np.bool_)
-        run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, is_inside)
+        run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.quad_sizes_m, eye, rotation, tangents, is_inside)
         return np.flatnonzero(is_inside)
 
     def front_to_back(self, indices: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -102,7 +104,7 @@ class TreeInstances:
 
     def corners(self) -> np.ndarray:
         """Return the corners (n, 3, 4, 3) float64 of the trees' quads in the frame: two upright quads, then the horizontal one."""
-        return tree_corners(self.base_frame_m, self.shape, self.yaw_cos_sin, self.curvature)
+        return tree_corners(self.base_frame_m, self.quad_sizes_m, self.yaw_cos_sin, self.curvature)
 
     def outlines(self) -> np.ndarray:
         """Return the corners (n, 3, k, 3) of convex polygons in the frame. Each contains all leaves of one of the trees' quads."""
@@ -121,12 +123,12 @@ def _cache_key(objects: SceneObjects, *key_parts: object) -> tuple[object, ...]:
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """Return the trees that a map with pixels ``pixel_m`` metres wide draws, also those outside of it; ``None`` without trees."""
     trees = objects.trees
-    return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
+    return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_diameter_m / (pixel_m * FULL_STAND_CROWN_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
     """Return whether a map with pixels ``pixel_m`` metres wide draws at least one tree after decimation."""
-    return bool((trees.rank < _drawn_share(trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))).any())
+    return bool((trees.thinning_rank < _drawn_share(trees.crown_diameter_m / (pixel_m * FULL_STAND_CROWN_PX))).any())
 
 
 @cached("scene", 512 * MIB, key=_cache_key)
@@ -137,7 +139,7 @@ def tree_instances_in_perspective(
     trees = objects.trees
     if trees is None:
         return None
-    size = np.empty(len(trees.rank))
+    size = np.empty(len(trees.thinning_rank))
     run_in_chunks(len(size), _write_relative_sizes, trees.base_earth_m, np.array(eye_earth_m), trees.height_m * focal_px, size)
     return _drawn_trees(objects, trees, frame, size)
 
@@ -145,16 +147,18 @@ def tree_instances_in_perspective(
 def _drawn_trees(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
     """Return the drawn trees. ``size`` (n,) is each tree's size over the size from which all trees are drawn."""
     share = _drawn_share(size)
-    number = np.flatnonzero(trees.rank < share)
+    number = np.flatnonzero(trees.thinning_rank < share)
     share = share[number]
     base = _tree_bases(objects, frame)[number]
-    half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
+    half, height = trees.crown_diameter_m[number] / 2.0, trees.height_m[number]
     crown_quad_height = np.array([variant.crown_quad_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
     return TreeInstances(
-        number=number,
+        tree_number=number,
         base_frame_m=base,
-        base_height_m=objects.tree_heights_m[number],
-        shape=(np.stack([half, half, height, height * crown_quad_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
+        base_height_m=objects.tree_base_heights_m[number],
+        quad_sizes_m=(np.stack([half, half, height, height * crown_quad_height], axis=1) / np.sqrt(share)[:, None]).astype(
+            np.float32
+        ),
         yaw_cos_sin=_yaws(trees)[number],
         variant=trees.variant[number].astype(np.int32),
         curvature=objects.world.curvature,
@@ -191,7 +195,7 @@ def _drawn_share(size: np.ndarray) -> np.ndarray:
 
 
 @internal
-def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
+def tree_corner(base, quad_sizes, yaw_cos_sin, curvature, quad, corner):
     """Return one corner (x, y, z) of one quad of a tree, in the frame. The texture coordinate u is 0 at corners 0 and 3, else 1."""
     cosine, sine = np.float64(yaw_cos_sin[0]), np.float64(yaw_cos_sin[1])
     x, y = base[0] * curvature, base[1] * curvature
@@ -199,11 +203,11 @@ def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
     side = -1.0 if corner == 0 or corner == 3 else 1.0
     high = 1.0 if corner >= 2 else 0.0
     if quad == 0:
-        local_x, local_y, up = side * shape[0], 0.0, high * shape[2]
+        local_x, local_y, up = side * quad_sizes[0], 0.0, high * quad_sizes[2]
     elif quad == 1:
-        local_x, local_y, up = 0.0, side * shape[0], high * shape[2]
+        local_x, local_y, up = 0.0, side * quad_sizes[0], high * quad_sizes[2]
     else:
-        local_x, local_y, up = side * shape[1], (2.0 * high - 1.0) * shape[1], np.float64(shape[3])
+        local_x, local_y, up = side * quad_sizes[1], (2.0 * high - 1.0) * quad_sizes[1], np.float64(quad_sizes[3])
     up *= scale
     return (
         base[0] + local_x * cosine - local_y * sine + up * x,
@@ -213,20 +217,20 @@ def tree_corner(base, shape, yaw_cos_sin, curvature, quad, corner):
 
 
 @internal
-def tree_radius(shape):
+def tree_radius(quad_sizes):
     """Return the radius of the bounding sphere of a tree's quads, whose centre is half-way up the stem."""
-    half_width = max(shape[0], 1.4143 * shape[1])
-    return np.sqrt(half_width * half_width + 0.25 * shape[2] * shape[2])
+    half_width = max(quad_sizes[0], 1.4143 * quad_sizes[1])
+    return np.sqrt(half_width * half_width + 0.25 * quad_sizes[2] * quad_sizes[2])
 
 
 @compiled
-def _mark_trees_in_box(first, last, base, shape, rotation, translation, low, high, is_inside):
+def _mark_trees_in_box(first, last, base, quad_sizes, rotation, translation, low, high, is_inside):
     for n in range(first, last):
-        radius = tree_radius(shape[n])
+        radius = tree_radius(quad_sizes[n])
         inside = True
         for k in range(3):
             v = (
-                rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2])
+                rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * quad_sizes[n, 2])
                 + translation[k]
             )  # fmt: skip
             inside = inside and v + radius >= low[k] and v - radius <= high[k]
@@ -234,14 +238,14 @@ def _mark_trees_in_box(first, last, base, shape, rotation, translation, low, hig
 
 
 @compiled
-def _mark_trees_in_frustum(first, last, base, shape, eye, rotation, tangents, is_inside):
+def _mark_trees_in_frustum(first, last, base, quad_sizes, eye, rotation, tangents, is_inside):
     in_camera = np.empty(3)
     for n in range(first, last):
-        radius = tree_radius(shape[n])
+        radius = tree_radius(quad_sizes[n])
         for k in range(3):
             in_camera[k] = (
                 rotation[k, 0] * (base[n, 0] - eye[0]) + rotation[k, 1] * (base[n, 1] - eye[1])
-                + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2] - eye[2])
+                + rotation[k, 2] * (base[n, 2] + 0.5 * quad_sizes[n, 2] - eye[2])
             )  # fmt: skip
         intersects = in_camera[2] > -radius
         for axis in range(2):
@@ -252,11 +256,11 @@ def _mark_trees_in_frustum(first, last, base, shape, eye, rotation, tangents, is
 
 
 @compiled
-def tree_corners(base, shape, yaw_cos_sin, curvature):
+def tree_corners(base, quad_sizes, yaw_cos_sin, curvature):
     out = np.empty((len(base), 3, 4, 3))
     for n in range(len(base)):
         for quad in range(3):
             for corner in range(4):
-                x, y, z = tree_corner(base[n], shape[n], yaw_cos_sin[n], curvature, quad, corner)
+                x, y, z = tree_corner(base[n], quad_sizes[n], yaw_cos_sin[n], curvature, quad, corner)
                 out[n, quad, corner, 0], out[n, quad, corner, 1], out[n, quad, corner, 2] = x, y, z
     return out

@@ -14,18 +14,16 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geomet
 from skugga.terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
 from skugga.terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from skugga.terrain.gbuffer.map_columns import column_geometry
-from skugga.terrain.gbuffer.resolve import (
-    RELIEF,
+from skugga.terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
+from skugga.terrain.gbuffer.resolve_types import (
     Faces,
-    Ground,
+    GroundInPerspective,
     PixelCamera,
     ResolvedPoints,
     SolidsInMap,
     SolidsInPerspective,
     TreesInMap,
     TreesInPerspective,
-    resolve_map,
-    resolve_perspective,
 )
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from skugga.terrain.geo.camera import PerspectiveView
@@ -124,7 +122,7 @@ class RasterisedTriangles(Protocol):
 class RasterisedView:
     """The visible triangles of a camera's pixels, rasterised with OpenGL.
 
-    ``kinds`` may leave out trees (``forest``). ``pixel_mask`` (rows, cols) selects pixels; the others stay empty.
+    ``caster_kinds`` may leave out trees (``forest``). ``pixel_mask`` (rows, cols) selects pixels; the others stay empty.
     """
 
     def __init__(
@@ -133,13 +131,13 @@ class RasterisedView:
         view: PerspectiveView,
         frame: LocalFrame,
         max_triangles: int = MAX_GROUND_TRIANGLES,
-        kinds: tuple[CasterKind, ...] = get_args(CasterKind),
+        caster_kinds: tuple[CasterKind, ...] = get_args(CasterKind),
         pixel_mask: np.ndarray | None = None,
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
         self.tree_instances: TreeInstances | None = None
-        if "forest" in kinds:
+        if "forest" in caster_kinds:
             self.tree_instances = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
         self.solids = solid_vertices(scene.objects, frame)
         solids = scene.objects.solids
@@ -152,50 +150,51 @@ PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.nda
 
 
 def resolve_buffer(
-    scene: Scene, view: PerspectiveView, visible: RasterisedTriangles, samples: PixelSelection | None = None
+    scene: Scene, view: PerspectiveView, rasterised: RasterisedTriangles, samples: PixelSelection | None = None
 ) -> GeometryBuffer:
     """Return the geometry buffer of a camera's rasterised triangles.
 
     ``samples`` adds rows of pixels of a finer view of the same camera below the view's own rows.
     """
-    number, sqrt_albedo = visible.id_buffer.number, visible.id_buffer.sqrt_albedo
+    number, sqrt_albedo = rasterised.id_buffer.triangle_number, rasterised.id_buffer.sqrt_albedo
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
     if samples is not None:
         finer, finer_visible, (row, col) = samples
-        number = np.concatenate([number, finer_visible.id_buffer.number[row, col]])
+        number = np.concatenate([number, finer_visible.id_buffer.triangle_number[row, col]])
         sqrt_albedo = (
             np.concatenate([sqrt_albedo, finer_visible.id_buffer.sqrt_albedo[row, col]]) if sqrt_albedo.size else sqrt_albedo
         )
-    eye, camera_from_frame = view.in_frame(visible.frame)
-    tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
-    ground, trees, solids = visible.ground, visible.tree_instances, scene.objects.solids
+    eye, camera_from_frame = view.in_frame(rasterised.frame)
+    tangents, finer_tangents = (np.array([v.col0, v.row0, v.step_px]) / v.focal_px for v in (view, finer))
+    ground, trees, solids = rasterised.ground, rasterised.tree_instances, scene.objects.solids
     image = ground_imagery(scene)
     points = resolve_perspective(
         number,
         PixelCamera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
-        Ground(
+        GroundInPerspective(
             ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground_creases(ground, number),
             np.zeros((0, 2)) if image is None else _ground_cells(image, ground),
         ),
         SolidsInPerspective(_NO_POINTS, np.zeros(0), _NO_FACES)
-        if solids is None or visible.solids is None
+        if solids is None or rasterised.solids is None
         else SolidsInPerspective(
-            visible.solids, scene.objects.solids_in_crs(scene.map_crs)[:, 2], _solid_faces(scene.objects, visible.frame)
+            rasterised.solids, scene.objects.solids_in_crs(scene.map_crs)[:, 2], _solid_faces(scene.objects, rasterised.frame)
         ),
         TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_YAW, scene.world.curvature)
         if trees is None
-        else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.shape, trees.yaw_cos_sin, scene.world.curvature),
+        else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.quad_sizes_m, trees.yaw_cos_sin,
+        scene.world.curvature),
         sqrt_albedo,
     )  # fmt: skip
     albedo = points.albedo
     if image is not None:
-        cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel / image.cell_m(scene.world)
-        draped = image.albedo(points.cells, np.nan_to_num(cells_per_pixel, nan=1.0))
-        albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
+        cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel_tangent / image.cell_m(scene.world)
+        draped = image.albedo(points.imagery_cells, np.nan_to_num(cells_per_pixel, nan=1.0))
+        albedo = np.where((points.surface_kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
-        view, visible.frame, points.valid, points.position, points.height, points.normal, points.shading_normal, points.crease,
-        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
-        solids_frame_m=visible.solids,
+        view, rasterised.frame, points.valid, points.position, points.height, points.normal, points.shading_normal, points.crease,
+        points.surface_kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
+        solids_frame_m=rasterised.solids,
         first_sample_row=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
         lift_m=points.lift_m,
     )  # fmt: skip
@@ -219,10 +218,10 @@ def _map_buffer(
     crs = view.grid.crs
     solid_points = solid_vertices(scene.objects, frame)
     solid_px = None if solids is None else _pixel_positions(view, scene.objects.solids_in_crs(crs))
-    tree_px = None if trees is None else _pixel_positions(view, scene.objects.trees_in_crs(crs)[trees.number])
+    tree_px = None if trees is None else _pixel_positions(view, scene.objects.trees_in_crs(crs)[trees.tree_number])
     px_from_m = _px_from_m(scene, view, frame)
     low, high = scene.height_range_m
-    heights = low - 100.0, high + scene.objects.tallest_m + 100.0
+    heights = low - 100.0, high + scene.objects.tallest_object_m + 100.0
     solid_mesh = None if solids is None or solid_px is None else (solid_px, solids.triangles)
     id_buffer = rasterise_map(view, solid_mesh, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.valid.shape, 3), np.nan, np.float32)
@@ -233,13 +232,13 @@ def _map_buffer(
     curvature = scene.world.curvature
     tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_YAW, curvature, px_from_m)
     if trees is not None and tree_px is not None:
-        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.yaw_cos_sin, curvature, px_from_m)
+        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.quad_sizes_m, trees.yaw_cos_sin, curvature, px_from_m)
     points = ResolvedPoints(
         buffer.valid, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
-        buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
+        buffer.crease, buffer.surface_kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(
-        id_buffer.number if pixel_mask is None else np.where(pixel_mask, id_buffer.number, 0),
+        id_buffer.triangle_number if pixel_mask is None else np.where(pixel_mask, id_buffer.triangle_number, 0),
         solid_parts,
         tree_parts,
         id_buffer.sqrt_albedo,
@@ -260,7 +259,7 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
     solids = objects.solids
     assert solids is not None
     normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
-    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_crease)
+    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_creases)
 
 
 def _pixel_positions(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
@@ -279,7 +278,7 @@ def _pixel_positions(view: MapView, map_xyz: np.ndarray) -> np.ndarray:
 
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     """Return the matrix (2, 2) of pixels (column, row) per metre along a frame's first two axes, at a view's middle."""
-    point, _ = scene.world.ground(view.grid.crs, *view.centre)
+    point, _ = scene.world.points_at_zero_height(view.grid.crs, *view.centre)
     middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
     map_xyz = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
@@ -308,7 +307,7 @@ def ground_imagery(scene: Scene) -> Imagery | None:
 
 @cached("scene", 256 * MIB)
 def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
-    return image.cells(ground.grid.crs, ground.x, ground.y)
+    return image.cells_at(ground.grid.crs, ground.x, ground.y)
 
 
 def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
@@ -321,7 +320,7 @@ def _draped_albedo(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     count = [-(-(size - 1) // IMAGERY_STEP_PX) + 1 for size in (view.rows, view.cols)]
     row, col = np.meshgrid(*(np.arange(n + 1) * float(IMAGERY_STEP_PX) for n in count), indexing="ij")
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
-    exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
+    exact = image.cells_at(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
     samples = np.meshgrid(*(np.arange(size) / IMAGERY_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
     cells = np.stack([map_coordinates(exact[..., k], samples, order=1) for k in (0, 1)], axis=-1)
     pixel_m = map_pixel_m(scene.world, view)

@@ -16,7 +16,7 @@ from pyproj import CRS
 from skugga.terrain.cache import MIB, IdentityKey, cached
 from skugga.terrain.errors import InputError, Problem
 
-_COMPASS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
+_AXIS_DIRECTIONS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
 """For each direction of an axis: whether the axis is x (runs along parallels), and the sign of its coordinates."""
 
 Bounds = tuple[float, float, float, float]
@@ -60,14 +60,14 @@ class Axes:
 
     def bounds_xy(self, bounds: Bounds) -> Bounds:
         """Return (west, south, east, north) of bounds in GDAL's coordinates: both minima, then both maxima."""
-        return _ordered(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
+        return _ordered_bounds(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
 
     def gdal_bounds(self, bounds: Bounds) -> Bounds:
         """Return bounds in GDAL's coordinates, both minima, then both maxima, of (west, south, east, north)."""
-        return _ordered(*self.gdal_coordinates(np.array(bounds[::2]), np.array(bounds[1::2])))
+        return _ordered_bounds(*self.gdal_coordinates(np.array(bounds[::2]), np.array(bounds[1::2])))
 
 
-def _ordered(first: np.ndarray, second: np.ndarray) -> Bounds:
+def _ordered_bounds(first: np.ndarray, second: np.ndarray) -> Bounds:
     return float(first.min()), float(second.min()), float(first.max()), float(second.max())
 
 
@@ -79,11 +79,11 @@ def axes_of(crs: CRS) -> Axes:
     """
     axes = crs.axis_info[:2]
     directions = [(axis.direction or "").lower() for axis in axes]
-    if len(axes) != 2 or not all(direction in _COMPASS for direction in directions):
+    if len(axes) != 2 or not all(direction in _AXIS_DIRECTIONS for direction in directions):
         return Axes()
     if directions == ["north", "east"]:  # GDAL puts the second one first
         axes, directions = axes[::-1], directions[::-1]
-    (first_is_x, first), (second_is_x, second) = (_COMPASS[direction] for direction in directions)
+    (first_is_x, first), (second_is_x, second) = (_AXIS_DIRECTIONS[direction] for direction in directions)
     if first_is_x == second_is_x:  # along meridians
         return Axes()
     if crs.is_geographic:

@@ -14,7 +14,7 @@ import numpy as np
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.world import LocalFrame, World
 
-FRAME_PITCH_SHARE = 1 / 16
+PERSPECTIVE_FRAME_SPACING_SHARE = 1 / 16
 """Spacing of the local frames of perspective views, as a share of the spacing for maps (``skugga.terrain.geo.world``).
 
 A frame is thus near the eye, where steps of float32 stay below 0.1 mm.
@@ -35,12 +35,12 @@ class PerspectiveView:
         Focal length: pixels per unit of tangent (of the angle to the forward axis), for a step of one.
     row0, col0
         Offset of the first pixel's centre from the principal point, in pixels.
-    step
+    step_px
         Distance of neighbouring pixel centres. It is 1 except in finer views and in views of every n-th pixel.
     rows, cols
         Size in pixels.
     pixel_share
-        A pixel's side as a share of ``step``. It is 1 except in views of every n-th pixel.
+        A pixel's side as a share of ``step_px``. It is 1 except in views of every n-th pixel.
     """
 
     eye_earth_m: np.ndarray
@@ -48,7 +48,7 @@ class PerspectiveView:
     focal_px: float
     row0: float
     col0: float
-    step: float
+    step_px: float
     rows: int
     cols: int
     pixel_share: float = 1.0
@@ -57,30 +57,35 @@ class PerspectiveView:
     def cache_key(self) -> tuple[object, ...]:
         """All parameters as a hashable tuple: equal views have equal tuples."""
         eye, axes = self.eye_earth_m.tobytes(), self.earth_from_camera.tobytes()
-        return eye, axes, self.focal_px, self.row0, self.col0, self.step, self.rows, self.cols, self.pixel_share
+        return eye, axes, self.focal_px, self.row0, self.col0, self.step_px, self.rows, self.cols, self.pixel_share
 
     @property
-    def pixel(self) -> float:
+    def pixel_tangent(self) -> float:
         """The tangent of the angle that a pixel's side spans at the centre of the picture."""
-        return self.pixel_share * self.step / self.focal_px
+        return self.pixel_share * self.step_px / self.focal_px
 
     def part(self, row: int, col: int, rows: int, cols: int) -> PerspectiveView:
         """Return the view of ``rows`` x ``cols`` pixels, the first of which is pixel (``row``, ``col``) of this view.
 
         ``row`` and ``col`` may be negative.
         """
-        return replace(self, row0=self.row0 + row * self.step, col0=self.col0 + col * self.step, rows=rows, cols=cols)
+        return replace(self, row0=self.row0 + row * self.step_px, col0=self.col0 + col * self.step_px, rows=rows, cols=cols)
 
     def shifted(self, rows: float, cols: float) -> PerspectiveView:
         """Return the view with all pixel centres moved down and to the right by fractions of a pixel."""
-        side = self.pixel_share * self.step
+        side = self.pixel_share * self.step_px
         return replace(self, row0=self.row0 + rows * side, col0=self.col0 + cols * side)
 
-    def finer(self, side: int) -> PerspectiveView:
-        """Return the view that divides each pixel into ``side`` x ``side`` pixels."""
-        first = (1.0 / side - 1.0) / 2.0
+    def finer(self, subpixels_per_side: int) -> PerspectiveView:
+        """Return the view that divides each pixel into ``subpixels_per_side`` x ``subpixels_per_side`` pixels."""
+        first = (1.0 / subpixels_per_side - 1.0) / 2.0
         shifted_view = self.shifted(first, first)
-        return replace(shifted_view, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
+        return replace(
+            shifted_view,
+            step_px=self.step_px / subpixels_per_side,
+            rows=self.rows * subpixels_per_side,
+            cols=self.cols * subpixels_per_side,
+        )
 
     def in_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         """Return the eye (3,) in a frame, in metres, and the rotation (3, 3) from the frame to the camera."""
@@ -91,7 +96,7 @@ class PerspectiveView:
 
     def frame(self, world: World) -> LocalFrame:
         """Return the local frame whose origin, on a world-fixed lattice of origins, is nearest to the eye."""
-        return world.frame_near_earth(self.eye_earth_m, FRAME_PITCH_SHARE)
+        return world.frame_near_earth(self.eye_earth_m, PERSPECTIVE_FRAME_SPACING_SHARE)
 
 
 def look_at(

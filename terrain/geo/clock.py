@@ -15,9 +15,9 @@ Clock = tzinfo | Literal["solar"]
 
 SOLAR: Literal["solar"] = "solar"
 
-CLOCK_WORDS = "solar, utc, an offset such as +02:00, or a time zone such as Europe/Oslo"
+ALLOWED_CLOCKS = "solar, utc, an offset such as +02:00, or a time zone such as Europe/Oslo"
 
-_OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
+_UTC_OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
 """A UTC offset, with or without UTC or GMT before it. It does not match ``Etc/GMT+2``, a zone two hours behind UTC."""
 
 _PLUS_AS_SPACE = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
@@ -41,7 +41,7 @@ def parse_clock(parameter: str, text: str) -> Clock:
         return SOLAR
     if name.lower() in ("utc", "z"):
         return UTC
-    offset = _OFFSET.fullmatch(_PLUS_AS_SPACE.sub(r"\1+", text.rstrip().replace("\u2212", "-"), count=1).strip())
+    offset = _UTC_OFFSET.fullmatch(_PLUS_AS_SPACE.sub(r"\1+", text.rstrip().replace("\u2212", "-"), count=1).strip())
     if offset is not None and int(offset[2]) < 24:
         offset_from_utc = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
         return timezone(-offset_from_utc if offset[1] == "-" else offset_from_utc)
@@ -54,7 +54,7 @@ def parse_clock(parameter: str, text: str) -> Clock:
     if zone_name is not None:
         return ZoneInfo(zone_name)
     suggestions = ", ".join(_similar_zones(name.lower(), zones))
-    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (did you mean {suggestions}?)' if suggestions else ''}")
+    raise InputError(parameter, text, f"{ALLOWED_CLOCKS}{f' (did you mean {suggestions}?)' if suggestions else ''}")
 
 
 def _similar_zones(name: str, zones: dict[str, str]) -> list[str]:

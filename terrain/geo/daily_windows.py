@@ -32,9 +32,9 @@ class DailyWindow:
         The date.
     start
         Start of the window in UTC.
-    minutes
+    length_min
         Length of the window in minutes.
-    clock_min
+    start_clock_min
         The clock time at the start, in minutes from midnight.
     minutes_to_change
         Minutes from the start to a change of the clock, as at the begin and the end of summer time.
@@ -44,18 +44,18 @@ class DailyWindow:
 
     date: date
     start: datetime
-    minutes: float
-    clock_min: float
+    length_min: float
+    start_clock_min: float
     minutes_to_change: float = 0.0
     clock_advance_min: float = 0.0
 
-    def clock_time_min(self, minutes: float) -> float:
-        """Return the clock time ``minutes`` minutes after the start, in minutes from midnight."""
-        changed = self.clock_advance_min != 0.0 and minutes >= self.minutes_to_change
-        return self.clock_min + minutes + (self.clock_advance_min if changed else 0.0)
+    def clock_time_min(self, elapsed_min: float) -> float:
+        """Return the clock time ``length_min`` minutes after the start, in minutes from midnight."""
+        changed = self.clock_advance_min != 0.0 and elapsed_min >= self.minutes_to_change
+        return self.start_clock_min + elapsed_min + (self.clock_advance_min if changed else 0.0)
 
 
-def daily_window(day: date, first_min: float, last_min: float, clock: Clock, world: World) -> DailyWindow:
+def daily_window(day: date, start_min: float, end_min: float, clock: Clock, world: World) -> DailyWindow:
     """Return the window of a date between two clock times, in minutes from midnight (0 to 1440).
 
     A clock time that does not exist, as when summer time begins, is read with the UTC offset before the change. If a clock time
@@ -63,19 +63,19 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
 
     Raises ``InputError`` for invalid times, and where the clock skips the whole date or the whole window.
     """
-    if not 0.0 <= first_min < last_min <= MINUTES_PER_DAY:
+    if not 0.0 <= start_min < end_min <= MINUTES_PER_DAY:
         raise InputError(
-            "window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a start time and a later end time, 00:00 to 24:00"
+            "window", f"{clock_text(start_min)}-{clock_text(end_min)}", "a start time and a later end time, 00:00 to 24:00"
         )
     check_date(day)
     if isinstance(clock, str):
-        start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
-        return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)
+        start, end = (_solar_moment(day, minutes, world) for minutes in (start_min, end_min))
+        return DailyWindow(day, start, (end - start) / timedelta(minutes=1), start_min)
     day_bounds(day, clock)
-    start, end = _zone_ends(day, first_min, last_min, clock)
+    start, end = _utc_start_and_end(day, start_min, end_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
     if minutes <= 0.0:
-        window_text = f"{clock_text(first_min)}-{clock_text(last_min)}"
+        window_text = f"{clock_text(start_min)}-{clock_text(end_min)}"
         raise InputError("window", window_text, f"times that {clock} does not skip on {day.isoformat()}")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
     midnight = datetime.combine(day, time(), UTC)
@@ -128,31 +128,31 @@ def windows_between(
     return [daily_window(day, *clock_times_min, clock, world) for day in days]
 
 
-def clock_text(minutes: float) -> str:
+def clock_text(clock_min: float) -> str:
     """Return minutes from midnight as a clock time such as 08:30."""
-    return f"{int(minutes // 60):02d}:{int(minutes % 60):02d}"
+    return f"{int(clock_min // 60):02d}:{int(clock_min % 60):02d}"
 
 
-def _zone_ends(day: date, first_min: float, last_min: float, zone: tzinfo) -> tuple[datetime, datetime]:
+def _utc_start_and_end(day: date, start_min: float, end_min: float, zone: tzinfo) -> tuple[datetime, datetime]:
     """Return the start and the end in UTC of a window between two clock times, in minutes from midnight.
 
     The end is not after the start where the zone's clock skips the window.
     """
-    return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < MINUTES_PER_DAY))
+    return _zone_moment(day, start_min, zone, fold=0), _zone_moment(day, end_min, zone, fold=int(end_min < MINUTES_PER_DAY))
 
 
-def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> bool:
-    start, end = _zone_ends(day, first_min, last_min, zone)
+def _has_window(day: date, start_min: float, end_min: float, zone: tzinfo) -> bool:
+    start, end = _utc_start_and_end(day, start_min, end_min, zone)
     return start < end
 
 
-def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
+def _zone_moment(day: date, clock_min: float, zone: tzinfo, fold: int) -> datetime:
     """Return the moment in UTC of a clock time, in minutes from midnight.
 
     ``fold`` selects the first or the second occurrence of a clock time (PEP 495). A clock time that the zone skips is read with the
     UTC offset before the change.
     """
-    days, rest_min = divmod(minutes, MINUTES_PER_DAY)
+    days, rest_min = divmod(clock_min, MINUTES_PER_DAY)
     wall_time = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
     moment = wall_time.replace(tzinfo=zone, fold=fold).astimezone(UTC)
     if moment.astimezone(zone).replace(tzinfo=None) != wall_time:  # skipped by the clock
@@ -166,10 +166,10 @@ def _offset_min(moment: datetime, zone: tzinfo) -> float:
     return offset / timedelta(minutes=1)
 
 
-def _minutes_to_change(start: datetime, minutes: float, zone: tzinfo) -> float:
-    """Return the minutes from ``start`` to the only change of a zone's UTC offset within the next ``minutes`` minutes."""
+def _minutes_to_change(start: datetime, length_min: float, zone: tzinfo) -> float:
+    """Return the minutes from ``start`` to the only change of a zone's UTC offset within the next ``length_min`` minutes."""
     before = _offset_min(start, zone)
-    low, high = 0, int(np.ceil(minutes))
+    low, high = 0, int(np.ceil(length_min))
     while high - low > 1:
         middle = (low + high) // 2
         if _offset_min(start + timedelta(minutes=middle), zone) == before:
@@ -179,15 +179,15 @@ def _minutes_to_change(start: datetime, minutes: float, zone: tzinfo) -> float:
     return float(high)
 
 
-def _solar_moment(day: date, minutes: float, world: World) -> datetime:
-    """Return the moment in UTC at which the true solar time at the anchor is ``minutes``, in minutes from midnight.
+def _solar_moment(day: date, clock_min: float, world: World) -> datetime:
+    """Return the moment in UTC at which the true solar time at the anchor is ``clock_min``, in minutes from midnight.
 
     The anchor is the centre of the level's bounds.
     """
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
-    moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
+    moment = datetime.combine(day, time(), UTC) + timedelta(minutes=clock_min - 4.0 * lon)
     for _ in range(SOLAR_TIME_ITERATIONS):
-        error_min = (solar_time_min(moment, lon, lat) - minutes + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
+        error_min = (solar_time_min(moment, lon, lat) - clock_min + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
         moment -= timedelta(minutes=error_min)
     return moment
 

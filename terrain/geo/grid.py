@@ -69,7 +69,7 @@ class Grid:
         Coordinates of node (0, 0) in CRS units.
     step
         Distance of neighbouring nodes in x, in CRS units.
-    stretch
+    y_to_x_step_ratio
         The step in y over that in x. It is 1 except for rasters' own cells.
     refinement_count
         How many times the grid was refined (``refined``). A refined grid has the same surface as the coarse one, since its nodes
@@ -80,11 +80,13 @@ class Grid:
     x0: float
     y0: float
     step: float
-    stretch: float = 1.0
+    y_to_x_step_ratio: float = 1.0
     refinement_count: int = 0
 
     def __hash__(self) -> int:
-        return hash((self.x0, self.y0, self.step, self.stretch, self.refinement_count))  # without the CRS, whose hash is slow
+        return hash(
+            (self.x0, self.y0, self.step, self.y_to_x_step_ratio, self.refinement_count)
+        )  # without the CRS, whose hash is slow
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
         """Return x of a (fractional) column, in CRS units."""
@@ -92,7 +94,7 @@ class Grid:
 
     def y(self, row: FloatOrArray) -> FloatOrArray:
         """Return y of a (fractional) row, in CRS units."""
-        return self.y0 - row * (self.step * self.stretch)
+        return self.y0 - row * (self.step * self.y_to_x_step_ratio)
 
     def col(self, x: FloatOrArray) -> FloatOrArray:
         """Return the (fractional) column of x."""
@@ -100,7 +102,7 @@ class Grid:
 
     def row(self, y: FloatOrArray) -> FloatOrArray:
         """Return the (fractional) row of y."""
-        return (self.y0 - y) / (self.step * self.stretch)
+        return (self.y0 - y) / (self.step * self.y_to_x_step_ratio)
 
     def coarser(self, lod: int) -> Grid:
         """Return the grid of every ``2**lod``-th node."""
@@ -125,9 +127,9 @@ class Grid:
 
         For a tile matrix this is the grid of the matrix ``halvings`` zooms further in.
         """
-        step, side = self.step / 2**halvings, self.step * self.stretch
-        y0 = self.y0 + side / 2 - step * self.stretch / 2
-        return Grid(self.crs, self.x0 - self.step / 2 + step / 2, y0, step, self.stretch)
+        step, side = self.step / 2**halvings, self.step * self.y_to_x_step_ratio
+        y0 = self.y0 + side / 2 - step * self.y_to_x_step_ratio / 2
+        return Grid(self.crs, self.x0 - self.step / 2 + step / 2, y0, step, self.y_to_x_step_ratio)
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ class MapView:
     pixel_share: float = 1.0
 
     @property
-    def on_nodes(self) -> bool:
+    def is_on_nodes(self) -> bool:
         """Whether every pixel centre is a node, as in tiles."""
         steps = self.row_step == 1.0 and self.col_step == 1.0
         return steps and float(self.row0).is_integer() and float(self.col0).is_integer()
@@ -196,26 +198,30 @@ class MapView:
         down, right = self.pixel_share * self.row_step, self.pixel_share * self.col_step
         return replace(self, row0=self.row0 + rows * down, col0=self.col0 + cols * right)
 
-    def as_nodes(self) -> MapView:
+    def with_pixels_as_nodes(self) -> MapView:
         """Return the same pixels as nodes of a new grid, whose spacing is the pixels' spacing.
 
         Node (0, 0) of the new grid is within half a pixel of node (0, 0) of this grid. A view whose pixels are nodes is unchanged.
         """
-        if self.on_nodes:
+        if self.is_on_nodes:
             return self
         row, col = self.row0 / self.row_step, self.col0 / self.col_step
         whole_row, whole_col = np.rint(row), np.rint(col)
         x0, y0 = self.grid.x((col - whole_col) * self.col_step), self.grid.y((row - whole_row) * self.row_step)
-        stretch = self.grid.stretch * self.row_step / self.col_step
+        stretch = self.grid.y_to_x_step_ratio * self.row_step / self.col_step
         grid = Grid(self.grid.crs, float(x0), float(y0), self.grid.step * self.col_step, stretch)
         return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols, self.pixel_share)
 
-    def finer(self, side: int) -> MapView:
-        """Return the view on the same grid that divides each pixel into ``side`` x ``side`` pixels."""
-        first = (1.0 / side - 1.0) / 2.0
+    def finer(self, subpixels_per_side: int) -> MapView:
+        """Return the view on the same grid that divides each pixel into ``subpixels_per_side`` x ``subpixels_per_side`` pixels."""
+        first = (1.0 / subpixels_per_side - 1.0) / 2.0
         shifted_view = self.shifted(first, first)
         return replace(
-            shifted_view, row_step=self.row_step / side, col_step=self.col_step / side, rows=self.rows * side, cols=self.cols * side
+            shifted_view,
+            row_step=self.row_step / subpixels_per_side,
+            col_step=self.col_step / subpixels_per_side,
+            rows=self.rows * subpixels_per_side,
+            cols=self.cols * subpixels_per_side,
         )
 
 
@@ -224,7 +230,7 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 
     The distance between its nodes is the largest power-of-two resolution (see the module) that does not exceed ``resolution``.
     """
-    name = None if world.flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
+    name = None if world.is_flat else MATRIX_SET_NAMES.get(epsg_of(crs) or 0)
     if name is not None:
         from morecantile import tms as matrix_sets  # imported here: takes 0.2 s, and maps in other CRSs do not need it
 
@@ -247,15 +253,15 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
     The anchor is the centre of the level's bounds. One value serves the whole level, so that all its tiles choose the same detail.
     """
-    if world.flat:
-        return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
+    if world.is_flat:
+        return grid.step * world.metres_per_unit * float(np.sqrt(grid.y_to_x_step_ratio))
     if grid.crs == world.crs:
         x, y = world.anchor_x, world.anchor_y
     else:
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
     half = grid.step / 2
-    down = half * grid.stretch
-    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
+    down = half * grid.y_to_x_step_ratio
+    point, _ = world.points_at_zero_height(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
 
@@ -300,13 +306,13 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
     These may be negative. Where pixels are nodes, blocks are world-fixed: they start at multiples of ``BLOCK_PX`` nodes. Every view
     then uses the same blocks. Otherwise blocks start at the view's corner.
     """
-    first_row = int(view.row0) % BLOCK_PX if view.on_nodes else 0
-    first_col = int(view.col0) % BLOCK_PX if view.on_nodes else 0
+    first_row = int(view.row0) % BLOCK_PX if view.is_on_nodes else 0
+    first_col = int(view.col0) % BLOCK_PX if view.is_on_nodes else 0
     blocks = []
     for row in range(-first_row, view.rows, BLOCK_PX):
         for col in range(-first_col, view.cols, BLOCK_PX):
-            rows = BLOCK_PX if view.on_nodes else min(BLOCK_PX, view.rows - row)
-            cols = BLOCK_PX if view.on_nodes else min(BLOCK_PX, view.cols - col)
+            rows = BLOCK_PX if view.is_on_nodes else min(BLOCK_PX, view.rows - row)
+            cols = BLOCK_PX if view.is_on_nodes else min(BLOCK_PX, view.cols - col)
             blocks.append((view.part(row, col, rows, cols), row, col))
     return blocks
 

@@ -27,7 +27,7 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-END_MARGIN = 1e-6
+SEGMENT_END_MARGIN_SHARE = 1e-6
 """Minimum distance in time from the ends of a segment at which directions are evaluated, as a share of its duration.
 
 At the ends themselves the velocity may be 0.
@@ -57,14 +57,14 @@ class KeyedCurve:
 
     def at(self, seconds: float | np.ndarray) -> np.ndarray:
         """Return the values (..., k) at times (...) in seconds."""
-        return np.asarray(self._spline(self._since_first_s(seconds)))
+        return np.asarray(self._spline(self._elapsed_s(seconds)))
 
     def direction_at(self, seconds: float) -> np.ndarray:
         """Return the direction of motion (k,), not normalised, at a time in seconds.
 
         At rest it is the last direction of motion, or before any motion the first one. It is 0 if the curve never moves.
         """
-        since_s, is_moving = float(self._since_first_s(seconds)), self._is_moving
+        since_s, is_moving = float(self._elapsed_s(seconds)), self._moving_segments
         if not is_moving.any():
             return np.zeros(self.values.shape[1])
         knots = self._knots_s
@@ -76,7 +76,7 @@ class KeyedCurve:
             )
             segment = int(np.flatnonzero(is_moving)[0]) if earlier is None else earlier
             since_s = float(knots[segment] if earlier is None else knots[segment + 1])
-        margin_s = END_MARGIN * (knots[segment + 1] - knots[segment])
+        margin_s = SEGMENT_END_MARGIN_SHARE * (knots[segment + 1] - knots[segment])
         return np.asarray(self._spline(np.clip(since_s, knots[segment] + margin_s, knots[segment + 1] - margin_s), 1))
 
     @property
@@ -85,11 +85,11 @@ class KeyedCurve:
         return self.times_s - self.times_s[0]
 
     @property
-    def _is_moving(self) -> np.ndarray:
+    def _moving_segments(self) -> np.ndarray:
         """Mask (n - 1,) of segments with motion."""
         return (np.diff(self.values, axis=0) != 0.0).any(axis=1)
 
-    def _since_first_s(self, seconds: float | np.ndarray) -> np.ndarray:
+    def _elapsed_s(self, seconds: float | np.ndarray) -> np.ndarray:
         since_s, last_s = np.asarray(seconds, np.float64) - self.times_s[0], self._knots_s[-1]
         return np.remainder(since_s, last_s) if self.loop else np.clip(since_s, 0.0, last_s)
 

@@ -34,12 +34,12 @@ class LightSpace:
     origin_earth_m: np.ndarray
     altitude_deg: float
 
-    def from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+    def transform_from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         """Return the rotation (3, 3) and translation (3,) from a frame to light space, in metres."""
         rotation = self.light_from_earth @ frame.frame_from_earth.T
         return rotation, self.light_from_earth @ (frame.origin_earth_m - self.origin_earth_m)
 
-    def from_earth(self, point_earth: np.ndarray) -> np.ndarray:
+    def points_from_earth(self, point_earth: np.ndarray) -> np.ndarray:
         """Return the light-space points (..., 3) of earth-fixed points."""
         return (point_earth - self.origin_earth_m) @ self.light_from_earth.T
 
@@ -64,8 +64,8 @@ def light_bounds(
     """Return the minimum (3,) and the maximum (3,) light-space coordinates of valid points of a frame, in metres.
 
     Points have the shape (rows, cols, 3), their valid mask ``valid`` the shape (rows, cols). ``rotation`` (3, 3) and
-    ``translation`` (3,) lead from the frame to light space (``LightSpace.from_frame``). Without valid points the result is
-    (inf, -inf).
+    ``translation`` (3,) lead from the frame to light space (``LightSpace.transform_from_frame``). Without valid points the result
+    is (inf, -inf).
     """
     ends = np.empty((len(valid), 2, 3))
     run_in_chunks(len(valid), _bounds, position_frame_m, valid, rotation, translation, ends)
@@ -73,10 +73,10 @@ def light_bounds(
 
 
 @compiled
-def _bounds(first, last, position, valid, rotation, translation, ends):
-    """Write the minima and maxima of the valid points of the rows [first, last) into ``ends`` (rows, 2, 3)."""
+def _bounds(first, last, position, valid, rotation, translation, row_bounds):
+    """Write the minima and maxima of the valid points of the rows [first, last) into ``row_bounds`` (rows, 2, 3)."""
     for i in range(first, last):
-        out = ends[i]
+        out = row_bounds[i]
         out[0] = np.inf
         out[1] = -np.inf
         for j in range(position.shape[1]):

@@ -67,12 +67,12 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
         no_sun = Problem(f"'{spec.time.isoformat()}' does not define the sun here, since {world.off_earth_reason}")
         raise InputError("time", no_sun, "Give azimuth and altitude")
     else:
-        azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
+        azimuth, altitude, lift = apparent_sun_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
     to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)
     return Sun(azimuth, altitude, to_sun, spec.time, lift)
 
 
-def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
+def apparent_sun_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
     """Return the sun's apparent azimuth and altitude, and the refraction that the altitude includes, in degrees."""
     path = sun_path([time], lon_deg, lat_deg)
     return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.refraction_deg[0])
@@ -84,7 +84,7 @@ def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def position_at(to_sun_earth: np.ndarray, earth_from_enu: np.ndarray) -> tuple[float, float]:
+def azimuth_and_altitude(to_sun_earth: np.ndarray, earth_from_enu: np.ndarray) -> tuple[float, float]:
     """Return the azimuth and altitude in degrees of an earth-fixed direction, seen from one position.
 
     The columns of ``earth_from_enu`` (3, 3) are the position's east, north and up vectors.

@@ -19,13 +19,13 @@ from skugga.terrain.geo.world import AxesTransformer, transformer
 from skugga.terrain.level.data_files import check_geodata
 from skugga.terrain.level.linked_files import is_remote
 
-MAX_EDGE_LENGTH = {True: 0.01, False: 1000.0}
+MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC = {True: 0.01, False: 1000.0}
 """Maximum length of an edge before it is transformed: for a geographic CRS (``True``) in degrees, for others in CRS units.
 
 Longer edges are divided first, since a transformation bends straight lines. The remaining bend is a few centimetres.
 """
 
-MAX_COORDINATE = {True: 540.0, False: 1e9}
+MAX_COORDINATE_BY_IS_GEOGRAPHIC = {True: 540.0, False: 1e9}
 """Maximum absolute value of a valid coordinate: for a geographic CRS (``True``) in degrees, for others in CRS units."""
 
 MAX_LATITUDE = 90.0 + 1e-6
@@ -47,13 +47,13 @@ _POINT, _POLYGON = 0, 3  # shapely's type ids
 SINGLE_LAYER_SUFFIXES = (".geojson", ".shp", ".fgb")
 """Suffixes of files with one layer. Listing the layers of a large GeoJSON takes as long as reading it."""
 
-INSPECTED_FEATURES, MAX_INSPECTED_LAYERS = 100, 100
+INSPECTED_FEATURE_COUNT, MAX_INSPECTED_LAYERS = 100, 100
 """Number of features that show a layer's kinds of geometry, and the maximum number of layers that are inspected."""
 
-TABLE_SUFFIXES = (".csv", ".tsv", ".psv")
+TEXT_TABLE_SUFFIXES = (".csv", ".tsv", ".psv")
 """Suffixes of GDAL's driver for text tables."""
 
-TABLE_COORDINATES = (
+TABLE_COORDINATE_COLUMNS = (
     (("lon", "longitude", "lng", "long"), ("lat", "latitude"), "EPSG:4326"),
     (("x", "easting"), ("y", "northing"), None),
 )
@@ -75,9 +75,9 @@ class Features:
         (n,) two-dimensional shapely geometries. None is empty, and all polygons are valid.
     attributes
         (n,) values of each requested attribute, by name.
-    number
+    number_in_layer
         int (n,), the number of each feature in the layer, from 1.
-    count
+    layer_feature_count
         Number of features in the layer, omitted ones included.
     fid
         int (n,), GDAL's identifiers.
@@ -86,24 +86,26 @@ class Features:
     name: str
     geometry: np.ndarray
     attributes: dict[str, np.ndarray]
-    number: np.ndarray
-    count: int
+    number_in_layer: np.ndarray
+    layer_feature_count: int
     fid: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Features:
         """Return the features with the indices ``rows``, which may repeat."""
         attributes = {name: values[rows] for name, values in self.attributes.items()}
-        return Features(self.name, self.geometry[rows], attributes, self.number[rows], self.count, self.fid[rows])
+        return Features(
+            self.name, self.geometry[rows], attributes, self.number_in_layer[rows], self.layer_feature_count, self.fid[rows]
+        )
 
     def label(self, row: int | np.integer) -> str:
         """Return a text that names a feature by its number, and by GDAL's identifier if it does not count from 0 or 1."""
-        number, fid = int(self.number[row]), int(self.fid[row])
-        return f"feature {number} of {self.count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
+        number, fid = int(self.number_in_layer[row]), int(self.fid[row])
+        return f"feature {number} of {self.layer_feature_count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
 
     @property
     def omitted_count(self) -> int:
         """Number of features that were omitted because they have no geometry."""
-        return self.count - len(np.unique(self.number))
+        return self.layer_feature_count - len(np.unique(self.number_in_layer))
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def _dimensions_of(source: str, layer: str) -> set[int]:
     """Return the dimensions of a layer's first geometries (0: points, 1: lines, 2: polygons); empty if it has none."""
     import pyogrio
 
-    _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=INSPECTED_FEATURES)
+    _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=INSPECTED_FEATURE_COUNT)
     geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     return set(shapely.get_dimensions(geometry[~(shapely.is_missing(geometry) | shapely.is_empty(geometry))]).tolist())
 
@@ -179,7 +181,7 @@ def read_features(
     """Read a layer of a vector file into ``crs``, with x before y.
 
     Attributes that are times become text in ISO 8601, booleans the text "true" or "false". A list of one value counts as the
-    value. Points of a text table come from the columns ``TABLE_COORDINATES``, unless the table has a column WKT.
+    value. Points of a text table come from the columns ``TABLE_COORDINATE_COLUMNS``, unless the table has a column WKT.
 
     If ``crs`` is an engineering CRS, files without a CRS or in another engineering CRS with the same unit count as files in
     ``crs``.
@@ -211,7 +213,7 @@ def read_features(
         list(dict.fromkeys([*attributes, *optional_attributes])),
         0 if layer is None or layer.name is None else layer.name,
     )
-    is_table = source.lower().endswith(TABLE_SUFFIXES)
+    is_table = source.lower().endswith(TEXT_TABLE_SUFFIXES)
     options, table_crs = _table_coordinates(attribute_names(source, layer_name)) if is_table else ({}, None)
     try:
         with _without_warnings():
@@ -236,7 +238,7 @@ def read_features(
     missing = shapely.is_missing(geometry)
     for row in np.flatnonzero(missing):
         if wkb[row] is not None:
-            raise SourceError(source, f"{features.label(row)}: {_damage(wkb[row])}", "Use undamaged geometries")
+            raise SourceError(source, f"{features.label(row)}: {_wkb_problem(wkb[row])}", "Use undamaged geometries")
     geometry[missing] = shapely.Point()
     if shapely.is_empty(geometry).all():
         problem = "no feature with a geometry" if len(fid) else "no features"
@@ -250,9 +252,9 @@ def read_features(
     _check_holes(features)
     # Polygons are repaired twice: before the projection, since edges are divided correctly only in valid ones, and after it, since
     # it may fold them.
-    geometry[:] = _repaired(source, geometry)
+    geometry[:] = _repaired_polygons(source, geometry)
     if not same_coordinates(file_crs, crs):
-        geometry[:] = _repaired(source, _projected(features, file_crs, crs))
+        geometry[:] = _repaired_polygons(source, _transformed_geometry(features, file_crs, crs))
     nonempty = np.flatnonzero(~shapely.is_empty(geometry))
     if not len(nonempty):
         raise SourceError(source, "only polygons without an area", "Use points or polygons with an area")
@@ -261,7 +263,7 @@ def read_features(
 
 def _table_coordinates(names: Sequence[str]) -> tuple[dict[str, str], str | None]:
     """Return GDAL's options for reading points from the columns ``names`` of a text table, and the CRS of the points."""
-    for x_names, y_names, crs in TABLE_COORDINATES:
+    for x_names, y_names, crs in TABLE_COORDINATE_COLUMNS:
         x, y = ([name for name in names if name.strip().lower() in recognised] for recognised in (x_names, y_names))
         if x and y:
             return {"X_POSSIBLE_NAMES": x[0], "Y_POSSIBLE_NAMES": y[0]}, crs
@@ -338,24 +340,24 @@ def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
     return file_crs.equals(crs, ignore_axis_order=True)
 
 
-def _layer_crs(source: str, text: str | None, target: CRS) -> CRS:
+def _layer_crs(source: str, crs_text: str | None, target: CRS) -> CRS:
     try:
-        if text:
-            return CRS.from_user_input(text)
+        if crs_text:
+            return CRS.from_user_input(crs_text)
     except CRSError:
         raise SourceError(source, "a CRS that PROJ does not understand", "Use a vector file with a CRS that PROJ knows") from None
     if target.is_engineering:
         return target
     hint = " (its .prj file is missing)" if source.lower().endswith(".shp") else ""
-    remedy = _TABLE_REMEDY if source.lower().endswith(TABLE_SUFFIXES) else "Use a vector file with a CRS"
+    remedy = _TABLE_REMEDY if source.lower().endswith(TEXT_TABLE_SUFFIXES) else "Use a vector file with a CRS"
     raise SourceError(source, f"no coordinate reference system{hint}", remedy)
 
 
-def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
+def _transformed_geometry(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
     source, geometry = features.name, features.geometry
     edged = shapely.get_dimensions(geometry) > 0
-    check_divided_size(source, geometry[edged], MAX_EDGE_LENGTH[file_crs.is_geographic])
-    geometry[edged] = shapely.segmentize(geometry[edged], MAX_EDGE_LENGTH[file_crs.is_geographic])
+    check_divided_size(source, geometry[edged], MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC[file_crs.is_geographic])
+    geometry[edged] = shapely.segmentize(geometry[edged], MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC[file_crs.is_geographic])
     before, index = shapely.get_coordinates(geometry, return_index=True)
     after = np.column_stack(transformer_between(source, file_crs, crs).transform(before[:, 0], before[:, 1]))
     _check_coordinates(features, file_crs, crs, before, index, after)
@@ -365,32 +367,41 @@ def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
 
 
 def _check_coordinates(
-    features: Features, file_crs: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
+    features: Features,
+    file_crs: CRS,
+    crs: CRS,
+    file_coordinates: np.ndarray,
+    feature_rows: np.ndarray,
+    transformed_coordinates: np.ndarray | None = None,
 ) -> None:
     """Raise ``SourceError`` for coordinates that cannot be transformed from ``file_crs`` into ``crs``.
 
-    ``before`` (n, 2) are the file's coordinates, ``index`` (n,) the row in ``features`` that each belongs to, and ``after`` (n, 2)
-    the transformed ones. Without ``after`` only the range of ``before`` is checked.
+    ``file_coordinates`` (n, 2) are the file's coordinates, ``feature_rows`` (n,) the row in ``features`` that each belongs to, and
+    ``transformed_coordinates`` (n, 2) the transformed ones. Without ``transformed_coordinates`` only the range of
+    ``file_coordinates`` is checked.
     """
     in_degrees = file_crs.is_geographic and file_crs.axis_info[0].unit_name == "degree"
-    limits = MAX_COORDINATE[file_crs.is_geographic], MAX_LATITUDE if in_degrees else MAX_COORDINATE[file_crs.is_geographic]
-    valid = np.abs(before) <= limits if after is None else np.isfinite(after)
+    limits = (
+        MAX_COORDINATE_BY_IS_GEOGRAPHIC[file_crs.is_geographic],
+        MAX_LATITUDE if in_degrees else MAX_COORDINATE_BY_IS_GEOGRAPHIC[file_crs.is_geographic],
+    )
+    valid = np.abs(file_coordinates) <= limits if transformed_coordinates is None else np.isfinite(transformed_coordinates)
     invalid_rows = np.flatnonzero(~valid.all(axis=1))
     if len(invalid_rows):
-        coordinates_text = ", ".join(f"{v:.10g}" for v in before[invalid_rows[0]])
+        coordinates_text = ", ".join(f"{v:.10g}" for v in file_coordinates[invalid_rows[0]])
         raise SourceError(
             features.name,
-            f"{features.label(index[invalid_rows[0]])}: the coordinates {coordinates_text} of '{file_crs.name}' cannot be "
+            f"{features.label(feature_rows[invalid_rows[0]])}: the coordinates {coordinates_text} of '{file_crs.name}' cannot be "
             f"transformed into '{crs.name}'",
             "Correct the coordinates or the file's CRS",
         )  # fmt: skip
 
 
-def check_divided_size(source: str, geometry: np.ndarray, longest: float) -> None:
-    """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
-    count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
+def check_divided_size(source: str, geometry: np.ndarray, max_edge_length: float) -> None:
+    """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``max_edge_length`` are divided."""
+    count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / max_edge_length)))
     if count > MAX_COORDINATE_COUNT:
-        excess_text, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATE_COUNT:.3g}"
+        excess_text, limit = f"lines of {count:.3g} points {max_edge_length:g} units apart", f"{MAX_COORDINATE_COUNT:.3g}"
         raise SourceError.over_limit(source, excess_text, limit, "Use shorter lines")
 
 
@@ -421,7 +432,7 @@ def _check_holes(features: Features) -> None:
             )
 
 
-def _repaired(source: str, geometry: np.ndarray) -> np.ndarray:
+def _repaired_polygons(source: str, geometry: np.ndarray) -> np.ndarray:
     """Return the geometries, with invalid polygons repaired in place; a polygon becomes empty if no area is left.
 
     Raises ``SourceError`` if repairing would take too long.
@@ -461,7 +472,7 @@ def _gdal_errors(source: str) -> Iterator[None]:
         raise SourceError(source, _gdal_message(error, source), "Use a vector file that GDAL reads") from None
 
 
-def _damage(wkb: bytes) -> str:
+def _wkb_problem(wkb: bytes) -> str:
     """Return a phrase that describes why a geometry (WKB) cannot be parsed."""
     try:
         shapely.from_wkb(wkb)

@@ -25,7 +25,7 @@ from skugga.terrain.geo.axes import Axes, Bounds, axes_of
 WGS84 = Geod(ellps="WGS84")
 LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
 
-FRAME_PITCH_DEG = 0.25
+FRAME_SPACING_DEG = 0.25
 """Spacing of the origins of local frames on the globe, in degrees of latitude.
 
 A frame's points lie within about 20 km of its origin, where a float32 step is 1 to 2 mm.
@@ -33,10 +33,10 @@ A frame's points lie within about 20 km of its origin, where a float32 step is 1
 
 EARTH_RADIUS_M = 6_371_000.0
 
-EARTH_SEMI_MAJOR_M, EARTH_TOLERANCE = 6_375_000.0, 0.005
+EARTH_SEMI_MAJOR_M, EARTH_SEMI_MAJOR_TOLERANCE_SHARE = 6_375_000.0, 0.005
 """PROJ takes an ellipsoid for the earth's if its semi-major axis differs by less than this share (``Ellipsoid::guessBodyName``)."""
 
-FRAME_PITCH_M = 16384.0
+FRAME_SPACING_M = 16384.0
 """Spacing of the origins of local frames in a flat world."""
 
 TRANSFORMER_BYTES = 2**16
@@ -57,8 +57,8 @@ class AxesTransformer:
     It takes and returns x to the east and y to the north, as ``pyproj`` does for other CRSs.
     """
 
-    def __init__(self, stored: Transformer, source: Axes, target: Axes) -> None:
-        self._stored, self._source, self._target = stored, source, target
+    def __init__(self, gdal_transformer: Transformer, source: Axes, target: Axes) -> None:
+        self._stored, self._source, self._target = gdal_transformer, source, target
 
     def transform(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[Any, Any]:
         """Transform x and y from the source CRS to the target CRS. Points outside of the target's area become infinite."""
@@ -91,7 +91,7 @@ def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
 def ellipsoid_of(crs: CRS) -> Geod:
     """Return the ellipsoid of a CRS's ground: WGS 84, or that of another celestial body."""
     crs_ellipsoid = crs.ellipsoid
-    if crs_ellipsoid is None or abs(crs_ellipsoid.semi_major_metre / EARTH_SEMI_MAJOR_M - 1.0) < EARTH_TOLERANCE:
+    if crs_ellipsoid is None or abs(crs_ellipsoid.semi_major_metre / EARTH_SEMI_MAJOR_M - 1.0) < EARTH_SEMI_MAJOR_TOLERANCE_SHARE:
         return WGS84
     return Geod(a=crs_ellipsoid.semi_major_metre, b=crs_ellipsoid.semi_minor_metre)
 
@@ -173,7 +173,7 @@ class World:
     ----------
     crs
         The CRS of the elevation source.
-    flat
+    is_flat
         Whether the world is flat (an engineering CRS).
     anchor_x, anchor_y
         The anchor in ``crs``: the centre of the level's bounds. All lattices (frames, texels, map samples outside tile matrices)
@@ -185,7 +185,7 @@ class World:
     """
 
     crs: CRS
-    flat: bool
+    is_flat: bool
     anchor_x: float
     anchor_y: float
     anchor_lon_deg: float = 0.0
@@ -193,7 +193,7 @@ class World:
     metres_per_unit: float = 1.0
 
     def __hash__(self) -> int:
-        return hash((self.flat, self.anchor_x, self.anchor_y, self.metres_per_unit))
+        return hash((self.is_flat, self.anchor_x, self.anchor_y, self.metres_per_unit))
 
     @cached_property
     def ellipsoid(self) -> Geod:
@@ -203,29 +203,29 @@ class World:
     @property
     def radius_m(self) -> float:
         """The mean radius of the earth, or of the celestial body, in metres."""
-        if self.on_earth:
+        if self.is_on_earth:
             return EARTH_RADIUS_M
         return float(2.0 * self.ellipsoid.a + self.ellipsoid.b) / 3.0
 
     @property
-    def on_earth(self) -> bool:
+    def is_on_earth(self) -> bool:
         """Whether the ground is on the earth or in a flat world, not on another celestial body."""
-        return self.flat or self.ellipsoid is WGS84
+        return self.is_flat or self.ellipsoid is WGS84
 
     @property
     def off_earth_reason(self) -> str | None:
         """The reason why the ground is not georeferenced on the earth; ``None`` on the earth. Dates and tiles need the earth."""
-        if self.flat:
+        if self.is_flat:
             return "an engineering CRS is not georeferenced"
-        return None if self.on_earth else f"'{self.crs.name}' is not a CRS of the earth"
+        return None if self.is_on_earth else f"'{self.crs.name}' is not a CRS of the earth"
 
-    def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def points_at_zero_height(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return earth-fixed points (..., 3) at height 0, in metres, and the unit up vectors there, of map coordinates in ``crs``.
 
         Coordinates that cannot be transformed give NaN. A flat world raises ``UnsupportedError`` for any CRS but its own.
         """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-        if self.flat:
+        if self.is_flat:
             if crs != self.crs:
                 raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             east, north = (x - self.anchor_x) * self.metres_per_unit, (y - self.anchor_y) * self.metres_per_unit
@@ -249,7 +249,7 @@ class World:
 
         At a pole, where east is undefined, it uses the axes of the meridian ``polar_lon_deg``, by default Greenwich's.
         """
-        if self.flat:
+        if self.is_flat:
             return np.eye(3)
         east = np.array([-point_earth[1], point_earth[0], 0.0])
         length = np.hypot(east[0], east[1])
@@ -273,7 +273,7 @@ class World:
 
     @property
     def _anchor(self) -> tuple[np.ndarray, np.ndarray]:
-        if self.flat:
+        if self.is_flat:
             return np.zeros(3), np.array([0.0, 0.0, 1.0])
         return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg), self.ellipsoid)
 
@@ -283,31 +283,31 @@ class World:
         Origins form a lattice that is counted from the anchor. Raises ``UnsupportedError`` for a position outside of the CRS's
         area.
         """
-        if self.flat:
-            point, _ = self.ground(crs, np.float64(x), np.float64(y))
-            return self._flat_frame(point, FRAME_PITCH_M)
+        if self.is_flat:
+            point, _ = self.points_at_zero_height(crs, np.float64(x), np.float64(y))
+            return self._flat_frame(point, FRAME_SPACING_M)
         lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
         if not np.isfinite(lon + lat):
             raise UnsupportedError("view", f"{x}, {y}", f"the point lies outside of the area of '{crs.name}'")
-        return self._globe_frame(lon, lat, FRAME_PITCH_DEG)
+        return self._globe_frame(lon, lat, FRAME_SPACING_DEG)
 
-    def frame_near_earth(self, point_earth_m: np.ndarray, pitch_share: float = 1.0) -> LocalFrame:
+    def frame_near_earth(self, point_earth_m: np.ndarray, spacing_share: float = 1.0) -> LocalFrame:
         """Return the local frame whose origin is nearest to an earth-fixed point (3,).
 
-        Origins form a lattice whose spacing is ``pitch_share`` times that for maps (``FRAME_PITCH_DEG``, ``FRAME_PITCH_M``).
+        Origins form a lattice whose spacing is ``spacing_share`` times that for maps (``FRAME_SPACING_DEG``, ``FRAME_SPACING_M``).
         """
-        if self.flat:
-            return self._flat_frame(point_earth_m, FRAME_PITCH_M * pitch_share)
+        if self.is_flat:
+            return self._flat_frame(point_earth_m, FRAME_SPACING_M * spacing_share)
         lon, lat, _ = geodetic(point_earth_m, self.ellipsoid)
-        return self._globe_frame(float(lon), float(lat), FRAME_PITCH_DEG * pitch_share)
+        return self._globe_frame(float(lon), float(lat), FRAME_SPACING_DEG * spacing_share)
 
-    def _flat_frame(self, point_m: np.ndarray, pitch_m: float) -> LocalFrame:
-        return _frame(self, int(np.rint(point_m[0] / pitch_m)), int(np.rint(point_m[1] / pitch_m)), pitch_m)
+    def _flat_frame(self, point_m: np.ndarray, spacing_m: float) -> LocalFrame:
+        return _frame(self, int(np.rint(point_m[0] / spacing_m)), int(np.rint(point_m[1] / spacing_m)), spacing_m)
 
-    def _globe_frame(self, lon: float, lat: float, pitch_deg: float) -> LocalFrame:
+    def _globe_frame(self, lon: float, lat: float, spacing_deg: float) -> LocalFrame:
         delta_lon = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
-        i, j = delta_lon / (pitch_deg / self._cos_anchor_lat), (lat - self.anchor_lat_deg) / pitch_deg
-        return _frame(self, int(np.rint(i)), int(np.rint(j)), pitch_deg)
+        i, j = delta_lon / (spacing_deg / self._cos_anchor_lat), (lat - self.anchor_lat_deg) / spacing_deg
+        return _frame(self, int(np.rint(i)), int(np.rint(j)), spacing_deg)
 
     @property
     def _cos_anchor_lat(self) -> float:
@@ -315,8 +315,11 @@ class World:
         return float(max(np.cos(np.radians(self.anchor_lat_deg)), 0.01))
 
     def map_position(self, crs: CRS, point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` like ``ground``."""
-        if self.flat:
+        """Return x, y in a CRS and height in metres of earth-fixed points (..., 3).
+
+        A flat world raises ``UnsupportedError`` for any CRS but its own.
+        """
+        if self.is_flat:
             if crs != self.crs:
                 raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             scale = 1.0 / self.metres_per_unit
@@ -332,24 +335,24 @@ class World:
 
     def up_origin(self, frame: LocalFrame) -> np.ndarray:
         """Return the frame point (3,) from which "up" points away: the earth's centre, or a point far below a flat world."""
-        return np.array([0.0, 0.0, -1e12]) if self.flat else frame.points_from_earth(np.zeros(3))
+        return np.array([0.0, 0.0, -1e12]) if self.is_flat else frame.points_from_earth(np.zeros(3))
 
     @property
     def curvature(self) -> float:
         """Change of "up" per metre away from a frame's origin, in radians; 0 in a flat world."""
-        return 0.0 if self.flat else 1.0 / self.radius_m
+        return 0.0 if self.is_flat else 1.0 / self.radius_m
 
 
 @cached("process", MIB)
-def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
-    """Return the frame whose origin has index (i, j) in a lattice of spacing ``pitch``, in degrees, or metres in a flat world.
+def _frame(world: World, i: int, j: int, spacing: float) -> LocalFrame:
+    """Return the frame whose origin has index (i, j) in a lattice of spacing ``spacing``, in degrees, or metres in a flat world.
 
     Cached, so that caches may compare frames by identity.
     """
-    if world.flat:
-        return LocalFrame((i, j), np.array([i * pitch, j * pitch, 0.0]), np.eye(3))
-    lon = world.anchor_lon_deg + i * pitch / world._cos_anchor_lat
-    origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * pitch), world.ellipsoid)
+    if world.is_flat:
+        return LocalFrame((i, j), np.array([i * spacing, j * spacing, 0.0]), np.eye(3))
+    lon = world.anchor_lon_deg + i * spacing / world._cos_anchor_lat
+    origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * spacing), world.ellipsoid)
     return LocalFrame((i, j), origin, world.earth_from_enu(origin, up).T)
 
 

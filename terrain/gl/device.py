@@ -26,13 +26,13 @@ import moderngl  # noqa: E402  (PyOpenGL and moderngl choose their platform on i
 from skugga.terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from skugga.terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from skugga.terrain.gl.depth_targets import DepthTargets  # noqa: E402
-from skugga.terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
+from skugga.terrain.gl.egl_devices import LIBEGL, NO_OPENGL_RENDERER, open_context  # noqa: E402
 from skugga.terrain.gl.programs import describe_program, record_draw, specialize_shader  # noqa: E402
 from skugga.terrain.gl.shader_cache import safe_shader_cache  # noqa: E402
 from skugga.terrain.gl.stencil import Stencil  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
-_FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
+_DEPTH_FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
@@ -140,7 +140,7 @@ class Device:
 
         texture = self.ctx.depth_texture((width, height))
         GL.glBindTexture(_TEXTURE_2D, texture.glo)
-        GL.glTexImage2D(_TEXTURE_2D, 0, _FORMATS[bits], width, height, 0, _DEPTH_COMPONENT, _FLOAT, None)
+        GL.glTexImage2D(_TEXTURE_2D, 0, _DEPTH_FORMATS[bits], width, height, 0, _DEPTH_COMPONENT, _FLOAT, None)
         GL.glBindTexture(_TEXTURE_2D, 0)
         texture.compare_func = ""  # sample raw depths; the shader compares
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -358,26 +358,26 @@ class Device:
         self,
         target: moderngl.Framebuffer,
         attachment: int = 0,
-        kind: str = "f4",
+        texel_type: str = "f4",
         components: int = 1,
         size: tuple[int, int] | None = None,
         reuse_memory: bool = False,
     ) -> np.ndarray:
         """Read an attachment (-1: the depth) as an array (rows, cols) or (rows, cols, components). Row 0 is the first texel row.
 
-        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for integer 16-bit depths. ``size`` (width,
-        height) limits the read to the first texels. With ``reuse_memory`` the array is the device's own memory, valid until the
-        next such read: allocating memory for a large map costs more than reading it.
+        ``texel_type`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for integer 16-bit depths. ``size``
+        (width, height) limits the read to the first texels. With ``reuse_memory`` the array is the device's own memory, valid until
+        the next such read: allocating memory for a large map costs more than reading it.
 
         Raises ``GraphicsError`` if the context is not current, so that a mistake never returns stale memory.
         """
         self.require_current()
         width, height = size or target.size
         shape = (height, width) if components == 1 else (height, width, components)
-        texel = np.dtype({"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
+        texel = np.dtype({"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[texel_type])
         out = self._reused_memory(texel, shape) if reuse_memory else np.zeros(shape, texel)
         window = 0, 0, width, height
-        target.read_into(out, window, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
+        target.read_into(out, window, components=components, attachment=attachment, dtype=texel_type, alignment=out.itemsize)
         self.check("read")
         return out
 
@@ -428,11 +428,11 @@ def device() -> Device:
 
 
 def renderer_and_version() -> tuple[str, str]:
-    """Return OpenGL's renderer and version strings, or ``NO_OPENGL`` and an empty string without OpenGL."""
+    """Return OpenGL's renderer and version strings, or ``NO_OPENGL_RENDERER`` and an empty string without OpenGL."""
     try:
         return device().renderer, device().version
     except NoOpenGLError:
-        return NO_OPENGL, ""
+        return NO_OPENGL_RENDERER, ""
 
 
 def egl_device_name() -> str:
@@ -440,6 +440,6 @@ def egl_device_name() -> str:
     return "" if _device is None else f"EGL device {_device.egl_device}"
 
 
-def is_open() -> bool:
+def is_device_open() -> bool:
     """Return whether the process has created its device."""
     return _device is not None

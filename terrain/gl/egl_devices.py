@@ -23,7 +23,7 @@ from skugga.terrain.errors import GraphicsError, InputError, NoOpenGLError, Prob
 if TYPE_CHECKING:
     import moderngl
 
-EGL_DEVICE = "SKUGGA_EGL_DEVICE"
+EGL_DEVICE_VARIABLE = "SKUGGA_EGL_DEVICE"
 AUTO_DEVICE, SOFTWARE_DEVICE = "auto", "software"
 EGL_DEVICE_VALUES = "auto, software, or numbers of devices, separated by commas"
 
@@ -32,7 +32,7 @@ LIBEGL, LIBGL = "libEGL.so.1", "libGL.so.1"
 
 OPENGL_VERSION = 430
 
-NO_OPENGL = "no OpenGL"
+NO_OPENGL_RENDERER = "no OpenGL"
 """The renderer's name on a machine without OpenGL."""
 
 PROBE_TIMEOUT_S = 60.0
@@ -53,18 +53,18 @@ class EglDevice:
     ----------
     index
         Its number in the list.
-    software
+    is_software
         Whether it is Mesa's software rasteriser.
     name
         Its driver's name for it; empty if the driver has none.
     """
 
     index: int
-    software: bool
+    is_software: bool
     name: str = ""
 
     def __str__(self) -> str:
-        return f"{self.index} ({self.name or ('software rasteriser' if self.software else 'without a name')})"
+        return f"{self.index} ({self.name or ('software rasteriser' if self.is_software else 'without a name')})"
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,14 @@ def no_opengl_error(reason: str) -> NoOpenGLError:
     )
 
 
-def read_setting(value: str) -> str | tuple[int, ...]:
+def parse_device_setting(value: str) -> str | tuple[int, ...]:
     """Parse the setting ``SKUGGA_EGL_DEVICE``: ``auto``, ``software`` or device numbers. Raises ``InputError``."""
     text = value.strip().lower() or AUTO_DEVICE
     if text in (AUTO_DEVICE, SOFTWARE_DEVICE):
         return text
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isascii() and part.isdigit() for part in parts):
-        raise InputError(EGL_DEVICE, value, EGL_DEVICE_VALUES)
+        raise InputError(EGL_DEVICE_VARIABLE, value, EGL_DEVICE_VALUES)
     return tuple(map(int, parts))
 
 
@@ -167,12 +167,12 @@ def candidate_devices(value: str, devices: Sequence[EglDevice], process_number: 
     GraphicsError
         If devices named together differ in renderer or version.
     """
-    setting = read_setting(value)
+    setting = parse_device_setting(value)
     if setting == AUTO_DEVICE:
-        cards = [device for device in devices if not device.software]
-        return [*_round_robin(cards, process_number, probe), *(device for device in devices if device.software)]
+        cards = [device for device in devices if not device.is_software]
+        return [*_round_robin(cards, process_number, probe), *(device for device in devices if device.is_software)]
     if setting == SOFTWARE_DEVICE:
-        software_devices = [device for device in devices if device.software]
+        software_devices = [device for device in devices if device.is_software]
         if not software_devices:
             raise _no_such_device_error(value, devices)
         return software_devices
@@ -184,7 +184,7 @@ def candidate_devices(value: str, devices: Sequence[EglDevice], process_number: 
         first, chosen_kind = probe(setting[0]), probe(chosen)
         if not first.fault and not chosen_kind.fault and first != chosen_kind:
             raise GraphicsError(
-                f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {setting[0]} is "
+                f"{EGL_DEVICE_VARIABLE}: '{value}' names devices of two kinds, which draw different pictures: {setting[0]} is "
                 f"{first.renderer}, {first.version}; {chosen} is {chosen_kind.renderer}, {chosen_kind.version}. Name "
                 f"devices of one kind."
             )
@@ -207,7 +207,9 @@ def _round_robin(cards: list[EglDevice], process_number: int, probe: DeviceProbe
 def _no_such_device_error(value: str, devices: Sequence[EglDevice]) -> InputError:
     listing = ", ".join(map(str, devices))
     return InputError(
-        EGL_DEVICE, Problem(f"'{value}' names a device that does not exist"), f"Allowed: {EGL_DEVICE_VALUES}. Devices: {listing}"
+        EGL_DEVICE_VARIABLE,
+        Problem(f"'{value}' names a device that does not exist"),
+        f"Allowed: {EGL_DEVICE_VALUES}. Devices: {listing}",
     )
 
 
@@ -223,8 +225,8 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
     InputError
         If the setting is wrong.
     """
-    value = os.environ.get(EGL_DEVICE, AUTO_DEVICE)
-    setting, devices = read_setting(value), egl_devices()
+    value = os.environ.get(EGL_DEVICE_VARIABLE, AUTO_DEVICE)
+    setting, devices = parse_device_setting(value), egl_devices()
     faults = []
     for device in candidate_devices(value, devices, _process_number, probe_device):
         try:
@@ -237,7 +239,8 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
         return context, device
     if setting != AUTO_DEVICE:
         raise GraphicsError(
-            f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}. Name another device, or use {AUTO_DEVICE}."
+            f"{EGL_DEVICE_VARIABLE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}. "
+            f"Name another device, or use {AUTO_DEVICE}."
         )
     raise no_opengl_error("; ".join(faults))
 
@@ -264,7 +267,7 @@ def _unset_variable(variable: str) -> Iterator[None]:
 
 def probe_device(index: int) -> ProbedDevice:
     """Probe a device in a subprocess, which takes a fraction of a second."""
-    code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
+    code = f"from skugga.terrain.gl.egl_devices import print_probe_result; print_probe_result({index})"
     try:
         process = subprocess.run(
             [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S
@@ -276,7 +279,7 @@ def probe_device(index: int) -> ProbedDevice:
         return ProbedDevice(fault="its driver ended the probe process")
 
 
-def answer_probe(index: int) -> None:
+def print_probe_result(index: int) -> None:
     """Print the probe of a device as JSON: the main function of the subprocess."""
     try:
         context = create_egl_context(index)

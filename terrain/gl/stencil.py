@@ -20,7 +20,7 @@ from skugga.terrain.cache import MIB, Cache, Missing
 _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
-STENCIL_CACHE_BYTES, PIXEL_BYTES = 128 * MIB, 12
+STENCIL_CACHE_BYTES, STENCIL_PIXEL_BYTES = 128 * MIB, 12
 """Limit in bytes of the cache of framebuffers, and bytes of a framebuffer's pixel.
 
 The limit allows, for example, a view's framebuffer and that of its supersamples.
@@ -50,7 +50,7 @@ The pixel's point is the one whose depth is in the framebuffer.
 - ``seen``: a face that is not behind the pixel's point sets the stencil to 255.
 """
 
-Side = Literal["both", "front", "back"]
+FaceSide = Literal["both", "front", "back"]
 """The faces that are drawn: all, front faces or back faces."""
 
 
@@ -79,7 +79,7 @@ class Stencil:
             "skugga.terrain.gl.stencil",
             "process",
             STENCIL_CACHE_BYTES,
-            lambda entry: PIXEL_BYTES * entry[0].width * entry[0].height,
+            lambda entry: STENCIL_PIXEL_BYTES * entry[0].width * entry[0].height,
             self._release_target,
         )
 
@@ -184,7 +184,7 @@ class Stencil:
         self,
         target: moderngl.Framebuffer,
         counting: CountMode,
-        side: Side = "both",
+        side: FaceSide = "both",
         marked_only: bool = False,
         clamp_depth: bool = False,
         offset_steps: float = 0.0,

@@ -9,9 +9,9 @@ rivers do so, too. The height step across the rim, where the value's cells meet 
 
 A value counts as a collar if all these conditions hold:
 
-* The value fills at least ``MIN_BORDER_SHARE`` of the border's cells. If it lies above the ground, as no sea does, it fills at
-  least ``MIN_HIGH_BORDER_SHARE``.
-* At most ``MAX_FAR_SIDE_SHARE`` of the ground is on the other side of the value: below a low value, or above a high one.
+* The value fills at least ``MIN_COLLAR_BORDER_SHARE`` of the border's cells. If it lies above the ground, as no sea does, it fills
+  at least ``MIN_HIGH_COLLAR_BORDER_SHARE``.
+* At most ``MAX_GROUND_BEYOND_VALUE_SHARE`` of the ground is on the other side of the value: below a low value, or above a high one.
 * The largest connected piece of ground has at least half of all ground cells and ``MIN_GROUND_SHARE`` of all cells.
 * At least ``MIN_CLIFF_SHARE`` of the rim is a cliff. A cliff is at least ``MIN_CLIFF_M`` high and ``MIN_CLIFF_RATIO`` times as high
   as the next step inland.
@@ -34,10 +34,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.level_source import option_remedy
 
-MIN_BORDER_SHARE, MIN_HIGH_BORDER_SHARE = 0.05, 0.25
-MAX_FAR_SIDE_SHARE = 0.05
+MIN_COLLAR_BORDER_SHARE, MIN_HIGH_COLLAR_BORDER_SHARE = 0.05, 0.25
+MAX_GROUND_BEYOND_VALUE_SHARE = 0.05
 MIN_GROUND_SHARE = 0.2
 """Minimum share of the cells that is ground."""
 
@@ -57,7 +57,7 @@ BORDER_STRIP_CELLS = 32
 MAX_STRIP_SAMPLES = 4096
 """Maximum number of samples in a strip's direction along the border."""
 
-_MAX_CANDIDATES = 2
+_MAX_CANDIDATE_VALUES = 2
 _EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 
 
@@ -85,7 +85,7 @@ class Collar:
         value = f"{self.value:.9g}"
         return (
             f"{100 * self.border_share:.0f} % of the raster's border is {value}, {self.cliff_m:.0f} m from the ground beside it. "
-            f"If that means no data, {remedy('nodata', value)}"
+            f"If that means no data, {option_remedy('nodata', value)}"
         )
 
 
@@ -99,36 +99,36 @@ class _StoredCells:
         Stored values (rows, cols).
     has_height
         bool (rows, cols): whether a cell holds a height.
-    ends
+    is_raster_edge
         Whether the raster ends at the top, bottom, left and right side.
     """
 
     values: np.ndarray
     has_height: np.ndarray
-    ends: tuple[bool, bool, bool, bool] = (True, True, True, True)
+    is_raster_edge: tuple[bool, bool, bool, bool] = (True, True, True, True)
 
     def border(self, array: np.ndarray) -> np.ndarray:
         """Return an array's cells (n,) at the sides where the raster ends."""
         sides = array[0], array[-1], array[:, 0], array[:, -1]
-        return np.concatenate([side for side, end in zip(sides, self.ends, strict=True) if end])
+        return np.concatenate([side for side, end in zip(sides, self.is_raster_edge, strict=True) if end])
 
 
 @dataclass(frozen=True, eq=False)
-class _Region:
+class _BorderRegion:
     """The border cells of one value and the ground beside them.
 
     Attributes
     ----------
-    cells
+    value_mask
         bool (rows, cols): the value's cells that are connected to the border.
-    ground
+    ground_mask
         bool (rows, cols): the largest connected piece of the other cells with heights.
     border_share
-        Share of the border that ``cells`` fill, in [0, 1].
+        Share of the border that ``value_mask`` fill, in [0, 1].
     """
 
-    cells: np.ndarray
-    ground: np.ndarray
+    value_mask: np.ndarray
+    ground_mask: np.ndarray
     border_share: float
 
 
@@ -143,7 +143,7 @@ def detect_collar(elevation: Elevation) -> Collar | None:
     overview_cells = _StoredCells(*elevation.stored_values(*all_cells, shape))
     unit_m = elevation.metres_per_stored_unit
     for value, region in _candidates(overview_cells):
-        rim_steps, inner_steps = _height_steps(overview_cells.values, region.cells, region.ground, value)
+        rim_steps, inner_steps = _height_steps(overview_cells.values, region.value_mask, region.ground_mask, value)
         if factor > 1:
             rim_steps, inner_steps = _full_resolution_steps(elevation, region, value, factor)
         if collar := _collar_from_steps(overview_cells, region, value, rim_steps * abs(unit_m), inner_steps * abs(unit_m), unit_m):
@@ -152,18 +152,18 @@ def detect_collar(elevation: Elevation) -> Collar | None:
         return None
     for strip in _border_strips(elevation):
         for value, region in _candidates(strip):
-            rim_steps, inner_steps = _height_steps(strip.values, region.cells, region.ground, value)
+            rim_steps, inner_steps = _height_steps(strip.values, region.value_mask, region.ground_mask, value)
             if collar := _collar_from_steps(strip, region, value, rim_steps * abs(unit_m), inner_steps * abs(unit_m), unit_m):
                 return collar
     return None
 
 
-def _candidates(stored_cells: _StoredCells) -> Iterator[tuple[np.generic, _Region]]:
+def _candidates(stored_cells: _StoredCells) -> Iterator[tuple[np.generic, _BorderRegion]]:
     """Yield the most common values of the border's cells, each with the region of this value along the border."""
     border = stored_cells.border(stored_cells.values)[stored_cells.border(stored_cells.has_height)]
     values, count = np.unique(border, return_counts=True)
-    for index in np.argsort(count)[::-1][:_MAX_CANDIDATES]:
-        if count[index] < MIN_BORDER_SHARE * max(len(stored_cells.border(stored_cells.has_height)), 1):
+    for index in np.argsort(count)[::-1][:_MAX_CANDIDATE_VALUES]:
+        if count[index] < MIN_COLLAR_BORDER_SHARE * max(len(stored_cells.border(stored_cells.has_height)), 1):
             return
         from scipy.ndimage import label  # here: the import takes 0.25 s, and most rasters have no candidate
 
@@ -176,12 +176,12 @@ def _candidates(stored_cells: _StoredCells) -> Iterator[tuple[np.generic, _Regio
         sizes = np.bincount(pieces.ravel())[1:]
         ground = pieces == sizes.argmax() + 1
         if sizes.max() >= sizes.sum() / 2 and sizes.max() >= MIN_GROUND_SHARE * pieces.size:
-            yield values[index], _Region(cells, ground, float((at_border > 0).mean()))
+            yield values[index], _BorderRegion(cells, ground, float((at_border > 0).mean()))
 
 
 def _collar_from_steps(
     stored_cells: _StoredCells,
-    region: _Region,
+    region: _BorderRegion,
     value: np.generic,
     rim_steps_m: np.ndarray,
     inner_steps_m: np.ndarray,
@@ -194,9 +194,9 @@ def _collar_from_steps(
     """
     if len(rim_steps_m) < MIN_RIM_CELLS:
         return None
-    above_m = (stored_cells.values[region.ground].astype(np.float64) - float(value)) * unit_m
-    below = bool(np.mean(above_m < 0.0) <= MAX_FAR_SIDE_SHARE)
-    if not below and (np.mean(above_m > 0.0) > MAX_FAR_SIDE_SHARE or region.border_share < MIN_HIGH_BORDER_SHARE):
+    above_m = (stored_cells.values[region.ground_mask].astype(np.float64) - float(value)) * unit_m
+    below = bool(np.mean(above_m < 0.0) <= MAX_GROUND_BEYOND_VALUE_SHARE)
+    if not below and (np.mean(above_m > 0.0) > MAX_GROUND_BEYOND_VALUE_SHARE or region.border_share < MIN_HIGH_COLLAR_BORDER_SHARE):
         return None
     cliff = (rim_steps_m >= MIN_CLIFF_M) & (rim_steps_m >= MIN_CLIFF_RATIO * inner_steps_m)
     if cliff.mean() < MIN_CLIFF_SHARE:
@@ -223,17 +223,19 @@ def _height_steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, val
     return np.concatenate(rim_steps), np.concatenate(inner_steps)
 
 
-def _full_resolution_steps(elevation: Elevation, region: _Region, value: np.generic, factor: int) -> tuple[np.ndarray, np.ndarray]:
+def _full_resolution_steps(
+    elevation: Elevation, region: _BorderRegion, value: np.generic, factor: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps of ``_height_steps`` from full-resolution windows along a region's rim.
 
     The region's cells are ``factor`` raster cells a side.
     """
-    rows, cols = region.cells.shape
-    is_beside_ground = np.zeros_like(region.cells)
+    rows, cols = region.value_mask.shape
+    is_beside_ground = np.zeros_like(region.value_mask)
     for axis in (0, 1):
         for step in (1, -1):
-            is_beside_ground |= np.roll(region.ground, step, axis)
-    rim_cells = np.argwhere(region.cells & is_beside_ground)
+            is_beside_ground |= np.roll(region.ground_mask, step, axis)
+    rim_cells = np.argwhere(region.value_mask & is_beside_ground)
     rim_steps, inner_steps = [np.empty(0)], [np.empty(0)]
     for row, col in rim_cells[:: max(len(rim_cells) // MAX_RIM_WINDOWS, 1)]:
         window = (

@@ -151,7 +151,7 @@ class Columns:
         """Return frame points of height 0 and unit up vectors (rows, cols, 6) at the nodes of a grid."""
         surface = Surface(self.world, self.elevation, grid)
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, rows, cols, surface.stride)
-        point, up = self.world.ground(grid.crs, x, y)
+        point, up = self.world.points_at_zero_height(grid.crs, x, y)
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         placed = interpolate_nodes(exact, exact_row, exact_col, surface.stride, row0, col0, rows, cols)
         return np.ascontiguousarray(np.moveaxis(placed, 0, -1))

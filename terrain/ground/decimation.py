@@ -71,13 +71,13 @@ class DecimatedMesh:
         int32 (n, 2), row and column of the nodes used.
     triangles
         int32 (m, 3), indices into ``nodes``, counter-clockwise from above where columns run east and rows south.
-    tolerance
+    tolerance_rad
         Angle in radians: all nodes whose error exceeds this share of their distance to the eye are used.
     """
 
     nodes: np.ndarray
     triangles: np.ndarray
-    tolerance: float
+    tolerance_rad: float
 
 
 def node_errors(heights_m: np.ndarray, spacing_m: float, is_curved: bool) -> NodeErrors:
@@ -93,7 +93,7 @@ def node_errors(heights_m: np.ndarray, spacing_m: float, is_curved: bool) -> Nod
         raise InputError("spacing_m", spacing_m, "a positive number of metres")
     bulge_per_m2 = 1.0 / (8.0 * EARTH_RADIUS_M) if is_curved else 0.0
     error, bisected_count = _node_errors(height, bulge_per_m2 * spacing_m**2)
-    return NodeErrors(height, float(spacing_m), error, bisected_count, int(_smallest_triangles(height)))
+    return NodeErrors(height, float(spacing_m), error, bisected_count, int(_count_smallest_triangles(height)))
 
 
 def decimate(
@@ -127,11 +127,11 @@ def decimate(
     _split_under_eye(removal_tolerance, errors.height_m, row, col, up, errors.spacing_m, float(min_distance_m))
     _propagate_to_parents(removal_tolerance)
     tolerance = float(tolerance)
-    triangles = errors.triangle_count - _count_saved(removal_tolerance, errors.bisected_count, tolerance)
+    triangles = errors.triangle_count - _count_saved_triangles(removal_tolerance, errors.bisected_count, tolerance)
     if triangles > max_triangles:
-        raised = _tolerance_that_saves(removal_tolerance, errors.bisected_count, errors.triangle_count - max_triangles)
+        raised = _smallest_saving_tolerance(removal_tolerance, errors.bisected_count, errors.triangle_count - max_triangles)
         tolerance = max(tolerance, float(raised))
-        triangles = errors.triangle_count - _count_saved(removal_tolerance, errors.bisected_count, tolerance)
+        triangles = errors.triangle_count - _count_saved_triangles(removal_tolerance, errors.bisected_count, tolerance)
     nodes, corners = _bisect(removal_tolerance, errors.height_m, tolerance, triangles)
     return DecimatedMesh(nodes, corners, tolerance)
 
@@ -220,7 +220,7 @@ def _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col):
 
 
 @compiled
-def _smallest_triangles(height):
+def _count_smallest_triangles(height):
     """Return the number of half cells whose three corners have data.
 
     The diagonals that halve cells join nodes whose row and column are both even or both odd.
@@ -344,7 +344,7 @@ def _value_at(values, row, col):
 
 
 @compiled
-def _count_saved(removal_tolerance, bisected_count, tolerance):
+def _count_saved_triangles(removal_tolerance, bisected_count, tolerance):
     """Return the number of triangles that a tolerance saves: one for each triangle with data everywhere that is not bisected."""
     saved = 0
     for row in range(removal_tolerance.shape[0]):
@@ -354,8 +354,8 @@ def _count_saved(removal_tolerance, bisected_count, tolerance):
 
 
 @compiled
-def _tolerance_that_saves(removal_tolerance, bisected_count, triangles):
-    """Return the smallest tolerance that saves at least ``triangles`` triangles, or else the one that saves most.
+def _smallest_saving_tolerance(removal_tolerance, bisected_count, min_saved_triangles):
+    """Return the smallest tolerance that saves at least ``min_saved_triangles`` triangles, or else the one that saves most.
 
     A radix selection finds it, by the upper and then by the lower 16 bits of the removal tolerances. Positive floats have the same
     order as their bits.
@@ -366,13 +366,13 @@ def _tolerance_that_saves(removal_tolerance, bisected_count, triangles):
     for n in range(bits.size):
         counts[bits[n] >> half] += bisected_count[n]
     saved = np.cumsum(counts[:0x7F80])  # removal tolerances from 0x7F80 on are infinite
-    triangles = min(triangles, saved[-1])
-    upper = np.searchsorted(saved, triangles)
+    min_saved_triangles = min(min_saved_triangles, saved[-1])
+    upper = np.searchsorted(saved, min_saved_triangles)
     counts[:] = 0
     for n in range(bits.size):
         if bits[n] >> half == upper:
             counts[bits[n] & mask] += bisected_count[n]
-    lower = np.searchsorted(np.cumsum(counts), triangles - (saved[upper - 1] if upper > 0 else 0))
+    lower = np.searchsorted(np.cumsum(counts), min_saved_triangles - (saved[upper - 1] if upper > 0 else 0))
     return np.array([upper << 16 | lower], np.uint32).view(np.float32)[0]
 
 

@@ -31,7 +31,7 @@ from rasterio.fill import fillnodata
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
-from skugga.terrain.cache import bytes_of
+from skugga.terrain.cache import estimated_bytes
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
@@ -41,8 +41,8 @@ from skugga.terrain.ground.overview import Overview, check_overviews, lacks_over
 from skugga.terrain.ground.undeclared_nodata import UndeclaredNodata
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.bundled import BUNDLED
-from skugga.terrain.level.gdal_guard import cap_caches
-from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.gdal_guard import limit_gdal_caches
+from skugga.terrain.level.level_source import option_remedy
 from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
 MAX_FILL_CELLS = 64
@@ -60,10 +60,10 @@ PLAUSIBLE_HEIGHTS_OFF_EARTH_M = (-32000.0, 32000.0)
 Olympus Mons on Mars is 21 km high, the basin Rheasilvia on Vesta 19 km deep.
 """
 
-READ_BLOCK_CELLS = 1024
+READ_BLOCK_SIDE_CELLS = 1024
 """Side of the blocks in which heights at scattered points are read, in cells: a few points far apart do not load a whole raster."""
 
-cap_caches()
+limit_gdal_caches()
 
 
 class Elevation:
@@ -138,8 +138,8 @@ class Elevation:
         self.rows, self.cols = dataset.height, dataset.width
         self.flat = self.crs.is_engineering
         self.vertical = vertical_axis(source, dataset, units, positive)
-        self._scale = dataset.scales[0] * self.vertical.scale * exaggeration
-        self._offset = dataset.offsets[0] * self.vertical.scale * exaggeration
+        self._scale = dataset.scales[0] * self.vertical.metres_per_stored_unit * exaggeration
+        self._offset = dataset.offsets[0] * self.vertical.metres_per_stored_unit * exaggeration
         self._limits = tuple(v * exaggeration for v in plausible_heights_m(self.crs))
         self._transform = axes_of(self.crs).affine @ dataset.transform
         self._cell_from_crs = ~self._transform
@@ -147,11 +147,11 @@ class Elevation:
         self._wrap_period = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
         self._resampling, self._is_resampling_chosen, self.undeclared_nodata = Resampling.nearest, False, UndeclaredNodata()
         self.overview = self._read_overview()
-        if not np.isfinite(self.overview.heights_m).any():
+        if not np.isfinite(self.overview.mean_heights_m).any():
             if not self.undeclared_nodata.implausible_count:
                 raise SourceError(source, "no height in any cell (all nodata)", "Give a raster with heights")
             problem = f"no plausible height on earth in any cell ({self.undeclared_nodata.implausible_range(self.vertical)})"
-            raise SourceError(source, problem, f"State the unit of its heights: {remedy('units', 'UNIT')}")
+            raise SourceError(source, problem, f"State the unit of its heights: {option_remedy('units', 'UNIT')}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -185,7 +185,7 @@ class Elevation:
     @property
     def nbytes(self) -> int:
         """Bytes held in memory: the overview. Everything else is read on demand."""
-        return bytes_of(self.overview)
+        return estimated_bytes(self.overview)
 
     def stored_values(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of a window's cells as stored in the file, and a mask of the cells that hold heights.
@@ -193,7 +193,7 @@ class Elevation:
         A ``shape`` smaller than the window decimates the cells by nearest neighbour.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
-        stored_values, _, is_nodata, plausible = self._cells(window, shape, Resampling.nearest)
+        stored_values, _, is_nodata, plausible = self._read_cells(window, shape, Resampling.nearest)
         return stored_values, plausible & ~is_nodata
 
     @property
@@ -241,7 +241,7 @@ class Elevation:
     def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Return heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off the raster and in holes.
 
-        Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_CELLS`` a side.
+        Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_SIDE_CELLS`` a side.
         """
         height, valid = self._heights_at_points(x, y)
         return np.where(valid, height, np.nan)
@@ -269,9 +269,9 @@ class Elevation:
         height, valid = np.full(x.size, np.nan), np.zeros(x.size, bool)
         on = np.flatnonzero(self.covers(x, y))
         row, col = self.cell_of(self._wrap_longitudes(x.ravel()[on]), y.ravel()[on])
-        block = np.floor(row / READ_BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / READ_BLOCK_CELLS).astype(
-            np.int64
-        )
+        block = np.floor(row / READ_BLOCK_SIDE_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(
+            col / READ_BLOCK_SIDE_CELLS
+        ).astype(np.int64)
         order = np.argsort(block, kind="stable")
         for block_points in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
             height[on[block_points]], valid[on[block_points]] = (
@@ -341,13 +341,13 @@ class Elevation:
 
         The third result (2, 2) is the minimum and maximum row, then the minimum and maximum column.
         """
-        from skugga.terrain.ground.elevation_loops import to_lod  # imported here: only heights need numba
+        from skugga.terrain.ground.elevation_loops import convert_to_lod  # imported here: only heights need numba
 
         rows, cols = self._lod_shape(lod)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # numba rejects broadcast arrays
         if self._wrap_period:
-            return to_lod(row, self._columns_at_lod(lod, col), 2.0**lod, rows, np.inf)
-        return to_lod(row, col, 2.0**lod, rows, np.float64(cols))
+            return convert_to_lod(row, self._columns_at_lod(lod, col), 2.0**lod, rows, np.inf)
+        return convert_to_lod(row, col, 2.0**lod, rows, np.float64(cols))
 
     def _clamped_positions(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Convert rows and columns (n,) of the full raster to rows and columns (n,) at a level of detail.
@@ -362,18 +362,20 @@ class Elevation:
             is_position &= np.abs(self.xy(row, col)[1]) <= 90.0
         return np.where(is_position, on_row, np.nan), np.where(is_position, on_col, np.nan)
 
-    def _heights_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _heights_at_lod(
+        self, lod: int, row: np.ndarray, col: np.ndarray, position_ranges: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return heights and valid mask as ``heights_at`` does, for rows and columns at a level of detail.
 
-        ``ends`` (2, 2) are the minimum and maximum row, then the minimum and maximum column.
+        ``position_ranges`` (2, 2) are the minimum and maximum row, then the minimum and maximum column.
         """
         from skugga.terrain.ground.cells import cell_heights
         from skugga.terrain.ground.elevation_loops import bilinear
 
-        if not np.isfinite(ends).all():
+        if not np.isfinite(position_ranges).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
         rows, cols = self._lod_shape(lod)
-        (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
+        (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in position_ranges)
         row0, row1 = max(row0, 0), min(row1, rows)
         if not self._wrap_period:
             col0, col1 = max(col0, 0), min(col1, cols)
@@ -382,9 +384,9 @@ class Elevation:
             height, valid = cell_heights(values, valid, row - row0, col - col0)
         else:
             height, valid = bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
-        return self._above_water(height), valid
+        return self._raised_to_water(height), valid
 
-    def _above_water(self, height_m: np.ndarray) -> np.ndarray:
+    def _raised_to_water(self, height_m: np.ndarray) -> np.ndarray:
         """Return the higher one of ground and standing water, metres, float32; NaN where the ground is missing."""
         return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
@@ -432,13 +434,13 @@ class Elevation:
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
-        stored_values, height_m, is_nodata, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
+        stored_values, height_m, is_nodata, plausible = self._read_cells(window, (row1 - row0, col1 - col0), self._resampling)
         if not self._is_resampling_chosen:
             self.undeclared_nodata.add(stored_values, height_m, is_nodata, plausible)
         height_m[is_nodata | ~plausible] = np.nan
         return height_m.astype(np.float32)
 
-    def _cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
+    def _read_cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
         """Return stored values, heights in metres (float64), and two masks: declared as nodata, and plausible as heights."""
         try:
             data = self._dataset.read(1, window=window, out_shape=shape, masked=True, resampling=resampling)
@@ -479,10 +481,11 @@ class Elevation:
         check_overviews(self.name, self.rows, self.cols, factors)
         self.lacks_overviews = lacks_overviews(self.rows, self.cols, factors)
         overview = read_overview(_GroundReader(self), self.rows, self.cols)
-        fine_maxima_m = None if overview.fine_high_m is None else self._above_water(overview.fine_high_m)
+        fine_maxima_m = None if overview.fine_max_heights_m is None else self._raised_to_water(overview.fine_max_heights_m)
         return replace(
-            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m),
-            fine_high_m=fine_maxima_m
+            overview, mean_heights_m=self._raised_to_water(overview.mean_heights_m),
+            max_heights_m=self._raised_to_water(overview.max_heights_m),
+            fine_max_heights_m=fine_maxima_m
         )  # fmt: skip
 
     def _choose_resampling(self) -> None:

@@ -9,7 +9,7 @@ from skugga.terrain.ground.extremes import update_ranges
 
 
 @compiled
-def to_lod(row, col, factor, rows, cols):
+def convert_to_lod(row, col, factor, rows, cols):
     """Convert rows and columns of a raster to a level of detail of ``rows`` x ``cols`` cells.
 
     A cell is ``factor`` raster cells a side. Returns rows and columns, NaN off the raster. Also returns their minima and maxima
@@ -71,15 +71,15 @@ def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
 
 
 @internal
-def _locate_cells(at, first, count, previous, nearest, fraction):
+def _locate_cells(position, first, count, previous, nearest, fraction):
     """Write the indices of the cell before each position and of the nearest cell into ``previous`` and ``nearest``.
 
     The axis has ``count`` cells, the first of which is cell ``first``. Positions are clamped to their centres. ``fraction`` becomes
     the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
     """
     last = max(count - 2.0, 0.0)
-    for j in range(at.size):
-        offset = at[j] - first
+    for j in range(position.size):
+        offset = position[j] - first
         clamped_offset = min(max(offset if offset == offset else 0.0, 0.0), count - 1.0)
         previous[j] = np.int32(min(clamped_offset, last))
         nearest[j] = np.int32(min(clamped_offset + 0.5, count - 1.0))

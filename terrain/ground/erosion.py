@@ -39,21 +39,21 @@ DISPLACEMENT_CELLS, DISPLACEMENT_WAVELENGTH_CELLS = 1.8, 3.1
 """Displacement of the ground at a refinement, and the wavelength of its noise, in cells of the coarser grid."""
 
 
-def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
+def erode(start_height: np.ndarray, uplift_rate: np.ndarray, halvings: int, seed: int) -> np.ndarray:
     """Return ground (rows, cols) float64 that rivers have eroded, in units of its longest side.
 
-    Starts from the heights ``start`` and lifts them at the rate ``uplift``, in heights per unit of time. Both are (m, n) on the
-    coarsest grid, with at least two nodes a side. Refines the grid ``halvings`` times: n nodes a side become 2 n - 1. The rim keeps
-    its height: rivers leave the ground there.
+    Starts from the heights ``start_height`` and lifts them at the rate ``uplift_rate``, in heights per unit of time. Both are (m,
+    n) on the coarsest grid, with at least two nodes a side. Refines the grid ``halvings`` times: n nodes a side become 2 n - 1. The
+    rim keeps its height: rivers leave the ground there.
     """
-    height, side = start.copy(), max(start.shape) - 1.0
+    height, side = start_height.copy(), max(start_height.shape) - 1.0
     for refinement in range(halvings + 1):
         if refinement:
-            height, uplift = _refine(height, DISPLACEMENT_CELLS, seed + 2 * refinement), _refine(uplift, 0.0, 0)
+            height, uplift_rate = _refine(height, DISPLACEMENT_CELLS, seed + 2 * refinement), _refine(uplift_rate, 0.0, 0)
             side *= 2.0
         for _ in range(STEPS_PER_REFINEMENT[min(refinement, len(STEPS_PER_REFINEMENT) - 1)]):
             order, receiver = drainage(height)
-            _incise(height, uplift, order, receiver, 1.0 / side)
+            _incise(height, uplift_rate, order, receiver, 1.0 / side)
             _creep(height)
     for _ in range(FINAL_CREEP_STEPS):
         _creep(height)

@@ -20,7 +20,7 @@ from rasterio.io import MemoryFile
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 from skugga.terrain.ground.erosion import erode
-from skugga.terrain.ground.noise import fractal, noise_at, ridged_at
+from skugga.terrain.ground.noise import fractal_grid, noise_at, ridged_at
 from skugga.terrain.level.parts import FlatGround, GeneratedGround, Terrain
 
 ENGINEERING_CRS_WKT = (
@@ -39,7 +39,7 @@ MAX_HALVINGS = 4
 Rivers reach down to cells of 1/768 of the side of the generated ground. Finer slopes get their roughness from noise.
 """
 
-SURROUNDINGS_FACTOR = 1.5
+ERODED_SIDE_FACTOR = 1.5
 """Side of the eroded ground as a multiple of the part that becomes the raster, so that valleys lead out of the raster."""
 
 MEANDER_CELLS, MEANDER_WAVELENGTH_CELLS = 1.1, 7.3
@@ -82,13 +82,14 @@ def _generate(spec: FlatGround | GeneratedGround) -> MemoryFile:
     return _height_raster(heights, spec.cell, spec.cell)
 
 
-def _height_raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
+def _height_raster(heights: np.ndarray, cell_width_m: float, cell_height_m: float) -> MemoryFile:
     """Return an in-memory GeoTIFF of heights (rows, cols), metres, from north to south, centred on the origin."""
     rows, cols = heights.shape
     memory = MemoryFile(ext=".tif")
     with memory.open(
         driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS.from_wkt(ENGINEERING_CRS_WKT),
-        transform=Affine(dx, 0, -cols * dx / 2, 0, -dy, rows * dy / 2), tiled=True, blockxsize=256, blockysize=256,
+        transform=Affine(cell_width_m, 0, -cols * cell_width_m / 2, 0, -cell_height_m, rows * cell_height_m / 2), tiled=True,
+        blockxsize=256, blockysize=256,
     ) as dataset:  # fmt: skip
         dataset.write(heights, 1)
     return memory
@@ -96,7 +97,7 @@ def _height_raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
 
 def _ridges(rows: int, cols: int, seed: int) -> np.ndarray:
     """Return the heights of mountains in massifs, (rows + 1, cols + 1) float32, in arbitrary units from an arbitrary zero."""
-    return _uplift_and_erode(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
+    return _uplift_and_erode(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal_grid(2.2 * x, 2.2 * y, 2, seed), 0.05))
 
 
 def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
@@ -106,13 +107,13 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
     """
 
     def uplift(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        peaks = np.maximum(fractal(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
-        return np.maximum(0.25 + 0.35 * fractal(2.6 * x, 2.6 * y, 2, seed) + 4.0 * peaks * peaks, 0.03)
+        peaks = np.maximum(fractal_grid(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
+        return np.maximum(0.25 + 0.35 * fractal_grid(2.6 * x, 2.6 * y, 2, seed) + 4.0 * peaks * peaks, 0.03)
 
     height = _uplift_and_erode(rows, cols, seed, uplift).astype(np.float64)
     height = (height - height.min()) / np.ptp(height)
     y, x = (np.arange(cells + 1) / max(rows, cols) for cells in (rows, cols))
-    floor = SEDIMENT_HEIGHTS[0] + SEDIMENT_HEIGHTS[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
+    floor = SEDIMENT_HEIGHTS[0] + SEDIMENT_HEIGHTS[1] * fractal_grid(2.0 * x, 2.0 * y, 2, seed + 2)
     above = height - floor
     filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND_HEIGHT**2))
     lake = np.partition(filled.ravel(), int(LAKE_SHARE * filled.size))[int(LAKE_SHARE * filled.size)]
@@ -126,13 +127,13 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
     side.
     """
     longest = max(rows, cols)
-    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS)), 0, MAX_HALVINGS))
+    halvings = int(np.clip(np.ceil(np.log2(longest * ERODED_SIDE_FACTOR / COARSEST_GRID_CELLS)), 0, MAX_HALVINGS))
     # The shorter side gets cells in proportion, but enough for a valley.
     nodes_y, nodes_x = (max(round(COARSEST_GRID_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
-    x, y = (np.arange(n) * (SURROUNDINGS_FACTOR / COARSEST_GRID_CELLS) for n in (nodes_x, nodes_y))
-    start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
+    x, y = (np.arange(n) * (ERODED_SIDE_FACTOR / COARSEST_GRID_CELLS) for n in (nodes_x, nodes_y))
+    start = 0.02 * fractal_grid(6.0 * x, 6.0 * y, 3, seed + 10)
     eroded = erode(start, uplift(x, y), halvings, seed + 20)
-    scale = COARSEST_GRID_CELLS * 2**halvings / (SURROUNDINGS_FACTOR * longest)  # eroded cells per cell
+    scale = COARSEST_GRID_CELLS * 2**halvings / (ERODED_SIDE_FACTOR * longest)  # eroded cells per cell
     first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
     octaves = max(int(np.log2(GULLY_WAVELENGTH_CELLS / scale)), 0)  # down to wavelengths of two cells
     return _fill_strips(_add_roughness, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)

@@ -31,7 +31,7 @@ class Geolocator:
 
     def xy(self, position: tuple[float, float]) -> tuple[float, float]:
         """Return the coordinates of a position in the elevation's CRS."""
-        if self.world.flat:
+        if self.world.is_flat:
             scale = 1.0 / self.world.metres_per_unit
             return self.world.anchor_x + position[0] * scale, self.world.anchor_y + position[1] * scale
         x, y = transformer(LONGITUDE_LATITUDE, self.elevation.crs).transform(*position)
@@ -42,21 +42,21 @@ class Geolocator:
         x, y = self.xy(position)
         return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
 
-    def at_height(self, position: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    def point_at_height(self, position: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the datum, and the unit up vector there."""
         x, y = self.xy(position)
-        point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
+        point, up = self.world.points_at_zero_height(self.elevation.crs, np.float64(x), np.float64(y))
         return point + height_m * up, up
 
     @property
     def extent_text(self) -> str:
         """The terrain's bounds as text, in the units of positions."""
         bounds = np.array(self.elevation.bounds)
-        if self.world.flat:
+        if self.world.is_flat:
             bounds = (bounds - np.tile([self.world.anchor_x, self.world.anchor_y], 2)) * self.world.metres_per_unit
         return bounds_text(bounds, self.elevation.crs)
 
-    def above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
+    def point_above_ground(self, position: tuple[float, float, float], name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the earth-fixed point (3,) at a position and a height above the ground, and the unit up vector there.
 
         Raises ``LevelError``, whose message names the parameter ``name``, where the ground has no data.
@@ -64,7 +64,7 @@ class Geolocator:
         ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):
             raise LevelError(name, position, "a position on the terrain's data")
-        return self.at_height(position[:2], ground_m + position[2])
+        return self.point_at_height(position[:2], ground_m + position[2])
 
 
 def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:

@@ -16,7 +16,7 @@ MAX_LATITUDE_DEG = 91.0
 
 MAX_LONGITUDE_DEG = 540.0
 
-MAX_CELL_DEG = 0.02
+MAX_DEGREE_LIKE_CELL = 0.02
 """Cell size in CRS units below which coordinates in the range of degrees are probably degrees, not those of a projected CRS."""
 
 MAX_CELL_M = 50_000.0
@@ -66,7 +66,7 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     looks_like_degrees = (
         -MAX_LONGITUDE_DEG <= west <= east <= MAX_LONGITUDE_DEG and -MAX_LATITUDE_DEG <= south <= north <= MAX_LATITUDE_DEG
     )
-    has_small_cells = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < MAX_CELL_DEG
+    has_small_cells = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < MAX_DEGREE_LIKE_CELL
     extent_text = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
     if dataset.crs is None:
         guess = (

@@ -16,10 +16,10 @@ from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.motion import HeightReference
 
-MIN_SAMPLES = 16
+MIN_SAMPLES_PER_SEGMENT = 16
 """Minimum number of points at which a path is checked between two neighbouring keys."""
 
-MAX_SAMPLES = 20_000
+MAX_PATH_SAMPLES = 20_000
 """Approximate maximum number of points at which a whole path is checked."""
 
 UNDERGROUND_TOLERANCE_M = 0.01
@@ -110,12 +110,12 @@ class GroundPath:
     def sample_times_s(self) -> np.ndarray:
         """Return the times (n,) in seconds at which the path is checked: about every half cell of the raster.
 
-        The keys' times are among them. Times are farther apart if more than about ``MAX_SAMPLES`` would result.
+        The keys' times are among them. Times are farther apart if more than about ``MAX_PATH_SAMPLES`` would result.
         """
         elevation, times_s = self.geolocator.elevation, self.horizontal_curve.times_s
         step_m = 0.5 * elevation.cell_size_m(self.geolocator.world.metres_per_unit)
         samples = np.linalg.norm(np.diff(self.horizontal_curve.values, axis=0), axis=1) / step_m
-        samples = np.maximum(samples * min(1.0, MAX_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES)
+        samples = np.maximum(samples * min(1.0, MAX_PATH_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES_PER_SEGMENT)
         knots = np.concatenate([[0.0], np.cumsum(np.ceil(samples))])
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 
@@ -123,7 +123,7 @@ class GroundPath:
         """Return earth-fixed points (n, 3) of height 0, up vectors (n, 3), and heights (n,) of path and ground, metres."""
         world, elevation = self.geolocator.world, self.geolocator.elevation
         x, y, _ = world.map_position(elevation.crs, self.horizontal_curve.at(seconds))
-        point, up = world.ground(elevation.crs, x, y)
+        point, up = world.points_at_zero_height(elevation.crs, x, y)
         ground_m = elevation.filled_ground_m(x, y)
         curve_height_m = self.height_curve.at(seconds)[:, 0]
         return point, up, curve_height_m + ground_m if self.height_reference == "ground" else curve_height_m, ground_m
@@ -143,7 +143,7 @@ def path_over_ground(
         x, y = geolocator.xy(position[:2])
         if not (np.isfinite([x, y]).all() and np.isfinite(elevation.filled_ground_m(x, y))):
             raise LevelError(f"{name}.{number}.{key}", position, f"a position on the terrain: within {geolocator.extent_text}")
-        points.append(world.ground(elevation.crs, np.float64(x), np.float64(y))[0])
+        points.append(world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))[0])
     times_s = np.array([seconds for seconds, _ in keys], np.float64)
     heights_m = np.array([[position[2]] for _, position in keys], np.float64)
     return GroundPath(

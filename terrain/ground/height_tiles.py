@@ -42,12 +42,12 @@ def tiled_heights(
     col0: int,
     rows: int,
     cols: int,
-    rim: bool,
+    includes_rim: bool,
 ) -> Heights:
     """Return the heights and the valid mask of a window of a grid's nodes, assembled from cached tiles.
 
-    ``read(row0, col0, rows, cols)`` reads the heights of a tile that is not cached. ``rim`` is whether the result includes the
-    heights of rim nodes, which lie beyond the raster and only cast shadows. Otherwise these are NaN.
+    ``read(row0, col0, rows, cols)`` reads the heights of a tile that is not cached. ``includes_rim`` is whether the result includes
+    the heights of rim nodes, which lie beyond the raster and only cast shadows. Otherwise these are NaN.
     """
     owner = grid_key(world, elevation, grid)
     height, valid = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
@@ -65,7 +65,7 @@ def tiled_heights(
             else:
                 source = slice(top - first_row, bottom - first_row), slice(left - first_col, right - first_col)
                 height[target], valid[target] = tile[0][source], tile[1][source]
-                if not rim and tile[2] is not None:
+                if not includes_rim and tile[2] is not None:
                     height[target][tile[2][source]] = np.nan
     return height, valid
 

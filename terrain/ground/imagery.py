@@ -55,7 +55,7 @@ class Imagery:
             data = np.rint(np.where(valid, data, 0)).astype(dtype)
         self._levels = _mip_levels(_linear_colors(data, valid, source), valid)
 
-    def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def cells_at(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (fractional) rows and columns (n, 2) in the imagery of map coordinates (n,); NaN where they have none.
 
         Raises ``SourceError`` if the map's CRS cannot be transformed into the imagery's.
@@ -90,7 +90,7 @@ class Imagery:
         out = np.full((*cells.shape[:2], 3), np.nan, np.float32)
         mip = np.broadcast_to(mip, cells.shape[:2])
         for number in np.unique(mip):
-            _sample(self._levels[number], cells.astype(np.float64), mip == number, float(2**number), out)
+            _sample_bilinear(self._levels[number], cells.astype(np.float64), mip == number, float(2**number), out)
         return out
 
 
@@ -121,7 +121,7 @@ def _mip_levels(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
 
 
 @compiled
-def _sample(colors, cells, mask, factor, out):
+def _sample_bilinear(colors, cells, mask, factor, out):
     rows, cols, _ = colors.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):

@@ -79,7 +79,7 @@ class AttributeLengths:
         float64 (n,), metres; NaN without a value above 0.
     notes
         Attributes that were used, in words.
-    invalid
+    invalid_texts
         Values that are not lengths, with their attributes and features, in words.
     has_values
         Whether any feature has a value, even 0 or one that is not a length.
@@ -87,14 +87,14 @@ class AttributeLengths:
 
     values_m: np.ndarray
     notes: tuple[str, ...]
-    invalid: tuple[str, ...]
+    invalid_texts: tuple[str, ...]
     has_values: bool
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Values that were ignored, in words."""
-        more_text = f", and {len(self.invalid) - 1} more" if len(self.invalid) > 1 else ""
-        return (f"{self.invalid[0]}{more_text}: ignored, not a length",) if self.invalid else ()
+        more_text = f", and {len(self.invalid_texts) - 1} more" if len(self.invalid_texts) > 1 else ""
+        return (f"{self.invalid_texts[0]}{more_text}: ignored, not a length",) if self.invalid_texts else ()
 
 
 def attribute_lengths(
@@ -130,8 +130,10 @@ def attribute_lengths(
 
 def check_lengths(source: str, lengths: AttributeLengths) -> None:
     """Raise ``SourceError`` for lengths of a file if its attributes have values, but none of them is a length above 0."""
-    if lengths.invalid and np.isnan(lengths.values_m).all():
-        raise SourceError(source, f"{lengths.invalid[0]}, which is not a length", "Use numbers, or lengths such as 12 m or 40 ft")
+    if lengths.invalid_texts and np.isnan(lengths.values_m).all():
+        raise SourceError(
+            source, f"{lengths.invalid_texts[0]}, which is not a length", "Use numbers, or lengths such as 12 m or 40 ft"
+        )
 
 
 def _normalized(name: str) -> str:

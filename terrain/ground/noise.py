@@ -110,7 +110,7 @@ def ridged_at(x, y, octaves, seed):
 
 
 @compiled
-def fractal(x, y, octaves, seed):
+def fractal_grid(x, y, octaves, seed):
     """Return ``fractal_at`` on a grid of columns x (n,) and rows y (m,): float64 (m, n)."""
     out = np.empty((y.shape[0], x.shape[0]))
     for i in range(y.shape[0]):

@@ -39,7 +39,7 @@ _VRT_TYPES = {
 _AXIS_TAGS = ("positive", "standard_name")
 """Tags of a band that state the direction in which its numbers grow."""
 
-GTIFF_VERTICAL = {"GTIFF_REPORT_COMPD_CS": "YES"}
+GTIFF_VERTICAL_CRS_OPTIONS = {"GTIFF_REPORT_COMPD_CS": "YES"}
 """GDAL option that includes the vertical CRS of a GeoTIFF 1.0, which GDAL leaves out by default."""
 
 
@@ -50,7 +50,10 @@ def open_height_raster(source: str, in_memory: MemoryFile | None, nodata: float 
     a height, in addition to the declared one. Raises ``SourceError`` for a ``nodata`` that no cell can have, ``RasterioError`` and
     ``OSError``.
     """
-    with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():  # an Env sends GDAL's messages to the log, not to stderr
+    with (
+        rasterio.Env(**GTIFF_VERTICAL_CRS_OPTIONS),
+        warnings.catch_warnings(),
+    ):  # an Env sends GDAL's messages to the log, not to stderr
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # the caller raises an error of its own
         dataset = _open(source) if in_memory is None else in_memory.open()
         if nodata is not None and dataset.count and dataset.dtypes[0] in _VRT_TYPES:
@@ -68,7 +71,7 @@ def open_masked_raster(source: str, bands: Sequence[int] = (1,)) -> rasterio.Dat
 
     Raises ``SourceError``, ``RasterioError`` and ``OSError``.
     """
-    with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():
+    with rasterio.Env(**GTIFF_VERTICAL_CRS_OPTIONS), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         return _apply_all_masks(open_raster(source), bands, None)
 

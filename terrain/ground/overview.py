@@ -16,7 +16,7 @@ import numpy as np
 from skugga.terrain.errors import SourceError, printable
 from skugga.terrain.ground.open_raster import MAX_EXACT_MAXIMA_CELLS
 
-OVERVIEW_CELLS = 512
+OVERVIEW_SIDE_CELLS = 512
 """Maximum length of the overview's longer side, in cells."""
 
 MAX_CELLS_READ = 1_000_000_000
@@ -25,7 +25,7 @@ MAX_CELLS_READ = 1_000_000_000
 Reading them takes some ten seconds, as does reading a zoomed-out tile of such a file.
 """
 
-MAX_OVERVIEW_RATIO = 4
+MAX_OVERVIEW_FACTOR_RATIO = 4
 """Maximum ratio between the factors of successive overviews of a file. A coarse window then reads at most 16 cells for each."""
 
 FINE_LOD, MAX_FINE_CELLS = 5, 16_000_000
@@ -47,26 +47,26 @@ class Overview:
 
     Attributes
     ----------
-    heights_m
+    mean_heights_m
         Mean heights, metres, (m, n).
-    high_m
+    max_heights_m
         Maximum height of the ground in each cell, metres, (m, n).
     lod
         Level of detail of the cells.
-    lowest_m
+    lowest_ground_m
         Minimum height of all ground, metres, also under water.
-    fine_high_m
+    fine_max_heights_m
         Maximum heights, metres, of the cells of level of detail ``fine_lod`` that lie within the overview's cells. ``None`` if all
         maxima are exact, or if the overview is no coarser than ``fine_lod``.
     fine_lod
-        Level of detail of ``fine_high_m``.
+        Level of detail of ``fine_max_heights_m``.
     """
 
-    heights_m: np.ndarray
-    high_m: np.ndarray
+    mean_heights_m: np.ndarray
+    max_heights_m: np.ndarray
     lod: int
-    lowest_m: float
-    fine_high_m: np.ndarray | None = None
+    lowest_ground_m: float
+    fine_max_heights_m: np.ndarray | None = None
     fine_lod: int = 0
 
 
@@ -94,7 +94,7 @@ class LodReader(Protocol):
 
 def overview_lod(rows: int, cols: int) -> int:
     """Return the level of detail of a raster's overview."""
-    return max(int(np.ceil(np.log2(max(rows, cols) / OVERVIEW_CELLS))), 0)
+    return max(int(np.ceil(np.log2(max(rows, cols) / OVERVIEW_SIDE_CELLS))), 0)
 
 
 def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
@@ -105,7 +105,7 @@ def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
     if rows * cols <= MAX_EXACT_MAXIMA_CELLS:
         return False
     steps = [1, *sorted(factors), 2 ** overview_lod(rows, cols)]
-    return any(after > MAX_OVERVIEW_RATIO * before for before, after in zip(steps, steps[1:], strict=False))
+    return any(after > MAX_OVERVIEW_FACTOR_RATIO * before for before, after in zip(steps, steps[1:], strict=False))
 
 
 def overviews_command(source: str) -> str:
@@ -199,10 +199,14 @@ def _estimated_maxima(ground: LodReader, fine_lod: int, mean_lod: int, lod: int)
     return high, lowest_m
 
 
-def _block_maxima(high_m: np.ndarray, block: int) -> np.ndarray:
-    """Return the maximum of each block of ``block`` x ``block`` cells, NaN where no cell is finite."""
-    rows, cols = high_m.shape
-    top = np.where(np.isfinite(high_m), high_m, -np.inf).reshape(rows // block, block, cols // block, block).max(axis=(1, 3))
+def _block_maxima(heights_m: np.ndarray, block_side: int) -> np.ndarray:
+    """Return the maximum of each block of ``block_side`` x ``block_side`` cells, NaN where no cell is finite."""
+    rows, cols = heights_m.shape
+    top = (
+        np.where(np.isfinite(heights_m), heights_m, -np.inf)
+        .reshape(rows // block_side, block_side, cols // block_side, block_side)
+        .max(axis=(1, 3))
+    )
     return np.where(np.isfinite(top), top, np.nan).astype(np.float32)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from skugga.terrain.ground.collar import detect_collar
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.overview import overviews_command
-from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.level_source import option_remedy
 
 FEET_WARNING = (
     "x and y are in feet, but heights have no unit and are read as metres. If they are feet, too, "
-    f"{remedy('units', 'ft')}, or us-ft; otherwise m"
+    f"{option_remedy('units', 'ft')}, or us-ft; otherwise m"
 )
 
 
@@ -22,7 +22,7 @@ def raster_warnings(elevation: Elevation) -> tuple[str, ...]:
         *elevation.undeclared_nodata.warnings(vertical, None if collar is None else collar.value),
         *((_nodata_warning(elevation),) if elevation.impossible_nodata else ()),
         *((_overviews_warning(elevation),) if elevation.lacks_overviews and not is_in_memory(elevation.name) else ()),
-        *((FEET_WARNING,) if in_feet and vertical.unit_from is None else ()),
+        *((FEET_WARNING,) if in_feet and vertical.unit_source is None else ()),
         *((_units_warning(elevation),) if vertical.conflicting_unit else ()),
     )
 
@@ -42,12 +42,12 @@ def _overviews_warning(elevation: Elevation) -> str:
 def _nodata_warning(elevation: Elevation) -> str:
     return (
         f"the raster declares nodata {elevation.impossible_nodata}, which no cell of type {elevation.dtype} can have. "
-        f"If another value means no data, {remedy('nodata', 'VALUE')}"
+        f"If another value means no data, {option_remedy('nodata', 'VALUE')}"
     )
 
 
 def _units_warning(elevation: Elevation) -> str:
     return (
         f"{elevation.vertical.statement}, but {elevation.vertical.conflicting_unit}. State the right unit: "
-        f"{remedy('units', 'UNIT')}"
+        f"{option_remedy('units', 'UNIT')}"
     )

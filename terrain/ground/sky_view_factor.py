@@ -32,7 +32,7 @@ from skugga.terrain.interpolation_loops import lerp_corners
 MAX_SIDE_NODES = 1024
 """Longest side, in nodes, of the grid on which a raster's horizon angles are computed."""
 
-MIN_WIDTH_SHARE = 0.01
+MIN_CELL_WIDTH_SHARE = 0.01
 """Minimum width of a cell as a share of its height: at a pole a cell has no width."""
 
 
@@ -48,26 +48,26 @@ class SkyView:
         float32 (rows, cols) in [0, 1].
     lod
         Level of detail of the nodes: a node is the centre of a square of ``2**lod`` raster cells a side.
-    node_m
+    node_spacing_m
         Spacing of the nodes, metres.
-    finder
+    cell_finder
         Maps earth-fixed points to cells of the raster.
     """
 
     occlusion: np.ndarray
     lod: int
-    node_m: float
-    finder: CellFinder
+    node_spacing_m: float
+    cell_finder: CellFinder
 
     @cached_property
-    def means(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mip pyramid of means over 2 x 2 nodes, as ``pyramid`` returns it, for ground seen from far away."""
-        return pyramid(self.occlusion, np.mean)
+    def mean_pyramid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mip pyramid of means over 2 x 2 nodes, as ``mip_pyramid`` returns it, for ground seen from far away."""
+        return mip_pyramid(self.occlusion, np.mean)
 
     @cached_property
-    def maxima(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mip pyramid of maxima over 2 x 2 nodes, as ``pyramid`` returns it."""
-        return pyramid(self.occlusion, np.max)
+    def max_pyramid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mip pyramid of maxima over 2 x 2 nodes, as ``mip_pyramid`` returns it."""
+        return mip_pyramid(self.occlusion, np.max)
 
 
 @cached("scene", 256 * MIB)
@@ -86,7 +86,7 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     half, middle = side / 2, (elevation.cols - 1) / 2
     row_spacing_m = _distances_m(elevation, world, (row - half, middle), (row + half, middle))
     col_spacing_m = np.maximum(
-        _distances_m(elevation, world, (row, middle - half), (row, middle + half)), MIN_WIDTH_SHARE * row_spacing_m
+        _distances_m(elevation, world, (row, middle - half), (row, middle + half)), MIN_CELL_WIDTH_SHARE * row_spacing_m
     )
     node_m = float(np.sqrt(col_spacing_m[len(row) // 2] * row_spacing_m[len(row) // 2]))
     return SkyView(
@@ -103,7 +103,7 @@ def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, en
 
     Where the CRS gives a cell no position, the result is the median of the other distances.
     """
-    points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
+    points = [world.points_at_zero_height(elevation.crs, *elevation.xy(*cell))[0] for cell in (start_cell, end_cell)]
     distance_m = np.linalg.norm(points[1] - points[0], axis=-1)
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 
@@ -196,13 +196,22 @@ def _sector_light(tangent, rise):
 
 @compiled
 def _sweep_lines(
-    height, slope, forward_spacing_m, sideways_spacing_m, by_row, sector, half_rows_per_col, direction, curvature, out
+    height,
+    slope,
+    forward_spacing_m,
+    sideways_spacing_m,
+    has_spacings_by_row,
+    sector_width,
+    half_rows_per_col,
+    direction,
+    curvature,
+    out,
 ):
     """Add the sky occlusion from one azimuth to ``out`` (rows, cols), by sweeps along all lines in this azimuth.
 
     A line goes ``half_rows_per_col`` half rows for each column. ``direction`` is 1 if the sweep visits columns in increasing order,
-    else -1. At each node, ground that the sweep has passed hides light. Spacings and ``sector`` widths are per row of the raster.
-    ``by_row`` is whether these are the rows of ``height`` or, for a transposed array, its columns.
+    else -1. At each node, ground that the sweep has passed hides light. Spacings and ``sector_width`` widths are per row of the
+    raster. ``has_spacings_by_row`` is whether these are the rows of ``height`` or, for a transposed array, its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -half_rows_per_col * (cols - 1)), 2 * (rows - 1) + max(0, -half_rows_per_col * (cols - 1))
@@ -217,7 +226,7 @@ def _sweep_lines(
             if half < 0 or half > 2 * (rows - 1):
                 continue
             r, on_node = half // 2, half % 2 == 0
-            spacing_index = r if by_row else c
+            spacing_index = r if has_spacings_by_row else c
             forward_m, sideways_m = forward_spacing_m[spacing_index], 0.5 * half_rows_per_col * sideways_spacing_m[spacing_index]
             length = np.sqrt(forward_m * forward_m + sideways_m * sideways_m)
             distance_m += length
@@ -243,13 +252,13 @@ def _sweep_lines(
                 if tangent > plane_tangent:
                     cosine = 1.0 / np.sqrt(1.0 + east * east + south * south)
                     hidden_light = _sector_light(plane_tangent, rise) - _sector_light(tangent, rise)
-                    out[r, c] += sector[spacing_index] * hidden_light * cosine / (np.pi * (1.0 + cosine))
+                    out[r, c] += sector_width[spacing_index] * hidden_light * cosine / (np.pi * (1.0 + cosine))
             hull_distance_m[hull_size], hull_height[hull_size] = distance_m, node_height
             hull_size += 1
     return out
 
 
-def pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def mip_pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return all mip levels of a grid in one array (k,) float32, and a table (mip levels, 3) int64 of offset, rows and columns.
 
     ``reduce_four`` (a mean or a maximum) combines 2 x 2 nodes of a mip level to a node of the next one, down to one node. An odd
@@ -269,18 +278,33 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
 
     ``height_m`` (...) are the points' heights, metres.
     """
-    finder = view.finder
+    finder = view.cell_finder
     cells = np.empty((height_m.size, 2))
     run_in_chunks(
         len(cells), _find_nodes, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth,
-        frame.origin_earth_m, finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.lod, cells,
+        frame.origin_earth_m, finder.plane, finder.axes_earth, finder.first_node_xy, finder.node_spacing_xy, finder.node_cells,
+        2.0**view.lod, cells,
     )  # fmt: skip
     return cells.reshape(*height_m.shape, 2)
 
 
 @compiled
-def _find_nodes(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
-    """Write rows and columns of the points [begin, end) into ``out`` (n, 2), in cells of ``side`` raster cells a side.
+def _find_nodes(
+    begin,
+    end,
+    position,
+    height,
+    frame_from_earth,
+    origin,
+    plane,
+    axes_earth,
+    first_node_xy,
+    node_spacing_xy,
+    lattice,
+    node_side_cells,
+    out,
+):
+    """Write rows and columns of the points [begin, end) into ``out`` (n, 2), in cells of ``node_side_cells`` raster cells a side.
 
     The latitude follows EPSG Guidance Note 7-2, section 4.1.1. In the term with the height, the equator's radius replaces the
     radius of curvature in the prime vertical.
@@ -291,9 +315,9 @@ def _find_nodes(begin, end, position, height, frame_from_earth, origin, plane, a
         x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
         z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
-        x, y = project_to_plane(x, y, z, height[n], plane, axes, first, step)
-        row, col = cell_in_plane(x, y, first, step, lattice)
-        out[n, 0], out[n, 1] = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
+        x, y = project_to_plane(x, y, z, height[n], plane, axes_earth, first_node_xy, node_spacing_xy)
+        row, col = cell_in_plane(x, y, first_node_xy, node_spacing_xy, lattice)
+        out[n, 0], out[n, 1] = (row + 0.5) / node_side_cells - 0.5, (col + 0.5) / node_side_cells - 0.5
 
 
 class MipPair(NamedTuple):
@@ -302,7 +326,7 @@ class MipPair(NamedTuple):
     Attributes
     ----------
     begin, rows, cols
-        Offset, rows and columns of the finer mip level in ``pyramid``'s array.
+        Offset, rows and columns of the finer mip level in ``mip_pyramid``'s array.
     scale
         Nodes of the finer mip level per node of the finest one of all, at most 1.
     next_begin, next_rows, next_cols, next_scale
@@ -323,20 +347,21 @@ class MipPair(NamedTuple):
 
 
 @compiled
-def mip_pair(table, width_nodes):
+def mip_pair(level_table, width_nodes):
     """Return the mip levels of a pyramid for a footprint that is ``width_nodes`` nodes of the finest mip level wide.
 
-    ``table`` is that of ``pyramid``.
+    ``level_table`` is that of ``mip_pyramid``.
     """
     number, coarser_weight = 0, 0.0
-    if width_nodes > 1.0 and len(table) > 1:
-        lod = min(np.log2(width_nodes), len(table) - 1.0)
-        number = min(int(lod), len(table) - 2)
+    if width_nodes > 1.0 and len(level_table) > 1:
+        lod = min(np.log2(width_nodes), len(level_table) - 1.0)
+        number = min(int(lod), len(level_table) - 2)
         coarser_weight = lod - number
-    next_number = min(number + 1, len(table) - 1)
+    next_number = min(number + 1, len(level_table) - 1)
     return MipPair(
-        table[number, 0], table[number, 1], table[number, 2], 1.0 / (1 << number),
-        table[next_number, 0], table[next_number, 1], table[next_number, 2], 1.0 / (1 << next_number), coarser_weight,
+        level_table[number, 0], level_table[number, 1], level_table[number, 2], 1.0 / (1 << number),
+        level_table[next_number, 0], level_table[next_number, 1], level_table[next_number, 2], 1.0 / (1 << next_number),
+        coarser_weight,
     )  # fmt: skip
 
 
@@ -344,7 +369,7 @@ def mip_pair(table, width_nodes):
 def sky_occlusion_at(values, mips, row, col):
     """Return the sky occlusion at a (fractional) row and column of ``SkyView.occlusion``, averaged over a footprint.
 
-    ``values`` is the array of ``pyramid``, ``mips`` the ``MipPair`` for the footprint.
+    ``values`` is the array of ``mip_pyramid``, ``mips`` the ``MipPair`` for the footprint.
     """
     occlusion = _bilinear(values, mips.begin, mips.rows, mips.cols, row, col, mips.scale)
     if mips.coarser_weight > 0.0:

@@ -32,13 +32,13 @@ from skugga.terrain.ground.surface_loops import (
     write_node_points,
 )
 
-EXACT_SPACING_M = 16000.0
+MAX_EXACT_NODE_SPACING_M = 16000.0
 """Maximum distance between exactly computed nodes, metres: the cubic's error is then below 0.1 mm on the globe."""
 
 MAX_CUBIC_ERROR_M = 1e-3
 """Maximum error of the cubics on a small body in metres, which limits the distance between exactly computed nodes there."""
 
-EXACT_STRIDE = 64
+MAX_EXACT_NODE_STRIDE = 64
 """Maximum distance between exactly computed nodes, in nodes."""
 
 
@@ -79,24 +79,24 @@ class RefinedWindow:
         First row and column.
     shape
         Rows and columns.
-    coarser
+    coarser_window
         Window of the grid with half as many nodes per side, whose nodes surround those of this window.
     """
 
     row0: int
     col0: int
     shape: tuple[int, int]
-    coarser: HeightWindow
+    coarser_window: HeightWindow
 
     @cached_property
     def height_m(self) -> np.ndarray:
         """Heights (rows, cols) float32, metres."""
-        return refine_heights(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
+        return refine_heights(self.coarser_window.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
 
     @cached_property
     def valid(self) -> np.ndarray:
         """Valid mask (rows, cols)."""
-        return refine_valid(self.coarser.valid, self.row0 % 2, self.col0 % 2, *self.shape)
+        return refine_valid(self.coarser_window.valid, self.row0 % 2, self.col0 % 2, *self.shape)
 
 
 NodeHeights = HeightWindow | RefinedWindow
@@ -110,7 +110,7 @@ class SurfaceWindow(HeightWindow):
     ----------
     position_frame_m
         float64 (rows, cols, 3), metres; NaN where the height is missing.
-    centre_frame_m
+    up_origin_frame_m
         (3,): the point that up vectors point away from: the earth's centre, or in a flat world a point infinitely far below.
     rim
         The rim nodes, which lie beyond the raster, cast shadows and are not visible; ``None`` without any.
@@ -119,7 +119,7 @@ class SurfaceWindow(HeightWindow):
     """
 
     position_frame_m: np.ndarray
-    centre_frame_m: np.ndarray
+    up_origin_frame_m: np.ndarray
     rim: RimNodes | None = None
     is_cut_nw_se: np.ndarray | None = None
 
@@ -207,7 +207,7 @@ class Surface:
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = window_points(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
         valid &= np.isfinite(position[..., 2])
-        centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
+        centre = np.array([0.0, 0.0, -np.inf]) if self.world.is_flat else frame.points_from_earth(np.zeros(3))
         if is_rim is None:
             return SurfaceWindow(row0, col0, height, valid, position, centre)
         row, col = np.nonzero(is_rim)
@@ -221,21 +221,23 @@ class Surface:
         Also returns the row and column of the first exact node, divided by ``stride``.
         """
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
+        point, up = self.world.points_at_zero_height(self.grid.crs, x, y)
         return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
 
-    def height_window(self, row0: int, col0: int, rows: int, cols: int, rim: bool = False) -> NodeHeights:
+    def height_window(self, row0: int, col0: int, rows: int, cols: int, includes_rim: bool = False) -> NodeHeights:
         """Return the heights of a window's nodes from cached tiles, without frame points.
 
-        ``rim`` is whether to include the heights of rim nodes, which lie beyond the raster and cast shadows.
+        ``includes_rim`` is whether to include the heights of rim nodes, which lie beyond the raster and cast shadows.
         """
         if self.grid.refinement_count:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
-            window = coarser.height_window(*_coarser_window(row0, col0, rows, cols), rim)
+            window = coarser.height_window(*_coarser_window(row0, col0, rows, cols), includes_rim)
             if isinstance(window, RefinedWindow):
                 window = HeightWindow(window.row0, window.col0, window.height_m, window.valid)
             return RefinedWindow(row0, col0, (rows, cols), window)
-        height, valid = tiled_heights(self.world, self.elevation, self.grid, self._heights_and_rim, row0, col0, rows, cols, rim)
+        height, valid = tiled_heights(
+            self.world, self.elevation, self.grid, self._heights_and_rim, row0, col0, rows, cols, includes_rim
+        )
         valid &= np.isfinite(height)
         return HeightWindow(row0, col0, height, valid)
 
@@ -274,11 +276,11 @@ class Surface:
         rows = max(window.row0 + window.shape[0] for window in windows) - row0
         cols = max(window.col0 + window.shape[1] for window in windows) - col0
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
+        point, up = self.world.points_at_zero_height(self.grid.crs, x, y)
         base, slope = (point - origin_earth_m) @ axis_earth, up @ axis_earth
         for window, array in zip(windows, out, strict=True):
             refined = isinstance(window, RefinedWindow)
-            height = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
+            height = window.coarser_window.height_m if isinstance(window, RefinedWindow) else window.height_m
             write_axis_coordinates(
                 base, slope, first_row, first_col, self.stride, window.row0, window.col0, *window.shape, height, refined,
                 *_memory_layout(array),
@@ -378,10 +380,10 @@ def _exact_spacing_m(world: World) -> float:
     The error of cubic Lagrange interpolation on a circle of radius r, between points at a distance s, is at most
     3 / 128 r (s / r)^4.
     """
-    if world.flat:
-        return EXACT_SPACING_M
+    if world.is_flat:
+        return MAX_EXACT_NODE_SPACING_M
     min_radius_m = world.ellipsoid.b**2 / world.ellipsoid.a  # of curvature: along the meridian at the equator
-    return float(min(EXACT_SPACING_M, (128.0 / 3.0 * MAX_CUBIC_ERROR_M * min_radius_m**3) ** 0.25))
+    return float(min(MAX_EXACT_NODE_SPACING_M, (128.0 / 3.0 * MAX_CUBIC_ERROR_M * min_radius_m**3) ** 0.25))
 
 
 @cached("scene", MIB, size_of=lambda _: 512)
@@ -392,7 +394,7 @@ def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[floa
     """
     step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
     detail_m = max(step_m, elevation.resolution_m or 0.0)
-    stride = int(2 ** np.clip(np.floor(np.log2(_exact_spacing_m(world) / step_m)), 0, np.log2(EXACT_STRIDE)))
+    stride = int(2 ** np.clip(np.floor(np.log2(_exact_spacing_m(world) / step_m)), 0, np.log2(MAX_EXACT_NODE_STRIDE)))
     return step_m, max(int(np.rint(np.log2(detail_m / cell_m))), 0), step_m / cell_m, stride
 
 

@@ -12,7 +12,7 @@ from skugga.terrain.compiled import compiled, internal
 AXIS_STRIP_ROWS = 64
 """Rows that ``write_axis_coordinates`` processes at a time, so that a column-major array is written as fast as others."""
 
-COLUMN_BLOCK = 8
+COLUMN_BLOCK_SIZE = 8
 """Columns written at a time into a column-major array."""
 
 
@@ -204,15 +204,15 @@ def _interpolate_between(values, n, weights, first, out):
 
 
 @internal
-def _write_node_coordinates(bases, slopes, n, weights, first, height, at, out, count):
+def _write_node_coordinates(bases, slopes, n, weights, first, height, first_window_col, out, count):
     """Write the coordinates of ``count`` nodes of a row, at their heights, between the exact columns ``n`` + 1 and ``n`` + 2.
 
-    The first node is the ``first``-th after exact column ``n`` + 1, in column ``at`` of the window.
+    The first node is the ``first``-th after exact column ``n`` + 1, in column ``first_window_col`` of the window.
     """
     a, b, c, d = bases[n], bases[n + 1], bases[n + 2], bases[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
     for j in range(count):
-        k, m = np.uintp(first + j), np.uintp(at + j)  # slices would take longer than so short a loop
+        k, m = np.uintp(first + j), np.uintp(first_window_col + j)  # slices would take longer than so short a loop
         w0, w1, w2, w3 = weights[0, k], weights[1, k], weights[2, k], weights[3, k]
         base = w0 * a + w1 * b + w2 * c + w3 * d
         slope = w0 * e + w1 * f + w2 * g + w3 * h
@@ -273,8 +273,8 @@ def _write_contiguous(values, flat, start, step):
 @internal
 def _write_columns(values, count, flat, start, row_stride, col_stride):
     """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
-    for first in range(0, values.shape[1], COLUMN_BLOCK):
-        last = min(first + COLUMN_BLOCK, values.shape[1])
+    for first in range(0, values.shape[1], COLUMN_BLOCK_SIZE):
+        last = min(first + COLUMN_BLOCK_SIZE, values.shape[1])
         for i in range(count):
             at = start + i * row_stride + first * col_stride
             for j in range(first, last):

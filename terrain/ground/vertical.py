@@ -16,7 +16,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.level_source import option_remedy
 from skugga.terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
 _UNIT_SYNONYMS: dict[Units, str] = {
@@ -41,14 +41,14 @@ NO_UNIT_WORDS = ("", "1", "unknown", "undefined", "unspecified", "unitless", "no
 
 FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
 
-_PLACEHOLDERS = " \t-_./?*"
+_UNKNOWN_UNIT_SIGNS = " \t-_./?*"
 """Signs that stand for an unknown unit."""
 
 _DATUM_SUFFIX = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
-_UNIT_TOLERANCE = 1e-7
+_UNIT_RELATIVE_TOLERANCE = 1e-7
 """Relative tolerance within which units are equal: a foot and a US survey foot differ by 2e-6."""
 
-_DEPTH_NAMES = ("depth", "sea_floor_depth")
+_DEPTH_NAME_PREFIXES = ("depth", "sea_floor_depth")
 """Prefixes of CF standard names of depths."""
 
 
@@ -62,7 +62,7 @@ class VerticalAxis:
         A name in ``METRES_PER_UNIT``, or the unit's length as text.
     unit_m
         Length of the unit, metres.
-    unit_from, positive_from
+    unit_source, positive_source
         Sources of the unit and the direction, in words; ``None`` if not stated.
     positive
         Whether numbers grow upwards or downwards.
@@ -72,21 +72,21 @@ class VerticalAxis:
 
     unit: str
     unit_m: float
-    unit_from: str | None
+    unit_source: str | None
     positive: Positive
-    positive_from: str | None
+    positive_source: str | None
     conflicting_unit: str | None = None
 
     @property
-    def scale(self) -> float:
+    def metres_per_stored_unit(self) -> float:
         """Change of height, in metres upwards, per 1 in the stored numbers; negative for depths."""
         return self.unit_m if self.positive == "up" else -self.unit_m
 
     @property
     def statement(self) -> str:
         """Unit and direction with their sources, as a phrase."""
-        unit = f"heights in {self.unit} ({self.unit_from or 'no unit is stated'})"
-        return f"{unit}, positive {self.positive} ({self.positive_from or 'no direction is stated'})"
+        unit = f"heights in {self.unit} ({self.unit_source or 'no unit is stated'})"
+        return f"{unit}, positive {self.positive} ({self.positive_source or 'no direction is stated'})"
 
 
 def vertical_axis(
@@ -121,7 +121,7 @@ def axis_of_band(
     from_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
     from_crs = None if of_crs.unit_m is None else (_unit_name(of_crs.unit_m), of_crs.unit_m, of_crs.source_text)
     name, unit_m, unit_from = from_setting or from_band or from_crs or ("m", 1.0, None)
-    differs = from_band is not None and from_crs is not None and abs(from_crs[1] / unit_m - 1.0) > _UNIT_TOLERANCE
+    differs = from_band is not None and from_crs is not None and abs(from_crs[1] / unit_m - 1.0) > _UNIT_RELATIVE_TOLERANCE
     directions: list[tuple[Positive | None, str | None]]
     directions = [
         (positive, "by terrain.positive"),
@@ -178,7 +178,7 @@ def _unit_of_band(source: str, word: str, crs_word: str | None) -> Units | None:
     """
     unit = unit_of_word(word)
     if unit is None and not _states_no_unit(word) and word != crs_word:
-        advice = f"Use one of {', '.join(METRES_PER_UNIT)} or their long names; for ground, {remedy('units', 'UNIT')}"
+        advice = f"Use one of {', '.join(METRES_PER_UNIT)} or their long names; for ground, {option_remedy('units', 'UNIT')}"
         raise SourceError(source, f"the unit {word} of its band is unknown", advice)
     return unit
 
@@ -192,7 +192,7 @@ def unit_of_word(word: str) -> Units | None:
 
 def _states_no_unit(word: str) -> bool:
     plain = _normalized_words(word)[0]
-    return plain in NO_UNIT_WORDS if plain else not word.strip(_PLACEHOLDERS)
+    return plain in NO_UNIT_WORDS if plain else not word.strip(_UNKNOWN_UNIT_SIGNS)
 
 
 def _normalized_words(word: str) -> tuple[str, str]:
@@ -204,7 +204,8 @@ def _normalized_words(word: str) -> tuple[str, str]:
 def _unit_name(unit_m: float) -> str:
     """Return the name of a unit of the given length, or the length as text."""
     return next(
-        (name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _UNIT_TOLERANCE), f"{unit_m:.9g} m"
+        (name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _UNIT_RELATIVE_TOLERANCE),
+        f"{unit_m:.9g} m",
     )
 
 
@@ -219,6 +220,6 @@ def _positive_of_band(source: str, tags: Mapping[str, object]) -> Positive | Non
     if word in ("up", "down"):
         return "down" if word == "down" else "up"
     if word is not None:
-        advice = f"If its numbers are heights, {remedy('positive', 'up')}; if they are depths, down"
+        advice = f"If its numbers are heights, {option_remedy('positive', 'up')}; if they are depths, down"
         raise SourceError(source, f"the direction {word} of its band is unknown", advice)
-    return "down" if str(tags.get("standard_name", "")).startswith(_DEPTH_NAMES) else None
+    return "down" if str(tags.get("standard_name", "")).startswith(_DEPTH_NAME_PREFIXES) else None

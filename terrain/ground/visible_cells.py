@@ -12,7 +12,7 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.geo.world import transformer
 from skugga.terrain.ground.elevation import Elevation
 
-EXTENT_SAMPLES = 17
+EXTENT_SAMPLES_PER_SIDE = 17
 """Number of points along each side of a view that are transformed to the raster, to find the cells that the view shows."""
 
 CellRange = tuple[tuple[float, float], tuple[float, float]]
@@ -21,7 +21,7 @@ CellRange = tuple[tuple[float, float], tuple[float, float]]
 
 def is_block(view: MapView) -> bool:
     """Return whether a view is one of the world-fixed blocks that tiles are cut from."""
-    return view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0)
+    return view.is_on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0)
 
 
 def full_cell_range(elevation: Elevation) -> CellRange:
@@ -35,10 +35,10 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
     All cells are returned if the view's pixels coincide with those of tiles.
     """
     all_cells = full_cell_range(elevation)
-    if view.on_nodes:
+    if view.is_on_nodes:
         return all_cells
-    offsets = np.linspace(-0.5, 0.5, EXTENT_SAMPLES)
-    rows, cols = (first + step * ((count - 1) / 2 + offsets * count) for first, step, count in _axes(view))
+    offsets = np.linspace(-0.5, 0.5, EXTENT_SAMPLES_PER_SIDE)
+    rows, cols = (first + step * ((count - 1) / 2 + offsets * count) for first, step, count in _pixel_axes(view))
     x, y = np.meshgrid(view.grid.x(cols), view.grid.y(rows))
     if view.grid.crs != elevation.crs:
         x, y = transformer(view.grid.crs, elevation.crs).transform(x, y)
@@ -49,7 +49,9 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
     for cells, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
         if not np.isfinite(cells).all():
             return all_cells
-        pixel = max(np.abs(np.diff(cells, axis=k)).max() * (EXTENT_SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
+        pixel = max(
+            np.abs(np.diff(cells, axis=k)).max() * (EXTENT_SAMPLES_PER_SIDE - 1) / n for k, n in enumerate((view.rows, view.cols))
+        )
         bend = max(np.abs(np.diff(cells, 2, axis=k)).max() for k in (0, 1))  # bound on how far the rim bends between samples
         margin = 1.0 + 2.0 * pixel + bend
         low, high = max(float(cells.min() - margin), first), min(float(cells.max() + margin), last)
@@ -59,17 +61,20 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
     return ranges[0], ranges[1]
 
 
-def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, int]]:
+def _pixel_axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, int]]:
     return (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
 
 
-def block_slices(cells: CellRange, side: int, shape: tuple[int, int], margin: int = 0) -> tuple[slice, slice]:
-    """Return the rows and columns, as slices, of the blocks that cover a range of cells, with a margin of ``margin`` blocks.
+def block_slices(cells: CellRange, block_side_cells: int, shape: tuple[int, int], margin_blocks: int = 0) -> tuple[slice, slice]:
+    """Return the rows and columns, as slices, of the blocks that cover a range of cells, with a margin of ``margin_blocks`` blocks.
 
-    ``shape`` is the number of rows and columns of blocks. A block is ``side`` x ``side`` cells.
+    ``shape`` is the number of rows and columns of blocks. A block is ``block_side_cells`` x ``block_side_cells`` cells.
     """
     rows, cols = (
-        slice(min(max(int((first + 0.5) // side) - margin, 0), count - 1), min(int((last + 0.5) // side) + 1 + margin, count))
+        slice(
+            min(max(int((first + 0.5) // block_side_cells) - margin_blocks, 0), count - 1),
+            min(int((last + 0.5) // block_side_cells) + 1 + margin_blocks, count),
+        )
         for (first, last), count in zip(cells, shape, strict=True)
     )
     return rows, cols

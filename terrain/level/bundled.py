@@ -16,7 +16,7 @@ from rasterio.warp import Resampling, calculate_default_transform, reproject
 from skugga.terrain.cache import MIB, cached
 
 
-def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
+def _write_to_memory(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
     rows, cols = heights.shape
     memory = MemoryFile(ext=".tif")
     with memory.open(
@@ -27,7 +27,7 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
     return memory
 
 
-def _sample_data(name: str) -> Path:
+def _sample_data_path(name: str) -> Path:
     """Return the path of a file of matplotlib's sample data.
 
     The file is first looked up in the package's folder, without importing matplotlib, which takes a fifth of a second. If it is not
@@ -46,12 +46,12 @@ def _sample_data(name: str) -> Path:
 @cached("process", 64 * MIB, size_of=len)
 def _jacksboro() -> MemoryFile:
     """Return SRTM heights around the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
-    with np.load(_sample_data("jacksboro_fault_dem.npz")) as data:
+    with np.load(_sample_data_path("jacksboro_fault_dem.npz")) as data:
         # "ymax" is the raster's north edge. Row 0 is the northernmost row: with this edge the highest cell is Cross Mountain
         # (36.1983 N). "ymin" is not an edge: it lies as far north of "ymax" as the raster extends south of it. "xmin" and "ymax"
         # are cell edges, not centres: cell centres are then multiples of 3 arc seconds, where SRTM has its heights.
         transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymax"]))
-        return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
+        return _write_to_memory(data["elevation"], CRS.from_epsg(4326), transform, None)
 
 
 @cached("process", 64 * MIB, size_of=len)
@@ -67,7 +67,7 @@ def _jacksboro_utm() -> MemoryFile:
             rasterio.band(source, 1), heights, dst_transform=transform, dst_crs=crs, dst_nodata=np.nan,
             resampling=Resampling.cubic,
         )  # fmt: skip
-    return _write(heights, crs, transform, np.nan)
+    return _write_to_memory(heights, crs, transform, np.nan)
 
 
 BUNDLED: dict[str, Callable[[], MemoryFile]] = {"jacksboro": _jacksboro, "jacksboro_utm": _jacksboro_utm}

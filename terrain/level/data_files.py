@@ -13,10 +13,10 @@ from pathlib import Path
 from skugga.terrain.errors import SourceError
 from skugga.terrain.level.linked_files import is_remote, linked_files, vrt_elements
 
-FOLDER = "a folder"
+FOLDER_KIND = "a folder"
 
 _SPECIAL_FILE_KINDS = (
-    (stat.S_ISDIR, FOLDER), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+    (stat.S_ISDIR, FOLDER_KIND), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
     (stat.S_ISSOCK, "a socket"),
 )  # fmt: skip
 
@@ -55,9 +55,9 @@ def check_geodata(source: str) -> None:
         if file.startswith("<"):
             raise SourceError(source, "it contains another virtual file as text", "Use a virtual file that names its parts")
         kind = special_file_kind(file)
-        if kind not in (None, FOLDER):
+        if kind not in (None, FOLDER_KIND):
             raise SourceError(source, f"{kind}, not a regular file" if file == source else f"refers to {file}, {kind}", _REMEDY)
-        root = None if kind == FOLDER else vrt_elements(Path(file))
+        root = None if kind == FOLDER_KIND else vrt_elements(Path(file))
         for element in () if root is None else root.iter():
             if element.get("subClass") == "VRTRawRasterBand":
                 raise SourceError(

@@ -16,7 +16,7 @@ from skugga.terrain.errors import LevelError, Problem, SourceError
 from skugga.terrain.level.linked_files import is_remote, sidecar_files
 from skugga.terrain.level.rasters import open_raster
 
-_SCHEMES = ("http", "https", "ftp", "s3", "gs", "az", "oss", "swift")
+_REMOTE_SCHEMES = ("http", "https", "ftp", "s3", "gs", "az", "oss", "swift")
 _ARCHIVE_VSI = re.compile(r"(?:/vsi(?:zip|gzip|tar|7z|rar)/)+")
 _REMOTE_VSI = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)(?:_streaming)?[/?]")
 
@@ -111,7 +111,7 @@ def _local_path(address: str) -> str | None:
         return None if _REMOTE_VSI.match(path) else path
     scheme, separator, _ = path.partition("://")
     if separator:
-        return None if scheme.lower().rpartition("+")[2] in _SCHEMES else address
+        return None if scheme.lower().rpartition("+")[2] in _REMOTE_SCHEMES else address
     return address if "{" in path else path
 
 

@@ -459,10 +459,10 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         raise InputError(name, time if name == "time" else angles[name], allowed) from None
 
 
-TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
+YAML_LIKE_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
 """Suffixes of files whose YAML errors are reported in detail. Files with other suffixes are probably not meant to be YAML."""
 
-_NOT_A_LEVEL = "neither a level file nor a raster that GDAL reads"
+_NOT_A_LEVEL_PROBLEM = "neither a level file nor a raster that GDAL reads"
 _LEVEL_REMEDY = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
 _READABLE_REMEDY = "Use a readable YAML file, or a raster that GDAL reads"
 
@@ -511,8 +511,8 @@ def _load(source: LevelSource) -> LoadedLevel:
     try:
         data = parse_level_text(text)
     except (ValueError, RecursionError, YAMLError) as error:  # also of an impossible date, or too deeply nested brackets
-        if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY) from None
+        if path.suffix.lower() not in YAML_LIKE_SUFFIXES:
+            raise LevelError(str(path), Problem(_NOT_A_LEVEL_PROBLEM), _LEVEL_REMEDY) from None
         if not isinstance(error, YAMLError):
             raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
@@ -520,8 +520,8 @@ def _load(source: LevelSource) -> LoadedLevel:
         problem = Problem(getattr(error, "problem", None) or "malformed YAML")
         raise LevelError(location, problem, "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
-        if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY)
+        if path.suffix.lower() not in YAML_LIKE_SUFFIXES:
+            raise LevelError(str(path), Problem(_NOT_A_LEVEL_PROBLEM), _LEVEL_REMEDY)
         raise LevelError(str(path), data, "a mapping that starts with 'version: 1'")
     try:
         level = Level.model_validate(data)

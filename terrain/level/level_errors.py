@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from skugga.terrain.errors import LevelError, Problem, combined_error
 
-MAX_ERRORS = 1000
+MAX_EXAMINED_ERRORS = 1000
 """Maximum number of pydantic errors that are examined, because each is compared with every other."""
 
 UNKNOWN_KEY = "unknown_key"
@@ -28,7 +28,7 @@ _PHRASES_BY_TYPE = {
 }  # fmt: skip
 """Phrases of allowed values by pydantic's types of errors, where its messages are not meant for users."""
 
-_PHRASES = (
+_PHRASES_BY_MESSAGE = (
     (r"(?:List|Tuple) should have (at (?:least|most) \d+ items?) after validation, not .*", r"a list of \1"),
     (r"String should have (at (?:least|most) \d+ characters?)", r"a string of \1"),
     (r"String should match pattern (.*)", r"a string that matches \1"),
@@ -50,10 +50,10 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     if [error["loc"] for error in errors] == [()] and (error_keys := _LEVEL_ERROR_KEYS.get(errors[0]["type"])):
         part, key = error_keys
         errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
-    errors = errors[:MAX_ERRORS]
+    errors = errors[:MAX_EXAMINED_ERRORS]
     errors_by_key: dict[_Keys, list[ErrorDetails]] = {}
     for error in _drop_unlikely_branches(data, errors):
-        errors_by_key.setdefault(_keys(data, error), []).append(error)
+        errors_by_key.setdefault(_keys_to_error(data, error), []).append(error)
     deepest = [keys for keys in errors_by_key if not any(other[: len(keys)] == keys for other in errors_by_key if other != keys)]
     return combined_error([_key_error(path, keys, errors_by_key[keys]) for keys in deepest])
 
@@ -66,17 +66,17 @@ def _drop_unlikely_branches(data: Any, errors: list[ErrorDetails]) -> list[Error
     """
     depths: dict[_Keys, dict[str, int]] = {}
     for error in errors:
-        for union, branch in _branches(data, error):
+        for union, branch in _union_branches(data, error):
             branch_depths = depths.setdefault(union, {})
-            branch_depths[branch] = max(branch_depths.get(branch, 0), len(_keys(data, error)))
+            branch_depths[branch] = max(branch_depths.get(branch, 0), len(_keys_to_error(data, error)))
     return [
         error
         for error in errors
-        if all(depths[union][branch] == max(depths[union].values()) for union, branch in _branches(data, error))
+        if all(depths[union][branch] == max(depths[union].values()) for union, branch in _union_branches(data, error))
     ]
 
 
-def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
+def _union_branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
     """Return the union branches that an error lies in: the keys of each union in the file, and pydantic's name of the branch."""
     return [(keys, step) for keys, step in _location_steps(data, error) if step is not None]
 
@@ -105,14 +105,14 @@ def allowed_phrase(error: ErrorDetails) -> str:
     if (phrase := _PHRASES_BY_TYPE.get(error["type"])) is not None:
         return phrase
     message = error["msg"]
-    for pattern, template in _PHRASES:
+    for pattern, template in _PHRASES_BY_MESSAGE:
         if match := re.fullmatch(pattern, message):
             message = match.expand(template)
             break
     return message[:1].lower() + message[1:]
 
 
-def _keys(data: Any, error: ErrorDetails) -> _Keys:
+def _keys_to_error(data: Any, error: ErrorDetails) -> _Keys:
     """Return the keys that lead to an error in a file: pydantic's location without the names of union branches."""
     *_, (keys, _) = [((), None), *_location_steps(data, error)]
     return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else keys

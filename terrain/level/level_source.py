@@ -21,7 +21,7 @@ LEVEL_KEYS_BY_OPTION = {
 """Options of a raster, each with the text that has the same meaning in a level file."""
 
 
-def remedy(option: str, value: str) -> str:
+def option_remedy(option: str, value: str) -> str:
     """Return a phrase for messages that says how to set an option, in a level file or as a parameter.
 
     The command line spells the parameter as its option (``skugga.api.errors.with_option_names``).

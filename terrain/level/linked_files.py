@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-VRT_ROOTS = ("VRTDataset", "OGRVRTDataSource")
+VRT_ROOT_ELEMENTS = ("VRTDataset", "OGRVRTDataSource")
 """Root elements of virtual rasters and virtual vector files."""
 
 MODEL_FILE_SUFFIXES = (".obj", ".mtl", ".ply", ".gltf", ".glb")
@@ -30,17 +30,17 @@ MAX_XML_BYTES = 64 * 2**20
 MAX_LINKED_FILES = 200_000
 """Maximum number of files that a file refers to, directly or indirectly."""
 
-VECTOR_XML_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
+VECTOR_XML_ROOT_ELEMENTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
 """Root elements of XML vector formats, which contain their features. Other XML may describe a network service."""
 
-APPENDED_SUFFIXES = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
+APPENDED_SIDECAR_SUFFIXES = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
 """Suffixes of sidecar files that GDAL appends to a raster's name: statistics and georeferencing, overviews, masks."""
 
-REPLACED_SUFFIXES = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
+REPLACING_SIDECAR_SUFFIXES = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
 """Suffixes of sidecar files that replace a file's suffix: world files, coordinate systems, parts of shapefiles and of glTF."""
 
 _GEOJSON_SUFFIXES = (".geojson", ".json", ".geojsonl", ".geojsons", ".topojson", ".jsonfg")
-_FILE_ELEMENTS = (
+_FILE_NAME_ELEMENTS = (
     "SourceFilename",
     "SourceDataset",
     "SrcDataSource",
@@ -49,7 +49,7 @@ _FILE_ELEMENTS = (
     "Dataset",
     "MaskSourceFile",
 )
-_FILE_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
+_FILE_NAME_METADATA_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
 _MODEL_LINK = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
 _GDAL_PIPELINE_KEY = b"gdal_streamed_alg"  # key of a file that GDAL runs as a command
 _LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
@@ -66,8 +66,8 @@ def is_remote(source: str) -> bool:
 def sidecar_files(path: Path) -> list[Path]:
     """Return the paths of all possible sidecar files of a file, whether they exist or not."""
     stem = path.with_suffix("")
-    added = [path.with_name(path.name + ending) for ending in APPENDED_SUFFIXES]
-    return added + [stem.with_name(stem.name + ending) for ending in REPLACED_SUFFIXES]
+    added = [path.with_name(path.name + ending) for ending in APPENDED_SIDECAR_SUFFIXES]
+    return added + [stem.with_name(stem.name + ending) for ending in REPLACING_SIDECAR_SUFFIXES]
 
 
 def linked_files(source: str) -> tuple[str, ...]:
@@ -100,7 +100,7 @@ def vrt_elements(path: Path) -> ElementTree.Element | None:
     """Return the root element of a virtual raster or vector file; ``None`` for any other file and for an unreadable one."""
     try:
         with path.open("rb") as file:
-            if xml_root_name(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MAX_XML_BYTES:
+            if xml_root_name(file.read(4096)) not in VRT_ROOT_ELEMENTS or path.stat().st_size > MAX_XML_BYTES:
                 return None
         return ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -139,17 +139,17 @@ def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
             text = (element.text or "").strip()
             if element.tag == "SrcSQL":
                 yield from ((source, True) for source in _SOURCE_IN_SQL.findall(text))
-            elif text and (element.tag in _FILE_ELEMENTS or element.get("key") in _FILE_ITEMS):
+            elif text and (element.tag in _FILE_NAME_ELEMENTS or element.get("key") in _FILE_NAME_METADATA_ITEMS):
                 yield text, element.get("relativeToVRT", element.get("relativetoVRT", "0")) == "1" or not text.startswith("/")
     else:
         yield from ((address, False) for address in _service_addresses(path))
 
 
 def _service_addresses(path: Path) -> Iterator[str]:
-    """Yield the addresses in a file if it may describe a web service: XML that is none of ``VECTOR_XML_ROOTS``."""
+    """Yield the addresses in a file if it may describe a web service: XML that is none of ``VECTOR_XML_ROOT_ELEMENTS``."""
     with path.open("rb") as file:
         root = xml_root_name(head := file.read(4096))
-        if root is None or root in VECTOR_XML_ROOTS:
+        if root is None or root in VECTOR_XML_ROOT_ELEMENTS:
             return
         text = head + file.read(MAX_XML_BYTES)
     yield from _ADDRESS.findall(text.decode("utf-8", "replace"))
@@ -189,12 +189,12 @@ def _link_matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
 
 def _gltf_addresses(path: Path) -> Iterator[str]:
     for part in ("buffers", "images"):
-        for item in gltf_parts(path, part):
+        for item in gltf_array(path, part):
             if isinstance(item.get("uri"), str):
                 yield item["uri"]
 
 
-def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
+def gltf_array(path: Path, array_name: str) -> list[dict[str, Any]]:
     """Return one array of a glTF file, such as ``buffers``, ``accessors`` or ``images``, as JSON objects.
 
     Raises ``OSError`` if the file cannot be read, and ``ValueError`` if it is not JSON.
@@ -206,5 +206,5 @@ def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
         else:
             text = head + file.read(MAX_XML_BYTES)
     data = json.loads(text)
-    items = data.get(part) if isinstance(data, dict) else None
+    items = data.get(array_name) if isinstance(data, dict) else None
     return [item for item in items if isinstance(item, dict)] if isinstance(items, list) else []

@@ -33,7 +33,7 @@ KeyPath = tuple[str | int, ...]
 """Keys and list indices that lead to a nested part of a level file."""
 
 
-def parts_error(title: str, problems: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
+def nested_values_error(title: str, problems: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
     """Return one error for several wrong values: for each one its key path, the value and the allowed values in words."""
     return ValidationError.from_exception_data(
         title,
@@ -146,7 +146,7 @@ class MeshMotion(_Path):
                             (("path", number, "position"), key.position, "three numbers, with the height above the sea")
                         )
         if problems:
-            raise parts_error("motion", problems)
+            raise nested_values_error("motion", problems)
         return self
 
     @property
@@ -171,7 +171,7 @@ class LampMotion(_Path):
                 allowed = f"the keys of the first one: seconds, {', '.join(self.moved_fields)}"
                 problems.append((("path", number), key.model_dump(exclude_none=True), allowed))
         if problems:
-            raise parts_error("motion", problems)
+            raise nested_values_error("motion", problems)
         return self
 
     @property

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from skugga.terrain.level.model import MapPosition, Model, Position
-from skugga.terrain.level.motion import LampMotion, MeshMotion, parts_error
+from skugga.terrain.level.motion import LampMotion, MeshMotion, nested_values_error
 
 Units = Literal["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]
 METRES_PER_UNIT: dict[Units, float] = {
@@ -260,7 +260,7 @@ class MeshSpec(Model):
         if (self.surface is None) != (self.ground is None):
             raise PydanticCustomError("mesh", "surface and ground together, because heights are surface minus ground")
         if self.at is not None and self.motion is not None and self.motion.path is not None:
-            raise parts_error("mesh", [(("at",), self.at, EXCLUDED_BY_PATH)])
+            raise nested_values_error("mesh", [(("at",), self.at, EXCLUDED_BY_PATH)])
         return self
 
     @property
@@ -341,7 +341,7 @@ class LightSpec(Model):
         moved_fields = () if self.motion is None else self.motion.moved_fields
         duplicates = [name for name in moved_fields if getattr(self, name) is not None]
         if duplicates:
-            raise parts_error("light", [((name,), getattr(self, name), EXCLUDED_BY_PATH) for name in duplicates])
+            raise nested_values_error("light", [((name,), getattr(self, name), EXCLUDED_BY_PATH) for name in duplicates])
         if self.position is None and "position" not in moved_fields:
             raise ValidationError.from_exception_data("light", [InitErrorDetails(type="missing", loc=("position",), input=None)])
         if (self.kind == "spot") != (self.target is not None or "target" in moved_fields):

@@ -14,9 +14,9 @@ from pydantic_core import PydanticCustomError
 from skugga.terrain.level.model import Model
 
 Degrees = Annotated[float, Field(ge=-90, le=90)]
-Range = tuple[float, float]
+AltitudeRange = tuple[float, float]
 
-ALL_ALTITUDES: Range = (-90.0, 90.0)
+ALL_ALTITUDES: AltitudeRange = (-90.0, 90.0)
 
 
 class PinScope(Model):
@@ -32,7 +32,7 @@ class PinScope(Model):
 
     @field_validator("sun_altitude_deg")
     @classmethod
-    def _check_range(cls, value: Range | None) -> Range | None:
+    def _check_range(cls, value: AltitudeRange | None) -> AltitudeRange | None:
         if value is not None and not value[0] < value[1]:
             raise PydanticCustomError("range", "[minimum, maximum] in degrees, with minimum < maximum")
         return value
@@ -55,16 +55,16 @@ class PinScope(Model):
         return sun_altitude_deg is not None and self.sun_altitude_deg[0] <= sun_altitude_deg <= self.sun_altitude_deg[1]
 
 
-def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
+def uncovered_altitudes(scopes: Sequence[PinScope], pin_index: int, view: str) -> list[AltitudeRange]:
     """Return the ranges of sun altitudes, degrees, in which a pin applies to a view and no earlier pin does.
 
-    ``number`` is the pin's index in ``scopes``, which holds the scopes of all pins in the order of the file.
+    ``pin_index`` is the pin's index in ``scopes``, which holds the scopes of all pins in the order of the file.
     """
-    scope = scopes[number]
+    scope = scopes[pin_index]
     if scope.view not in (None, view):
         return []
     uncovered = [scope.sun_altitude_deg or ALL_ALTITUDES]
-    for earlier in scopes[:number]:
+    for earlier in scopes[:pin_index]:
         if earlier.view in (None, view):
             low, high = earlier.sun_altitude_deg or ALL_ALTITUDES
             uncovered = [part for a, b in uncovered for part in ((a, min(b, low)), (max(a, high), b)) if part[0] < part[1]]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LEVEL_SUFFIXES = ".yaml", ".yml"
 
-OPEN_DESCRIPTORS = 4
+MIN_FREE_DESCRIPTORS = 4
 """Number of file descriptors that must be free after a failed open: of the raster, its side files and PROJ's database."""
 
 
@@ -48,7 +48,7 @@ def _check_descriptors() -> None:
     """Raise ``OSError`` if the process or the system has too few free file descriptors to open a raster."""
     descriptors: list[int] = []
     try:
-        for _ in range(OPEN_DESCRIPTORS):
+        for _ in range(MIN_FREE_DESCRIPTORS):
             descriptors.append(os.open(os.devnull, os.O_RDONLY))
     finally:
         for descriptor in descriptors:

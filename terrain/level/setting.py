@@ -67,25 +67,25 @@ class Setting:
 
     @property
     def example(self) -> Any:
-        """An example value: the first example of the field, else the first of ``words``."""
-        return (*self.examples, *self.words)[0]
+        """An example value: the first example of the field, else the first of ``literal_values``."""
+        return (*self.examples, *self.literal_values)[0]
 
     @property
-    def words(self) -> tuple[str | int, ...]:
+    def literal_values(self) -> tuple[str | int, ...]:
         """The literal values of the type."""
         return tuple(word for part in _union_parts(self.type) if get_origin(part) is Literal for word in get_args(part))
 
     @property
     def command_line_type(self) -> type:
         """``int``, ``float`` or ``str``: the type for a command line, which has no unions."""
-        types = {type(word) for word in self.words}
-        types |= {_unannotated(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
+        types = {type(word) for word in self.literal_values}
+        types |= {_without_annotation(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
         return types.pop() if len(types) == 1 else str
 
     @property
-    def allowed(self) -> str:
+    def allowed_text(self) -> str:
         """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all values are allowed."""
-        *earlier_texts, last = (*map(str, self.words), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
+        *earlier_texts, last = (*map(str, self.literal_values), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
         return f"{', '.join(earlier_texts)} or {last}" if earlier_texts else last
 
 
@@ -131,21 +131,21 @@ def _union_parts(annotation: Any) -> Iterator[Any]:
         yield annotation
 
 
-def _unannotated(annotation: Any) -> Any:
+def _without_annotation(annotation: Any) -> Any:
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
 def _limits_text(annotation: Any) -> str:
     """Return the limits of a numeric type in words, such as ``64 to 8192``; empty if it has none."""
     limits: dict[str, Any] = {}
-    for limit in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
+    for limit in _limit_values(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
         limits |= {name: getattr(limit, name) for name in ("ge", "le", "gt") if hasattr(limit, name)}
     if "ge" in limits and "le" in limits:
         return f"{limits['ge']:g} to {limits['le']:g}"
     return f"more than {limits['gt']:g}" if "gt" in limits else ""
 
 
-def _limits(metadata: tuple[Any, ...]) -> Iterator[Any]:
+def _limit_values(metadata: tuple[Any, ...]) -> Iterator[Any]:
     for item in metadata:
         if isinstance(item, FieldInfo):
             yield from item.metadata

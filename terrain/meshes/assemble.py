@@ -33,21 +33,21 @@ class Placement:
 
     Attributes
     ----------
-    visible
+    visible_bodies
         The visible bodies.
-    casting
+    casting_bodies
         The bodies that cast shadows: the visible ones, or simpler models (stand-ins) that the level's key ``caster`` names.
-    casting_is_building
-        For each body in ``casting`` whether it is a building (an extruded footprint).
+    is_casting_body_building
+        For each body in ``casting_bodies`` whether it is a building (an extruded footprint).
     notes
         Sentences on the data that was read from the files of footprints.
     warnings
         Sentences on data of the files of footprints that was ignored.
     """
 
-    visible: tuple[PlacedBody, ...]
-    casting: tuple[PlacedBody, ...]
-    casting_is_building: tuple[bool, ...] = ()
+    visible_bodies: tuple[PlacedBody, ...]
+    casting_bodies: tuple[PlacedBody, ...]
+    is_casting_body_building: tuple[bool, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -102,10 +102,10 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 def solids(placement: Placement, seconds: float) -> Solids:
     """Return the triangles of placed bodies at a second of the level's clock."""
     pose_cache: dict[int, _Pose] = {}
-    visible = [_pose(placed, seconds, pose_cache) for placed in placement.visible]
+    visible = [_pose(placed, seconds, pose_cache) for placed in placement.visible_bodies]
     vertices, triangles = _concatenate(visible)
-    shares_casters = placement.casting is placement.visible
-    casting = visible if shares_casters else [_pose(placed, seconds, pose_cache) for placed in placement.casting]
+    shares_casters = placement.casting_bodies is placement.visible_bodies
+    casting = visible if shares_casters else [_pose(placed, seconds, pose_cache) for placed in placement.casting_bodies]
     caster_vertices, caster_triangles = (vertices, triangles) if shares_casters else _concatenate(casting)
     counts = [len(body.triangles) for body, _ in visible]
     normals = [body.corner_normals() @ pose.earth_from_enu.T.astype(np.float32) for body, pose in visible]
@@ -114,7 +114,7 @@ def solids(placement: Placement, seconds: float) -> Solids:
         triangles=triangles,
         albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in visible)]),
         corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
-        body=np.repeat(np.arange(len(visible), dtype=np.int32), counts),
+        body_index=np.repeat(np.arange(len(visible), dtype=np.int32), counts),
         is_closed=tuple(body.is_closed for body, _ in visible),
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
@@ -202,7 +202,7 @@ def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geoloc
         if position is None:
             raise LevelError.missing(f"{key_path}.at", f"Set a position on the terrain: within {geolocator.extent_text}")
         raise LevelError(f"{key_path}.at", position, f"a position on the terrain: within {geolocator.extent_text}")
-    point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    point, up = world.points_at_zero_height(elevation.crs, np.float64(x), np.float64(y))
     return _Pose(point + height * up, world.earth_from_enu(point, up))
 
 

@@ -10,19 +10,20 @@ import numpy as np
 from skugga.terrain.meshes.roofs import Roof
 
 
-def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def block_triangles(polygon_triangles: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (m, 3) of a block, and the mask (m,) of those on its roof.
 
-    ``roof`` (k, 3) are the triangles of the polygon, which has n corners. ``ring_ends`` holds the end index of each of its rings in
-    the corners. Vertices [0, n) of the block are the roof's, [n, 2 n) the floor's. Rings have the building on their left.
+    ``polygon_triangles`` (k, 3) are the triangles of the polygon, which has n corners. ``ring_ends`` holds the end index of each of
+    its rings in the corners. Vertices [0, n) of the block are the roof's, [n, 2 n) the floor's. Rings have the building on their
+    left.
     """
     count = int(ring_ends[-1])
     corner, next_corner = np.arange(count), _next_corners(ring_ends)
     walls = np.concatenate([
         np.column_stack([corner + count, next_corner + count, next_corner]), np.column_stack([corner + count, next_corner, corner])
     ])  # fmt: skip
-    triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
-    return triangles, np.arange(len(triangles)) < len(roof)
+    triangles = np.concatenate([polygon_triangles, walls, polygon_triangles[:, ::-1] + count]).astype(np.int32)
+    return triangles, np.arange(len(triangles)) < len(polygon_triangles)
 
 
 def sloped_block_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
@@ -48,15 +49,18 @@ def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
     return triangles if missing <= 0 else _insert_skipped_corners(triangles, xy, ring_ends, missing)
 
 
-def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
-    """Split up to ``missing`` triangles at corners of the polygon that lie inside one of their edges; return all triangles."""
+def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing_count: int) -> np.ndarray:
+    """Split up to ``missing_count`` triangles at corners of the polygon that lie inside one of their edges.
+
+    Returns all triangles.
+    """
     from scipy.spatial import cKDTree
 
     rings = set(zip(range(len(xy)), _next_corners(ring_ends).tolist(), strict=True))
     corners, tree = triangles.tolist(), cKDTree(xy)
     edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
     queue = deque(edges)
-    while queue and missing:
+    while queue and missing_count:
         a, b = queue.popleft()
         if (a, b) not in edges or (b, a) in edges or (a, b) in rings:
             continue
@@ -83,7 +87,7 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
             (c, middle): new_triangle,
         }
         queue += [(a, middle), (middle, b)]
-        missing -= 1
+        missing_count -= 1
     return np.array(corners, np.int32)
 
 

@@ -17,7 +17,7 @@ from skugga.terrain.srgb import linear_of_srgb
 NEUTRAL_GRAY = (0.6, 0.6, 0.6)
 """Default sRGB colour: light gray."""
 
-CREASE_DEG = 30.0
+MIN_CREASE_DEG = 30.0
 """Largest angle between two faces that are shaded as one curved surface."""
 
 MAX_SMOOTHED_CORNERS = 512
@@ -27,7 +27,7 @@ More corners meet in the middle of a large fan, or if faces coincide. Each face 
 between such faces.
 """
 
-MERGE_TOLERANCE = 1e-8
+MERGE_TOLERANCE_SHARE = 1e-8
 """Tolerance for merging vertices, as a share of the body's size."""
 
 
@@ -70,7 +70,7 @@ class Body:
     def merged_triangles(self) -> np.ndarray:
         """The triangles (m, 3) int32 with one index for all vertices at the same position."""
         low, high = self.vertices_m.min(axis=0, initial=np.inf), self.vertices_m.max(axis=0, initial=-np.inf)
-        step = MERGE_TOLERANCE * max(float(np.max(high - low, initial=0.0)), 1e-30)
+        step = MERGE_TOLERANCE_SHARE * max(float(np.max(high - low, initial=0.0)), 1e-30)
         cells = np.rint((self.vertices_m - low) / step).astype(np.int64)
         _, vertex_index = np.unique(cells, axis=0, return_inverse=True)
         return vertex_index.reshape(-1).astype(np.int32)[self.triangles]
@@ -92,7 +92,7 @@ class Body:
         a, b, c = np.moveaxis((self.vertices_m - self.vertices_m[:1])[self.triangles], 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
-    def corner_normals(self, crease_deg: float = CREASE_DEG) -> np.ndarray:
+    def corner_normals(self, crease_deg: float = MIN_CREASE_DEG) -> np.ndarray:
         """Return unit shading normals (m, 3, 3) float32 at the triangles' corners.
 
         A corner's normal is the mean of the normals of the faces around its vertex that lie within ``crease_deg`` of the triangle's

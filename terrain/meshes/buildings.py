@@ -3,7 +3,8 @@
 - The height of a flat roof, or of the ridge (``skugga.terrain.meshes.roofs``), is the mean ground height along the footprint's
   outline plus the building's height. Heights measured in a surface raster count from the same mean, so the roof lies at the
   surface.
-- Walls extend to ``FOOTING_M`` below the lowest ground of the outline, which avoids gaps on slopes. A floor closes the block.
+- Walls extend to ``WALL_DEPTH_BELOW_GROUND_M`` below the lowest ground of the outline, which avoids gaps on slopes. A floor closes
+  the block.
 - A building that begins above the ground, such as a bridge or the storeys over a passage, has its floor at the mean ground plus
   its base height.
 - Roofs and floors are level along the vertical at every corner, so a long building follows the earth's curvature.
@@ -35,7 +36,7 @@ from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
 from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes
 from skugga.terrain.meshes.roofs import roof_over
 
-FOOTING_M = 0.5
+WALL_DEPTH_BELOW_GROUND_M = 0.5
 """Depth of walls below the lowest ground of their outline."""
 
 MAX_BUILDING_HEIGHT_M = 1000.0
@@ -44,10 +45,10 @@ MAX_BUILDING_HEIGHT_M = 1000.0
 OUTLINE_TOLERANCE_M = 0.001
 """Tolerance for simplifying outlines."""
 
-MAX_CORNERS = 20_000
+MAX_FOOTPRINT_CORNERS = 20_000
 """Maximum number of corners of a footprint with its courtyards. Its roof then takes up to some ten seconds."""
 
-MAX_TOTAL_CORNERS = 3_000_000
+MAX_FILE_CORNERS = 3_000_000
 """Maximum number of corners of all footprints of a file: twelve million triangles."""
 
 METRES_PER_DEGREE = 111_320.0
@@ -61,7 +62,7 @@ It is below chimneys and overhanging crowns, and above light wells and blurred e
 MIN_MEASURED_HEIGHT_M = 1.5
 """Minimum height of a building in a surface raster. Lower ones are noise, a terrace, or demolished since."""
 
-MIN_VALID_SHARE = 0.5
+MIN_VALID_GROUND_SHARE = 0.5
 """Minimum share of a footprint that must have valid ground, or a valid surface if its height is measured."""
 
 MAX_WRONG_FLOOR_SHARE = 0.5
@@ -86,7 +87,7 @@ WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58
 ROOF_COLORS = ((0.57, 0.35, 0.27), (0.48, 0.36, 0.30), (0.38, 0.40, 0.43), (0.44, 0.43, 0.42), (0.56, 0.57, 0.57))
 """sRGB: red and brown tile, slate, felt, zinc."""
 
-ALBEDO_VARIATION = (0.92, 1.06)
+ALBEDO_FACTOR_RANGE = (0.92, 1.06)
 """Range of factors that make a building darker or lighter than its material."""
 
 
@@ -176,7 +177,7 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
     if not on_terrain.any():
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
         raise SourceError(source, f"footprints within {spans[0]}", f"Use footprints on the terrain: within {spans[1]}")
-    floor_m = np.where(base[selected] > 0.0, mean_m + base[selected], lowest_m - FOOTING_M)
+    floor_m = np.where(base[selected] > 0.0, mean_m + base[selected], lowest_m - WALL_DEPTH_BELOW_GROUND_M)
     blocks = _Blocks(
         polygons[selected][on_terrain], key[on_terrain], (mean_m + height[selected])[on_terrain], floor_m[on_terrain],
         (height - base)[selected][on_terrain],
@@ -194,7 +195,9 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
     return Buildings(bodies, tuple(notes), (*attribute_heights.warnings, *floor_warnings))
 
 
-def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _floor_heights(
+    base: np.ndarray, height: np.ndarray, features: Features, feature_rows: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
     """Return the heights (n,) of floors above the ground, metres, and warnings about floors that are not below their roofs.
 
     If the share of such floors is above ``MAX_WRONG_FLOOR_SHARE``, all heights are 0. They then count from another reference, such
@@ -203,7 +206,7 @@ def _floor_heights(base: np.ndarray, height: np.ndarray, features: Features, fea
     wrong_rows = np.flatnonzero((base > 0.0) & (height <= base))
     if not len(wrong_rows):
         return base, []
-    first, count = features.label(feature[wrong_rows[0]]), np.count_nonzero(base)
+    first, count = features.label(feature_rows[wrong_rows[0]]), np.count_nonzero(base)
     if len(wrong_rows) > MAX_WRONG_FLOOR_SHARE * count:
         problem = f"{len(wrong_rows)} of {count} floors are not below their roofs, such as that of {first}"
         return np.zeros_like(base), [f"{problem}. All heights of floors are ignored, and the buildings stand on the ground"]
@@ -252,7 +255,10 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     # Normalized rings begin at an outermost point, which is a corner. Simplifying keeps the first point.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     corners = shapely.get_num_coordinates(parts)
-    for count, limit, subject in ((corners.max(), MAX_CORNERS, "a footprint"), (corners.sum(), MAX_TOTAL_CORNERS, "footprints")):
+    for count, limit, subject in (
+        (corners.max(), MAX_FOOTPRINT_CORNERS, "a footprint"),
+        (corners.sum(), MAX_FILE_CORNERS, "footprints"),
+    ):
         if count > limit:
             raise SourceError.over_limit(features.name, f"{subject} of {count} corners", str(limit), "Simplify the outlines")
     has_area = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
@@ -272,7 +278,7 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         top = np.full(len(polygons), np.nan)
         for i, polygon in enumerate(polygons):
             sampled_heights = surface.ground_m(*_sample_cells(polygon, surface, to_surface))
-            if np.isfinite(sampled_heights).mean() >= MIN_VALID_SHARE:
+            if np.isfinite(sampled_heights).mean() >= MIN_VALID_GROUND_SHARE:
                 top[i] = np.nanpercentile(sampled_heights, ROOF_PERCENTILE)
         outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
         valid = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
@@ -339,7 +345,10 @@ def _ground_heights_along(polygons: np.ndarray, elevation: Elevation) -> tuple[n
     )
     mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
     for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # polygons whose outline leaves the valid ground
-        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < MIN_VALID_SHARE:
+        if (
+            np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean()
+            < MIN_VALID_GROUND_SHARE
+        ):
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 
@@ -349,7 +358,7 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
     xy, ring = shapely.get_coordinates(rings, return_index=True)
     is_corner = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
     xy, ring = xy[is_corner], ring[is_corner]
-    ground, up = world.ground(crs, xy[:, 0], xy[:, 1])
+    ground, up = world.points_at_zero_height(crs, xy[:, 0], xy[:, 1])
     ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
     start, first_ring, placed = 0, 0, []
     for i, (roof_m, base_m) in enumerate(zip(blocks.roof_m, blocks.base_m, strict=True)):
@@ -367,13 +376,13 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
             triangles, is_roof = block_triangles(roof, ends - start)
             vertices = np.concatenate([ground[corner_slice] + height * up[corner_slice] for height in (roof_m, base_m)]) - origin
         else:
-            order = start + (sloped.first + np.arange(4)) % 4
-            ridge, ridge_up = world.ground(crs, *(sloped.weights @ xy[order]).T)
+            order = start + (sloped.first_corner + np.arange(4)) % 4
+            ridge, ridge_up = world.points_at_zero_height(crs, *(sloped.ridge_weights @ xy[order]).T)
             eaves_m = roof_m - sloped.rise_m
             corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
             triangles, is_roof = sloped_block_triangles(sloped)
             vertices = np.concatenate(corners) - origin
-        wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
+        wall_albedo, roof_albedo = _wall_and_roof_albedo(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
         placed.append(
             PlacedBody(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3))
         )
@@ -381,10 +390,10 @@ def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None,
     return placed
 
 
-def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
+def _wall_and_roof_albedo(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
     """Return the linear albedo (3,) of wall and roof of a building, a deterministic choice by its centre."""
     step = 1e-6 if crs.is_geographic else 0.1
     bits = zlib.crc32(np.rint(centre / step).astype("<i8").tobytes())
     wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]
-    shade = ALBEDO_VARIATION[0] + (ALBEDO_VARIATION[1] - ALBEDO_VARIATION[0]) * (bits >> 16) / 0xFFFF
+    shade = ALBEDO_FACTOR_RANGE[0] + (ALBEDO_FACTOR_RANGE[1] - ALBEDO_FACTOR_RANGE[0]) * (bits >> 16) / 0xFFFF
     return srgb_albedo(np.array(wall) * shade), srgb_albedo(np.array(roof) * shade)

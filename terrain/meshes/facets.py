@@ -68,16 +68,21 @@ def _smooth_normals(first, last, normals, adjacency, out):
 
 
 def creases(
-    position: np.ndarray, normals: np.ndarray, triangles: np.ndarray, adjacency: NodeFaces, limit: float, selected: np.ndarray
+    position: np.ndarray,
+    normals: np.ndarray,
+    triangles: np.ndarray,
+    adjacency: NodeFaces,
+    max_distance: float,
+    selected: np.ndarray,
 ) -> np.ndarray:
     """Return how far a mesh bends upwards (m,) float32 around each face; 0 for faces outside the mask ``selected`` (m,).
 
     The bend is a distance between unit normals: the normal of the face, and that of a neighbour that shares a node with it and
-    rises above its plane. The largest such distance below ``limit`` counts. A neighbour that bends downwards does not count, since
-    it cannot occlude a face that the light shines on.
+    rises above its plane. The largest such distance below ``max_distance`` counts. A neighbour that bends downwards does not count,
+    since it cannot occlude a face that the light shines on.
     """
     out = np.zeros(len(triangles), np.float32)
-    run_in_chunks(len(triangles), _creases, position, normals, triangles, adjacency, limit, selected, out)
+    run_in_chunks(len(triangles), _creases, position, normals, triangles, adjacency, max_distance, selected, out)
     return out
 
 
@@ -100,7 +105,7 @@ def _adjacent_faces(nodes, triangles):
 
 
 @compiled
-def _creases(first, last, position, normals, triangles, adjacency, limit, selected, out):
+def _creases(first, last, position, normals, triangles, adjacency, max_distance, selected, out):
     for t in range(first, last):
         if not selected[t]:
             continue
@@ -116,7 +121,7 @@ def _creases(first, last, position, normals, triangles, adjacency, limit, select
                 )
                 if (
                     d > max_square
-                    and d < limit * limit
+                    and d < max_distance * max_distance
                     and _is_above_plane(position, triangles[u], position[triangles[t, 0]], normals[t])
                 ):
                     max_square = d

@@ -17,17 +17,17 @@ from skugga.terrain.ground.length_attributes import (
     with_unit_suffixes,
 )
 
-STOREY = AttributeUnit(3.0, "3 m a storey")
+STOREY_UNIT = AttributeUnit(3.0, "3 m a storey")
 """Height of a storey, for files that count storeys (OpenStreetMap's usual value)."""
 
-HEIGHT_NAMES = ("height", "building:height", "bldg_height", "render_height", "measured_height", "hauteur")
-STOREY_NAMES = ("building:levels", "levels", "num_floors", "floors", "storeys", "stories")
-BASE_NAMES = ("min_height", "building:min_height", "base_height", "render_min_height")
-BASE_STOREY_NAMES = ("building:min_level", "min_level", "min_floor")
+HEIGHT_ATTRIBUTES = ("height", "building:height", "bldg_height", "render_height", "measured_height", "hauteur")
+STOREY_ATTRIBUTES = ("building:levels", "levels", "num_floors", "floors", "storeys", "stories")
+BASE_HEIGHT_ATTRIBUTES = ("min_height", "building:min_height", "base_height", "render_min_height")
+BASE_STOREY_ATTRIBUTES = ("building:min_level", "min_level", "min_floor")
 """Attribute names of OpenStreetMap, Overture, map tiles and agencies."""
 
-HEIGHT_UNITS = {"height_m": METRE, **with_unit_suffixes(HEIGHT_NAMES), **dict.fromkeys(STOREY_NAMES, STOREY)}
-BASE_UNITS = {**with_unit_suffixes(BASE_NAMES), **dict.fromkeys(BASE_STOREY_NAMES, STOREY)}
+HEIGHT_UNITS = {"height_m": METRE, **with_unit_suffixes(HEIGHT_ATTRIBUTES), **dict.fromkeys(STOREY_ATTRIBUTES, STOREY_UNIT)}
+BASE_UNITS = {**with_unit_suffixes(BASE_HEIGHT_ATTRIBUTES), **dict.fromkeys(BASE_STOREY_ATTRIBUTES, STOREY_UNIT)}
 """Units by attribute name: of heights, and of the heights of floors."""
 
 
@@ -63,14 +63,18 @@ def base_attributes(names: Sequence[str]) -> tuple[str, ...]:
     return recognised_attributes(names, BASE_UNITS)
 
 
-def footprint_heights(features: Features, tops: Sequence[str], bases: Sequence[str]) -> FootprintHeights:
-    """Read building heights from the attributes ``tops``, and heights of floors from the attributes ``bases``.
+def footprint_heights(
+    features: Features, top_attribute_names: Sequence[str], base_attribute_names: Sequence[str]
+) -> FootprintHeights:
+    """Read building heights from the attributes ``top_attribute_names``, and heights of floors from the attributes
+    ``base_attribute_names``.
 
-    For each feature the first attribute with a value above 0 counts. Raises ``SourceError`` if ``tops`` hold text but no length.
+    For each feature the first attribute with a value above 0 counts. Raises ``SourceError`` if ``top_attribute_names`` hold text
+    but no length.
     """
     units = {**HEIGHT_UNITS, **BASE_UNITS}
-    top = attribute_lengths(features, tops, units, "heights", "footprints")
-    base = attribute_lengths(features, bases, units, "base heights", "footprints")
+    top = attribute_lengths(features, top_attribute_names, units, "heights", "footprints")
+    base = attribute_lengths(features, base_attribute_names, units, "base heights", "footprints")
     check_lengths(features.name, top)
     notes, warnings = (*top.notes, *base.notes), (*top.warnings, *base.warnings)
     return FootprintHeights(top.values_m, np.nan_to_num(base.values_m), notes, warnings)

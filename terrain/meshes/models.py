@@ -18,7 +18,7 @@ from trimesh.visual.material import PBRMaterial
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.level.data_files import check_file
-from skugga.terrain.level.linked_files import gltf_parts
+from skugga.terrain.level.linked_files import gltf_array
 from skugga.terrain.meshes.body import MAX_SMOOTHED_CORNERS, NEUTRAL_GRAY, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
@@ -123,7 +123,7 @@ def _check_counts(source: str) -> None:
     if not source.lower().endswith(Y_UP_SUFFIXES):
         return
     try:
-        accessors = gltf_parts(Path(source), "accessors")
+        accessors = gltf_array(Path(source), "accessors")
     except (OSError, ValueError, RecursionError):
         return  # loading the file raises the error
     for number, accessor in enumerate(accessors):

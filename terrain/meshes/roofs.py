@@ -27,10 +27,10 @@ MAX_CORNER_COSINE = 0.17
 MAX_SIDE_DIFFERENCE_SHARE = 0.12
 """Maximum difference between opposite sides of a nearly rectangular footprint, as a share of the longer one."""
 
-HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
+HOUSE_WIDTH_RANGE_M, MAX_HOUSE_LENGTH_M, MAX_HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
 """Range of widths, maximum length and maximum height of a building that the roof form ``auto`` takes for a house."""
 
-APEX_SHARE = 0.49
+MAX_RIDGE_INSET_SHARE = 0.49
 """Maximum distance of a hipped roof's ridge from the end of the rectangle, as a share of the rectangle's length.
 
 Beyond it the roof has an apex in place of a ridge (a tent roof).
@@ -51,9 +51,9 @@ class Roof(NamedTuple):
 
     Attributes
     ----------
-    first
+    first_corner
         Index of the footprint's corner that is corner 0 of the roof.
-    weights
+    ridge_weights
         float64 (k, 4): weights of the four corners in each of the one or two points of the ridge.
     triangles
         int (m, 3): indices of the four corners (0 to 3) and of the points of the ridge (from 4 on).
@@ -63,8 +63,8 @@ class Roof(NamedTuple):
         Height of the ridge above the eaves, metres.
     """
 
-    first: int
-    weights: np.ndarray
+    first_corner: int
+    ridge_weights: np.ndarray
     triangles: np.ndarray
     roof_triangle_count: int
     rise_m: float
@@ -87,12 +87,14 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
         return None
     pairs = (length[:2] + length[2:]) / 2.0
     first, width, long = (0, pairs[1], pairs[0]) if pairs[0] >= pairs[1] else (1, pairs[0], pairs[1])
-    is_house = HOUSE_WIDTH_M[0] <= width <= HOUSE_WIDTH_M[1] and long <= HOUSE_LENGTH_M and height_m <= HOUSE_HEIGHT_M
+    is_house = (
+        HOUSE_WIDTH_RANGE_M[0] <= width <= HOUSE_WIDTH_RANGE_M[1] and long <= MAX_HOUSE_LENGTH_M and height_m <= MAX_HOUSE_HEIGHT_M
+    )
     if form == "auto" and not is_house:
         return None
     rise_m = float(min(ROOF_SLOPE * width / 2.0, MAX_RISE_SHARE * height_m))
     ridge_inset = 0.5 * width / long if form == "hipped" else 0.0
-    if ridge_inset > APEX_SHARE:
+    if ridge_inset > MAX_RIDGE_INSET_SHARE:
         return Roof(first, np.full((1, 4), 0.25), PYRAMID_TRIANGLES, len(PYRAMID_TRIANGLES), rise_m)
     start, end = np.array([0.5, 0.0, 0.0, 0.5]), np.array([0.0, 0.5, 0.5, 0.0])
     weights = np.stack([start + (end - start) * ridge_inset, end + (start - end) * ridge_inset])

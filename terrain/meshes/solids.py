@@ -21,7 +21,7 @@ class Solids:
         float32 (m, 3), linear, in [0, 1].
     corner_normals_earth
         float32 (m, 3, 3), unit shading normals at the triangles' corners: smooth over curved parts, sharp at creases.
-    body
+    body_index
         int32 (m,): index of each triangle's body.
     is_closed
         For each body whether its surface is closed: two triangles share every edge, in opposite directions.
@@ -33,7 +33,7 @@ class Solids:
     triangles: np.ndarray
     albedo: np.ndarray
     corner_normals_earth: np.ndarray
-    body: np.ndarray
+    body_index: np.ndarray
     is_closed: tuple[bool, ...]
     caster_vertices_earth_m: np.ndarray
     caster_triangles: np.ndarray

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from skugga.terrain.atomic_files import atomic_path
-from skugga.terrain.user_cache import load_arrays, user_cache
+from skugga.terrain.user_cache import load_arrays, user_cache_folder
 
-VERSIONS = np.__version__, version("scipy"), version("numba")
+PACKAGE_VERSIONS = np.__version__, version("scipy"), version("numba")
 """Versions of the packages that the painter uses, a part of the cache key. Other versions may round differently."""
 
 
@@ -25,8 +25,8 @@ def cached_pictures(
     The cache key consists of the content of ``sources`` (code files) and the package versions. Files with other keys are deleted. A
     read-only folder or a damaged file is no error.
     """
-    folder = folder or user_cache("foliage")
-    digest = hashlib.blake2b(repr(VERSIONS).encode(), digest_size=20)
+    folder = folder or user_cache_folder("foliage")
+    digest = hashlib.blake2b(repr(PACKAGE_VERSIONS).encode(), digest_size=20)
     for source in (*sources, Path(__file__)):
         digest.update(source.read_bytes())
     path = folder / f"{digest.hexdigest()}.npz"

@@ -24,7 +24,7 @@ from skugga.terrain.geo.vectors import same_coordinates, transformer_between
 from skugga.terrain.ground.georeference import check_cells, check_geotransform
 from skugga.terrain.ground.open_raster import open_masked_raster
 from skugga.terrain.ground.vertical import vertical_axis
-from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
+from skugga.terrain.trees.canopy_sample import MAX_PLAUSIBLE_HEIGHT_M, MIN_TREE_HEIGHT_M
 from skugga.terrain.trees.scatter import HECTARE_M2, TreePositions, pair_key, point_keys, scatter_trees
 
 MAX_DETECTION_CELL_M = 3.0
@@ -33,7 +33,7 @@ MAX_DETECTION_CELL_M = 3.0
 MIN_CROWN_CELLS = 1.3
 """Smallest usual crown diameter, in cells, of trees that can be detected. Smaller crowns give fewer tops than trees."""
 
-TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
+TREETOP_WINDOW_RADIUS_LINES: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
 """Radius of a treetop's window: metres, and metres per metre of height. The window always includes the eight neighbours.
 
 - Conifers: the line of ForestTools' ``vwf`` (A. Plowright).
@@ -41,19 +41,19 @@ TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "bro
   0.00895 h**2 / m. It deviates by at most 0.22 m from 8 m to 25 m, and does not grow as fast beyond.
 """
 
-CROWN_NEIGHBOURS = 3
+CROWN_NEIGHBOUR_COUNT = 3
 """Number of nearest treetops whose mean distance limits a crown."""
 
 MAX_CROWN_RATIO = 1.2
-"""Upper bound of a crown's diameter, as a multiple of the mean distance to the ``CROWN_NEIGHBOURS`` nearest treetops."""
+"""Upper bound of a crown's diameter, as a multiple of the mean distance to the ``CROWN_NEIGHBOUR_COUNT`` nearest treetops."""
 
-HEXAGONAL_PACKING = 2.0 / np.sqrt(3.0)
+HEXAGONAL_CROWNS_PER_SQUARE = 2.0 / np.sqrt(3.0)
 """Number of crowns in a square with a crown's diameter as side, in a closed canopy (hexagonal packing)."""
 
 _BLOCK_CELLS = 1024
 """Side of the blocks of treetop detection, cells."""
 
-_SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
+_SCATTER_SQUARE_M, _SCATTER_SQUARE_CELLS = 1000.0, 16.0
 """Side of the squares in which trees are scattered, in metres and in cells. The larger one counts."""
 
 
@@ -108,7 +108,7 @@ class Canopy:
         If the source is no raster, is damaged, or has no CRS or an unknown unit.
     """
 
-    min_height_m = TREE_HEIGHT_M
+    min_height_m = MIN_TREE_HEIGHT_M
 
     def __init__(self, source: str) -> None:
         self.name = source
@@ -148,7 +148,7 @@ class Canopy:
             raise SourceError(self.name, "a part of it cannot be read", "Use an undamaged file") from None
         values = data.filled(0).astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
-            tree = ~np.ma.getmaskarray(data) & (values >= self.min_height_m) & (values <= MAX_HEIGHT_M)
+            tree = ~np.ma.getmaskarray(data) & (values >= self.min_height_m) & (values <= MAX_PLAUSIBLE_HEIGHT_M)
         out[top - row0 : bottom - row0, left - col0 : right - col0] = np.where(tree, values, 0.0)
         return out
 
@@ -210,7 +210,7 @@ class Canopy:
         crown_diameter_of
             Function from heights to usual crown diameters, both in metres.
         radius_line
-            Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_M``).
+            Radius of a treetop's window: metres, and metres per metre of height (``TREETOP_WINDOW_RADIUS_LINES``).
         seed
             Seed of the hashes from which positions and other random properties of trees derive.
 
@@ -219,12 +219,12 @@ class Canopy:
         SourceError
             If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
-        to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
+        to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_side_m(crs, unit_m, window)
         detection_limit_m = _detection_limit_m(cell_m, crown_diameter_of, self.min_height_m)
-        if self.min_height_m < TREE_HEIGHT_M:
-            detection_limit_m = max(detection_limit_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
+        if self.min_height_m < MIN_TREE_HEIGHT_M:
+            detection_limit_m = max(detection_limit_m, MIN_TREE_HEIGHT_M)  # hedges and vines have no single tops
         if detection_limit_m > self.min_height_m:
-            side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
+            side = max(_SCATTER_SQUARE_M, _SCATTER_SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
                 yield from self._scatter_low_trees(crs, unit_m, square, crown_diameter_of, detection_limit_m, seed)
         if np.isinf(detection_limit_m):
@@ -243,7 +243,7 @@ class Canopy:
         ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground. ``radius_line`` is the radius of a
         treetop's window: metres, and metres per metre of height.
         """
-        offsets, distance_m = _window_offsets(metres_from_cells, radius_line[0] + radius_line[1] * MAX_HEIGHT_M)
+        offsets, distance_m = _window_offsets(metres_from_cells, radius_line[0] + radius_line[1] * MAX_PLAUSIBLE_HEIGHT_M)
         halo = int(np.abs(offsets).max())
         for top in range(window.row0, window.row1, _BLOCK_CELLS):
             for left in range(window.col0, window.col1, _BLOCK_CELLS):
@@ -253,7 +253,7 @@ class Canopy:
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
-    def sample(self, window: CellWindow, max_side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sample_heights(self, window: CellWindow, max_side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rows, columns and heights (n,) of the cells of a window, subsampled to at most ``max_side`` a side.
 
         Heights are in metres, NaN for nodata. Raises ``SourceError`` if a part of the raster cannot be read.
@@ -271,7 +271,7 @@ class Canopy:
         cols_at = window.col0 + np.floor((col + 0.5) * cols / shape[1])
         return rows_at.ravel(), cols_at.ravel(), np.where(np.isfinite(heights), heights, np.nan).ravel()
 
-    def cell_m(self, crs: CRS, unit_m: float, window: CellWindow) -> float:
+    def cell_side_m(self, crs: CRS, unit_m: float, window: CellWindow) -> float:
         """Return the square root of a cell's area on the ground, metres.
 
         Raises ``SourceError`` if the raster's CRS cannot be transformed into ``crs``.
@@ -329,7 +329,7 @@ class Canopy:
         for number in class_numbers.tolist():
             low_m, high_m = edges_m[number : number + 2]
             crown_m = crown_diameter_of(np.sqrt([low_m * high_m]))[0]
-            p = scatter_trees(square, HEXAGONAL_PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
+            p = scatter_trees(square, HEXAGONAL_CROWNS_PER_SQUARE * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
             is_inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
             height = np.where(is_inside, heights[np.where(is_inside, row, 0), np.where(is_inside, col, 0)], 0.0)
@@ -365,16 +365,16 @@ def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def growing_space_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
-    """Return the mean distance of each point to its ``CROWN_NEIGHBOURS`` nearest points, float64 (n,), metres.
+    """Return the mean distance of each point to its ``CROWN_NEIGHBOUR_COUNT`` nearest points, float64 (n,), metres.
 
     It is infinite if there are not so many points. ``unit_m`` is the unit of the coordinates in metres.
     """
     from scipy.spatial import cKDTree
 
-    if len(x) <= CROWN_NEIGHBOURS:
+    if len(x) <= CROWN_NEIGHBOUR_COUNT:
         return np.full(len(x), np.inf)
     points = np.column_stack([x, y])
-    return cKDTree(points).query(points, k=CROWN_NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
+    return cKDTree(points).query(points, k=CROWN_NEIGHBOUR_COUNT + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
 def _detection_limit_m(cell_m: float, crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
@@ -382,7 +382,7 @@ def _detection_limit_m(cell_m: float, crown_diameter_of: Callable[[np.ndarray], 
 
     It is 0 if all trees can be detected, and infinite if none can.
     """
-    heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
+    heights = np.geomspace(min_height_m, MAX_PLAUSIBLE_HEIGHT_M, 1000)
     is_too_small = crown_diameter_of(heights) < MIN_CROWN_CELLS * cell_m
     if cell_m > MAX_DETECTION_CELL_M or is_too_small.all():
         return np.inf
@@ -391,10 +391,10 @@ def _detection_limit_m(cell_m: float, crown_diameter_of: Callable[[np.ndarray], 
 
 def _height_classes(crown_diameter_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
     """Return the edges of height classes, metres. Within a class crown diameters grow by at most a factor of sqrt(2)."""
-    heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
+    heights = np.geomspace(min_height_m, MAX_PLAUSIBLE_HEIGHT_M, 1000)
     octave = np.floor(2.0 * np.log2(crown_diameter_of(heights) / crown_diameter_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
-    return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))
+    return np.append(heights[first], np.nextafter(MAX_PLAUSIBLE_HEIGHT_M, np.inf))
 
 
 def _window_offsets(metres_from_cells: np.ndarray, max_distance_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,13 +8,13 @@ import numpy as np
 
 from skugga.terrain.errors import SourceError
 
-MAX_HEIGHT_M = 150.0
+MAX_PLAUSIBLE_HEIGHT_M = 150.0
 """Upper bound of plausible canopy heights."""
 
-GIANT_HEIGHT_M = 80.0
+MIN_GIANT_HEIGHT_M = 80.0
 """Height from which on trees are rare. The highest known tree measures 116 m."""
 
-TREE_HEIGHT_M, SHRUB_HEIGHT_M = 2.0, 0.5
+MIN_TREE_HEIGHT_M, MIN_SHRUB_HEIGHT_M = 2.0, 0.5
 """Minimum heights of trees, and of hedges and vines, if the level sets no minimum."""
 
 MIN_SHRUB_SHARE = 0.5
@@ -26,10 +26,10 @@ Undergrowth of trees has a smaller share.
 MAX_SHRUBS = 1_000_000
 """Shrubs are left out if there are more than this, unless the level sets ``least_height``."""
 
-SURFACE_HEIGHT_RANGE_M = (-5.0, 100.0)
-"""Heights above the ground that a surface model has in at least the share ``SURFACE_SHARE`` of its cells."""
+SURFACE_MODEL_HEIGHT_RANGE_M = (-5.0, 100.0)
+"""Heights above the ground that a surface model has in at least the share ``MIN_SURFACE_MODEL_CELL_SHARE`` of its cells."""
 
-SURFACE_SHARE = 0.95
+MIN_SURFACE_MODEL_CELL_SHARE = 0.95
 
 MIN_GROUND_STD_M, ABOVE_SEA_SLOPE_RANGE = 3.0, (0.7, 1.3)
 """Minimum standard deviation of the ground's heights for a regression, and slopes that mean heights above sea level.
@@ -37,7 +37,7 @@ MIN_GROUND_STD_M, ABOVE_SEA_SLOPE_RANGE = 3.0, (0.7, 1.3)
 Heights above sea level rise with the ground, metre by metre.
 """
 
-MIN_ABOVE_SEA_M = 30.0
+MIN_ABOVE_SEA_PERCENTILE_M = 30.0
 """5th percentile of heights over flatter ground from which on they count as heights above sea level.
 
 Heights above ground have a lower one, since all canopies have gaps with shrubs in them.
@@ -56,15 +56,15 @@ class HeightClassShares:
     nodata_share
         Nodata.
     bare_share
-        Lower than ``SHRUB_HEIGHT_M``.
+        Lower than ``MIN_SHRUB_HEIGHT_M``.
     shrub_share
-        From ``SHRUB_HEIGHT_M`` to ``TREE_HEIGHT_M``.
+        From ``MIN_SHRUB_HEIGHT_M`` to ``MIN_TREE_HEIGHT_M``.
     tree_share
-        From ``TREE_HEIGHT_M`` to ``MAX_HEIGHT_M``.
+        From ``MIN_TREE_HEIGHT_M`` to ``MAX_PLAUSIBLE_HEIGHT_M``.
     implausible_share
-        Higher than ``MAX_HEIGHT_M``.
+        Higher than ``MAX_PLAUSIBLE_HEIGHT_M``.
     giant_share
-        Higher than ``GIANT_HEIGHT_M``, implausible heights included.
+        Higher than ``MIN_GIANT_HEIGHT_M``, implausible heights included.
     """
 
     nodata_share: float
@@ -87,24 +87,29 @@ class HeightClassShares:
     def omission_text(self, min_height_m: float) -> str:
         """Return a text that lists the shares of cells without trees."""
         shares = {
-            f"lower than {SHRUB_HEIGHT_M:g} m": self.bare_share,
-            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (set least_height to include them)": self.shrub_share
-            if min_height_m == TREE_HEIGHT_M
+            f"lower than {MIN_SHRUB_HEIGHT_M:g} m": self.bare_share,
+            f"of {MIN_SHRUB_HEIGHT_M:g} m to {MIN_TREE_HEIGHT_M:g} m (set least_height to include them)": self.shrub_share
+            if min_height_m == MIN_TREE_HEIGHT_M
             else 0.0,
             "without a height": self.nodata_share,
-            f"higher than {MAX_HEIGHT_M:g} m": self.implausible_share,
+            f"higher than {MAX_PLAUSIBLE_HEIGHT_M:g} m": self.implausible_share,
         }
         phrases = [f"{100.0 * share:.3g} % {condition}" for condition, share in shares.items() if share]
         return ", ".join(
-            [*phrases, *([] if min_height_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {min_height_m:g} m"])]
+            [*phrases, *([] if min_height_m in (MIN_SHRUB_HEIGHT_M, MIN_TREE_HEIGHT_M) else [f"all lower than {min_height_m:g} m"])]
         )
 
 
 def height_class_shares(heights_m: np.ndarray) -> HeightClassShares:
     """Return the shares by height class of heights (n,), NaN for nodata."""
-    edges = (heights_m < SHRUB_HEIGHT_M, heights_m < TREE_HEIGHT_M, heights_m <= MAX_HEIGHT_M, heights_m > MAX_HEIGHT_M)
+    edges = (
+        heights_m < MIN_SHRUB_HEIGHT_M,
+        heights_m < MIN_TREE_HEIGHT_M,
+        heights_m <= MAX_PLAUSIBLE_HEIGHT_M,
+        heights_m > MAX_PLAUSIBLE_HEIGHT_M,
+    )
     nodata_share, *cumulative_shares = (float(np.mean(mask)) for mask in (np.isnan(heights_m), *edges))
-    giant_share = float(np.mean(heights_m > GIANT_HEIGHT_M))
+    giant_share = float(np.mean(heights_m > MIN_GIANT_HEIGHT_M))
     return HeightClassShares(
         nodata_share,
         cumulative_shares[0],
@@ -122,14 +127,14 @@ def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray)
         return
     heights_m, ground_m = heights_m[valid], ground_m[valid]
     above_m = heights_m - ground_m
-    share = np.mean((above_m >= SURFACE_HEIGHT_RANGE_M[0]) & (above_m <= SURFACE_HEIGHT_RANGE_M[1]))
-    if share < SURFACE_SHARE:
+    share = np.mean((above_m >= SURFACE_MODEL_HEIGHT_RANGE_M[0]) & (above_m <= SURFACE_MODEL_HEIGHT_RANGE_M[1]))
+    if share < MIN_SURFACE_MODEL_CELL_SHARE:
         return
     if np.std(ground_m) >= MIN_GROUND_STD_M:
         rise = np.cov(ground_m, heights_m)[0, 1] / np.var(ground_m, ddof=1)
         is_above_sea = ABOVE_SEA_SLOPE_RANGE[0] <= rise <= ABOVE_SEA_SLOPE_RANGE[1]
     else:
-        is_above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_M
+        is_above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_PERCENTILE_M
     if is_above_sea:
         low_m, high_m = np.percentile(above_m, [5.0, 95.0])
         problem = f"it has heights above the sea, {low_m:.0f} to {high_m:.0f} m above the terrain"

@@ -63,14 +63,14 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("spruce", "conifer", 0.2, 0.3),
         WhorledTree(
-            radius=0.15,
+            crown_radius=0.15,
             crown_base=0.07,
-            whorls=40,
-            branches=8,
-            slope_low=-0.1,
-            slope_high=0.7,
-            sag=0.5,
-            upturn=0.35,
+            whorl_count=40,
+            branches_per_whorl=8,
+            lowest_branch_slope=-0.1,
+            highest_branch_slope=0.7,
+            branch_sag=0.5,
+            tip_upturn=0.35,
             twig_droop=0.9,
             missing_share=0.12,
             outline_exponent=0.95,
@@ -85,14 +85,14 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("fir", "conifer", 0.2, 0.36),
         WhorledTree(
-            radius=0.18,
+            crown_radius=0.18,
             crown_base=0.04,
-            whorls=36,
-            branches=9,
-            slope_low=0.0,
-            slope_high=0.45,
-            sag=0.15,
-            upturn=0.12,
+            whorl_count=36,
+            branches_per_whorl=9,
+            lowest_branch_slope=0.0,
+            highest_branch_slope=0.45,
+            branch_sag=0.15,
+            tip_upturn=0.12,
             twig_droop=0.1,
             missing_share=0.06,
             outline_exponent=0.75,
@@ -107,14 +107,14 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("larch", "conifer", 0.25, 0.34),
         WhorledTree(
-            radius=0.17,
+            crown_radius=0.17,
             crown_base=0.14,
-            whorls=28,
-            branches=6,
-            slope_low=0.1,
-            slope_high=0.6,
-            sag=0.5,
-            upturn=0.4,
+            whorl_count=28,
+            branches_per_whorl=6,
+            lowest_branch_slope=0.1,
+            highest_branch_slope=0.6,
+            branch_sag=0.5,
+            tip_upturn=0.4,
             twig_droop=0.9,
             missing_share=0.2,
             outline_exponent=0.75,
@@ -129,17 +129,17 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("pine", "conifer", 0.7, 0.4),
         ClumpedTree(
-            radius=0.2,
+            crown_radius=0.2,
             crown_base=0.5,
             widest_height=0.45,
             outline_exponent=2.0,
-            clumps=34,
+            clump_count=34,
             clump_radius=0.06,
             min_clump_distance=0.3,
             clump_flatness=0.5,
             sprig_droop=0.0,
-            sprigs=20,
-            leaves=22,
+            sprigs_per_clump=20,
+            leaves_per_sprig=22,
             leaf_size=(0.013, 0.0012),
             lowest_limb_height=0.5,
             stem_radius=0.011,
@@ -151,17 +151,17 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("oak", "broadleaf", 0.5, 0.9),
         ClumpedTree(
-            radius=0.45,
+            crown_radius=0.45,
             crown_base=0.16,
             widest_height=0.42,
             outline_exponent=2.3,
-            clumps=75,
+            clump_count=75,
             clump_radius=0.115,
             min_clump_distance=0.25,
             clump_flatness=0.7,
             sprig_droop=0.1,
-            sprigs=24,
-            leaves=19,
+            sprigs_per_clump=24,
+            leaves_per_sprig=19,
             leaf_size=(0.011, 0.0034),
             lowest_limb_height=0.17,
             stem_radius=0.026,
@@ -173,17 +173,17 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("beech", "broadleaf", 0.5, 0.62),
         ClumpedTree(
-            radius=0.31,
+            crown_radius=0.31,
             crown_base=0.12,
             widest_height=0.45,
             outline_exponent=2.0,
-            clumps=80,
+            clump_count=80,
             clump_radius=0.095,
             min_clump_distance=0.2,
             clump_flatness=0.6,
             sprig_droop=0.15,
-            sprigs=24,
-            leaves=14,
+            sprigs_per_clump=24,
+            leaves_per_sprig=14,
             leaf_size=(0.009, 0.003),
             lowest_limb_height=0.16,
             stem_radius=0.019,
@@ -195,17 +195,17 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("birch", "broadleaf", 0.5, 0.42),
         ClumpedTree(
-            radius=0.21,
+            crown_radius=0.21,
             crown_base=0.16,
             widest_height=0.38,
             outline_exponent=1.8,
-            clumps=80,
+            clump_count=80,
             clump_radius=0.06,
             min_clump_distance=0.2,
             clump_flatness=0.9,
             sprig_droop=0.9,
-            sprigs=20,
-            leaves=12,
+            sprigs_per_clump=20,
+            leaves_per_sprig=12,
             leaf_size=(0.0075, 0.0022),
             lowest_limb_height=0.22,
             stem_radius=0.011,
@@ -217,17 +217,17 @@ _VARIANT_MODELS: tuple[tuple[TreeVariant, WhorledTree | ClumpedTree], ...] = (
     (
         TreeVariant("maple", "broadleaf", 0.5, 0.72),
         ClumpedTree(
-            radius=0.36,
+            crown_radius=0.36,
             crown_base=0.2,
             widest_height=0.45,
             outline_exponent=2.1,
-            clumps=70,
+            clump_count=70,
             clump_radius=0.1,
             min_clump_distance=0.2,
             clump_flatness=0.8,
             sprig_droop=0.05,
-            sprigs=24,
-            leaves=13,
+            sprigs_per_clump=24,
+            leaves_per_sprig=13,
             leaf_size=(0.011, 0.004),
             lowest_limb_height=0.2,
             stem_radius=0.018,
@@ -243,7 +243,7 @@ TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _VARIAN
 PAINTER_FILES = tuple(Path(__file__).parent / name for name in ("foliage.py", "foliage_paint.py", "../srgb.py"))
 """Source files that determine the pictures (part of the cache key)."""
 
-OUTLINE_CELLS = 16
+OUTLINE_GRID_SIDE_CELLS = 16
 """Cells along a side of the grid from which a picture's outline is derived."""
 
 
@@ -273,12 +273,17 @@ def leaf_outlines() -> np.ndarray:
 
     alpha = foliage().mip_levels[0][..., 3]
     layers, side, _ = alpha.shape
-    cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= ALPHA_THRESHOLD * 255
+    cells = (
+        alpha.reshape(layers, OUTLINE_GRID_SIDE_CELLS, side // OUTLINE_GRID_SIDE_CELLS, OUTLINE_GRID_SIDE_CELLS, -1).max(
+            axis=(2, 4)
+        )
+        >= ALPHA_THRESHOLD * 255
+    )
     outlines = []
     for is_opaque in cells:
         row, col = np.nonzero(is_opaque)
-        ends = [(col + dx, OUTLINE_CELLS - row - dy) for dx in (0, 1) for dy in (0, 1)]
-        corners = np.concatenate([np.stack(end, axis=1) for end in ends]) / OUTLINE_CELLS
+        ends = [(col + dx, OUTLINE_GRID_SIDE_CELLS - row - dy) for dx in (0, 1) for dy in (0, 1)]
+        corners = np.concatenate([np.stack(end, axis=1) for end in ends]) / OUTLINE_GRID_SIDE_CELLS
         outlines.append(corners[ConvexHull(corners).vertices])
     max_corners = max(map(len, outlines))
     return np.stack([np.pad(outline, ((0, max_corners - len(outline)), (0, 0)), mode="edge") for outline in outlines])

@@ -13,7 +13,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 
-SUPERSAMPLING = 3  # samples per texel and axis
+SAMPLES_PER_TEXEL_SIDE = 3  # samples per texel and axis
 COORDINATE_STEP = 2.0**-20
 """Step to which strokes are rounded, in tree heights. Sines differ in the last bit between machines, but pictures must not."""
 OUTLIER_SHARES = (0.01, 0.001)  # shares of stroke ends, at the rim and at the top, that may lie outside the picture
@@ -47,15 +47,15 @@ class WhorledTree:
 
     Attributes
     ----------
-    radius
+    crown_radius
         Radius of the crown.
     crown_base
         Height of the lowest whorl.
-    whorls, branches
+    whorl_count, branches_per_whorl
         Number of whorls, and of branches in each.
-    slope_low, slope_high
+    lowest_branch_slope, highest_branch_slope
         Slopes of branches at the stem in the lowest and the highest whorl.
-    sag, upturn
+    branch_sag, tip_upturn
         Droop of a branch towards its tip, and rise of the tip itself.
     twig_droop
         Droop of twigs, relative to their length.
@@ -71,14 +71,14 @@ class WhorledTree:
         Linear albedo.
     """
 
-    radius: float
+    crown_radius: float
     crown_base: float
-    whorls: int
-    branches: int
-    slope_low: float
-    slope_high: float
-    sag: float
-    upturn: float
+    whorl_count: int
+    branches_per_whorl: int
+    lowest_branch_slope: float
+    highest_branch_slope: float
+    branch_sag: float
+    tip_upturn: float
     twig_droop: float
     missing_share: float
     outline_exponent: float
@@ -96,7 +96,7 @@ class ClumpedTree:
 
     Attributes
     ----------
-    radius
+    crown_radius
         Radius of the crown.
     crown_base
         Height of the crown's base.
@@ -104,7 +104,7 @@ class ClumpedTree:
         Height of the largest width, as a share of the crown's depth from below.
     outline_exponent
         Exponent of the outline (2: an ellipse).
-    clumps, clump_radius
+    clump_count, clump_radius
         Number of clumps, and their mean radius.
     min_clump_distance
         Lower bound of u in [0, 1]. The distance of a clump from the stem is u**0.6 times the largest possible one.
@@ -112,7 +112,7 @@ class ClumpedTree:
         Height over width of clumps.
     sprig_droop
         Droop of sprigs (bunches of leaves), relative to their horizontal distance from the clump's centre.
-    sprigs, leaves
+    sprigs_per_clump, leaves_per_sprig
         Number of sprigs (bunches of leaves) in a clump, and of leaves in a sprig.
     leaf_size
         Length and half width of a leaf.
@@ -124,17 +124,17 @@ class ClumpedTree:
         Linear albedo.
     """
 
-    radius: float
+    crown_radius: float
     crown_base: float
     widest_height: float
     outline_exponent: float
-    clumps: int
+    clump_count: int
     clump_radius: float
     min_clump_distance: float
     clump_flatness: float
     sprig_droop: float
-    sprigs: int
-    leaves: int
+    sprigs_per_clump: int
+    leaves_per_sprig: int
     leaf_size: tuple[float, float]
     lowest_limb_height: float
     stem_radius: float
@@ -143,7 +143,7 @@ class ClumpedTree:
     limb_albedo: Colour
 
 
-def paint(model: WhorledTree | ClumpedTree, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+def paint(model: WhorledTree | ClumpedTree, seed: int, size_px: int) -> tuple[np.ndarray, np.ndarray]:
     """Paint the side view and the top view of a model tree.
 
     Returns
@@ -155,9 +155,11 @@ def paint(model: WhorledTree | ClumpedTree, seed: int, size: int) -> tuple[np.nd
     """
     rng = np.random.default_rng(seed)
     grown = _grow_whorled(model, rng) if isinstance(model, WhorledTree) else _grow_clumped(model, rng)
-    tree = _darken_inside(_fit_to_box(grown, model.radius, size), model.radius)
-    side = _paint_view(tree, (0, 2), (1, -1.0), (-model.radius, 0.0), (model.radius, 1.0), size)
-    above = _paint_view(tree, (0, 1), (2, 1.0), (-model.radius, -model.radius), (model.radius, model.radius), size)
+    tree = _darken_inside(_fit_to_box(grown, model.crown_radius, size_px), model.crown_radius)
+    side = _paint_view(tree, (0, 2), (1, -1.0), (-model.crown_radius, 0.0), (model.crown_radius, 1.0), size_px)
+    above = _paint_view(
+        tree, (0, 1), (2, 1.0), (-model.crown_radius, -model.crown_radius), (model.crown_radius, model.crown_radius), size_px
+    )
     return side, above
 
 
@@ -195,26 +197,28 @@ def _grow_whorled(model: WhorledTree, rng: np.random.Generator) -> Strokes:
 
 
 def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
-    whorl = np.repeat(np.arange(model.whorls), model.branches)
+    whorl = np.repeat(np.arange(model.whorl_count), model.branches_per_whorl)
     whorl = whorl[rng.random(len(whorl)) >= model.missing_share]
     n = len(whorl)
-    height_share = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorls, 0.0, 0.985)
+    height_share = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorl_count, 0.0, 0.985)
     # Each whorl is rotated against the last by the golden angle, as in phyllotaxis.
-    azimuth = 2.0 * np.pi * (whorl * 0.382 + (np.arange(n) + rng.normal(0.0, 0.22, n)) / model.branches)
+    azimuth = 2.0 * np.pi * (whorl * 0.382 + (np.arange(n) + rng.normal(0.0, 0.22, n)) / model.branches_per_whorl)
     # The lowest branches are shaded, old and slightly shorter than those above them.
     outline = (1.0 - height_share) ** model.outline_exponent * np.clip(0.78 + 3.0 * height_share, 0.0, 1.0)
     return _Branches(
         foot=np.outer(model.crown_base + (1.0 - model.crown_base) * height_share, (0.0, 0.0, 1.0)),
         direction=np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(n)]),
-        length=model.radius * (outline * rng.uniform(0.8, 1.05, n) + 0.012),
-        slope=model.slope_low + (model.slope_high - model.slope_low) * height_share + rng.normal(0.0, 0.06, n),
+        length=model.crown_radius * (outline * rng.uniform(0.8, 1.05, n) + 0.012),
+        slope=model.lowest_branch_slope
+        + (model.highest_branch_slope - model.lowest_branch_slope) * height_share
+        + rng.normal(0.0, 0.06, n),
         crown_depth=1.0 - height_share,
     )
 
 
 def _points_on_branches(model: WhorledTree, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) on branches ``i`` at parameters ``t`` in [0, 1]."""
-    rise = branches.slope[i] * t + branches.crown_depth[i] * (model.upturn * t**4 - model.sag * t**1.6)
+    rise = branches.slope[i] * t + branches.crown_depth[i] * (model.tip_upturn * t**4 - model.branch_sag * t**1.6)
     horizontal_offset = branches.direction[i] * t[:, None]
     return branches.foot[i] + branches.length[i, None] * (horizontal_offset + np.outer(rise, (0.0, 0.0, 1.0)))
 
@@ -268,7 +272,7 @@ def _grow_clumped(model: ClumpedTree, rng: np.random.Generator) -> Strokes:
 
 def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
     # A clump is a dome of sprigs, a sprig a bunch of leaves: three scales of raggedness.
-    clump = np.repeat(np.arange(len(centre)), model.sprigs)
+    clump = np.repeat(np.arange(len(centre)), model.sprigs_per_clump)
     direction = _normalized(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
     outward = direction * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.clump_flatness)
     sprig = centre[clump] + outward
@@ -277,7 +281,7 @@ def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.ra
     shade = (0.74 + 0.52 * direction[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
     tint = _random_tints(model.leaf_albedo, len(centre), rng)[clump] * shade
 
-    leaf = np.repeat(np.arange(len(clump)), model.leaves)
+    leaf = np.repeat(np.arange(len(clump)), model.leaves_per_sprig)
     scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.sprig_droop)
     base = sprig[leaf] + rng.normal(0.0, 1.0, (len(leaf), 3)) * scatter
     blade = _normalized(rng.normal(0.0, 0.6, (len(leaf), 3)) + direction[leaf] + (0.0, 0.0, -0.9 * model.sprig_droop))
@@ -288,9 +292,9 @@ def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.ra
 
 def _clump_centres(model: ClumpedTree, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (n, 3) and radii (n,) of clumps, distributed by Mitchell's best candidate algorithm (1991)."""
-    centre = np.empty((model.clumps, 3))
-    size = model.clump_radius * rng.uniform(0.7, 1.25, model.clumps)
-    for i in range(model.clumps):
+    centre = np.empty((model.clump_count, 3))
+    size = model.clump_radius * rng.uniform(0.7, 1.25, model.clump_count)
+    for i in range(model.clump_count):
         tries = 14
         share = rng.random(tries)
         relative_height = (share - model.widest_height) / np.where(
@@ -298,7 +302,7 @@ def _clump_centres(model: ClumpedTree, rng: np.random.Generator) -> tuple[np.nda
         )
         outline = (1.0 - np.abs(relative_height) ** model.outline_exponent) ** (1.0 / model.outline_exponent)
         stem_distance = rng.uniform(model.min_clump_distance, 1.0, tries) ** 0.6 * np.maximum(
-            model.radius * outline - 0.85 * size[i], 0.0
+            model.crown_radius * outline - 0.85 * size[i], 0.0
         )
         azimuth = rng.uniform(0.0, 2.0 * np.pi, tries)
         lowest_z, highest_z = model.crown_base + 0.6 * size[i] * model.clump_flatness, 1.0 - 0.95 * size[i] * model.clump_flatness
@@ -333,12 +337,12 @@ def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _stem(
-    radius: float, top: float, top_radius: float, low_albedo: Colour, high_albedo: Colour, rng: np.random.Generator
+    radius: float, top_height: float, top_radius: float, low_albedo: Colour, high_albedo: Colour, rng: np.random.Generator
 ) -> Strokes:
     """Return a stem of short pieces with mottled bark, flared at the foot and nearly straight above."""
     pieces = 80
-    z = np.linspace(-0.02, top, pieces + 1)
-    share = np.clip(z / top, 0.0, 1.0)
+    z = np.linspace(-0.02, top_height, pieces + 1)
+    share = np.clip(z / top_height, 0.0, 1.0)
     sway = np.cumsum(rng.normal(0.0, 0.05 * radius, (pieces + 1, 2)), axis=0) * np.sin(np.pi * share)[:, None]
     path = np.column_stack([sway, z])
     radii = top_radius + (radius - top_radius) * (1.0 - share) + 0.3 * radius * np.exp(-np.maximum(z, 0.0) / 0.04)
@@ -384,15 +388,15 @@ def _darken_inside(tree: Strokes, radius: float) -> Strokes:
     return replace(tree, albedo=tree.albedo * (0.36 + 1.15 * open_sky) * (1.0 + (open_sky - 0.5) * (0.14, 0.0, -0.14)))
 
 
-def _fit_to_box(tree: Strokes, radius: float, size: int) -> Strokes:
+def _fit_to_box(tree: Strokes, radius: float, size_px: int) -> Strokes:
     """Scale a tree about its stem to fill its bounding box except the border texels.
 
     The few outlying strokes (``OUTLIER_SHARES``) are removed.
     """
     ends, thick = np.stack([tree.start, tree.end]), tree.radius.T
     reach = np.hypot(ends[..., 0], ends[..., 1])
-    rim = radius * (1.0 - 1.2 / size)
-    top = 1.0 - 0.6 / size
+    rim = radius * (1.0 - 1.2 / size_px)
+    top = 1.0 - 0.6 / size_px
     outer, upper = reach > 0.5 * radius, ends[..., 2] > 0.9
     wide = np.quantile((rim - thick[outer]) / reach[outer], OUTLIER_SHARES[0])
     tall = np.quantile((top - thick[upper]) / ends[upper, 2], OUTLIER_SHARES[1])
@@ -410,7 +414,7 @@ Corner = tuple[float, float]
 
 
 def _paint_view(
-    tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], lower_left: Corner, upper_right: Corner, size: int
+    tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], lower_left: Corner, upper_right: Corner, size_px: int
 ) -> np.ndarray:
     """Paint an orthographic view (size, size, 4) of a tree.
 
@@ -419,20 +423,20 @@ def _paint_view(
     """
     axis_order, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
     start, end = tree.start[:, axis_order] * sign, tree.end[:, axis_order] * sign
-    step = (np.array(upper_right) - np.array(lower_left)) / (size * SUPERSAMPLING)
-    radius = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # no stroke is thinner than a texel
+    step = (np.array(upper_right) - np.array(lower_left)) / (size_px * SAMPLES_PER_TEXEL_SIDE)
+    radius = np.maximum(tree.radius, 0.45 * SAMPLES_PER_TEXEL_SIDE * step.min())  # no stroke is thinner than a texel
     front = np.maximum(start[:, 2], end[:, 2]) + radius.max(axis=1)
     order = np.argsort(-front, kind="stable")  # front to back, so that most hidden samples are skipped
     strokes = start[order], end[order], radius[order], front[order]
-    stroke_index = _nearest_strokes(*strokes, lower_left[0], lower_left[1], step[0], step[1], size * SUPERSAMPLING)
-    return _texels(stroke_index, tree.albedo[order], SUPERSAMPLING)
+    stroke_index = _nearest_strokes(*strokes, lower_left[0], lower_left[1], step[0], step[1], size_px * SAMPLES_PER_TEXEL_SIDE)
+    return _texels(stroke_index, tree.albedo[order], SAMPLES_PER_TEXEL_SIDE)
 
 
 @compiled
-def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, size):
+def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, size_px):
     """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
-    stroke_index = np.full((size, size), -1, dtype=np.int32)
-    nearest = np.full((size, size), -np.inf)
+    stroke_index = np.full((size_px, size_px), -1, dtype=np.int32)
+    nearest = np.full((size_px, size_px), -np.inf)
     for k in range(len(start)):
         ax, ay, az = start[k]
         dx, dy, dz = end[k] - start[k]
@@ -440,11 +444,11 @@ def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, si
         max_radius = max(r0, r1)
         per_square = 1.0 / max(dx * dx + dy * dy, 1e-18)
         j0 = max(int((min(ax, ax + dx) - max_radius - left) / step_x), 0)
-        j1 = min(int((max(ax, ax + dx) + max_radius - left) / step_x) + 1, size)
-        i0 = max(size - 1 - int((max(ay, ay + dy) + max_radius - bottom) / step_y), 0)
-        i1 = min(size - int((min(ay, ay + dy) - max_radius - bottom) / step_y), size)
+        j1 = min(int((max(ax, ax + dx) + max_radius - left) / step_x) + 1, size_px)
+        i0 = max(size_px - 1 - int((max(ay, ay + dy) + max_radius - bottom) / step_y), 0)
+        i1 = min(size_px - int((min(ay, ay + dy) - max_radius - bottom) / step_y), size_px)
         for i in range(i0, i1):
-            y = bottom + (size - i - 0.5) * step_y - ay
+            y = bottom + (size_px - i - 0.5) * step_y - ay
             for j in range(j0, j1):
                 if nearest[i, j] >= front[k]:
                     continue

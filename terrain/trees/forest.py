@@ -8,18 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import shapely
-from pyproj import CRS
-from pyproj.crs import GeographicCRS, ProjectedCRS
-from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
 from skugga.terrain.errors import LevelError, Problem, SourceError
 from skugga.terrain.geo.vectors import Features, attribute_names, read_features, vector_layer
-from skugga.terrain.geo.world import World, longitude_latitude_of, transformer
+from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.length_attributes import (
     AttributeLengths,
@@ -33,34 +29,34 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import ForestSpec, Species
 from skugga.terrain.level.rasters import is_raster
 from skugga.terrain.trees.canopy import (
-    HEXAGONAL_PACKING,
+    HEXAGONAL_CROWNS_PER_SQUARE,
     MAX_CROWN_RATIO,
     MAX_DETECTION_CELL_M,
-    TREETOP_WINDOW_M,
+    TREETOP_WINDOW_RADIUS_LINES,
     Canopy,
     CellWindow,
-    border_cells,
     growing_space_m,
 )
 from skugga.terrain.trees.canopy_sample import (
-    GIANT_HEIGHT_M,
     MAX_SHRUBS,
-    SHRUB_HEIGHT_M,
-    TREE_HEIGHT_M,
+    MIN_GIANT_HEIGHT_M,
+    MIN_SHRUB_HEIGHT_M,
+    MIN_TREE_HEIGHT_M,
     HeightClassShares,
     check_above_ground,
     height_class_shares,
 )
 from skugga.terrain.trees.crown_sizes import (
-    CROWN_M,
+    CROWN_DIAMETER_LINES,
     CROWN_STREAM,
     HEIGHT_STREAM,
     SPREAD_STREAM,
     YAW_STREAM,
-    random_crown_m,
+    random_crown_diameters_m,
     random_variants,
     species_line,
 )
+from skugga.terrain.trees.planting_map import PlantingMap
 from skugga.terrain.trees.scatter import HECTARE_M2, TreePositions, join_positions, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.thinning import thinning_ranks
 from skugga.terrain.trees.trees import Trees
@@ -80,70 +76,8 @@ CROWN_UNITS = with_unit_suffixes(("crown", "crown_diameter", "crown_width", "dia
 VALID_SIZE_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
-SAMPLES_PER_SIDE, GROUND_SAMPLES_PER_SIDE = 1024, 64
+CANOPY_SAMPLES_PER_SIDE, GROUND_COMPARISON_SAMPLES_PER_SIDE = 1024, 64
 """Maximum side of a sample of canopy cells: for the shares of height classes, and for the comparison with the ground."""
-
-MAX_OUTLINE_DISTANCE_M = 5e6
-"""Maximum distance of the terrain's border from the anchor. A larger terrain has no outline in the equal-area map."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantingMap:
-    """The map in which tree positions are computed before they are projected onto the ground.
-
-    On the globe it is an equal-area map about the anchor, so that a density means the same everywhere. A flat world uses the CRS of
-    its elevation.
-
-    Attributes
-    ----------
-    world
-        The level's world.
-    elevation
-        The level's elevation.
-    exaggeration
-        Factor by which the elevation's heights are exaggerated.
-    """
-
-    world: World
-    elevation: Elevation
-    exaggeration: float = 1.0
-
-    @cached_property
-    def crs(self) -> CRS:
-        """The map's CRS."""
-        if self.world.flat:
-            return self.elevation.crs
-        centre = LambertAzimuthalEqualAreaConversion(self.world.anchor_lat_deg, self.world.anchor_lon_deg)
-        return ProjectedCRS(centre, name="equal-area map of the level", geodetic_crs=self._geodetic_crs)
-
-    @property
-    def _geodetic_crs(self) -> CRS:
-        return GeographicCRS() if self.world.on_earth else longitude_latitude_of(self.elevation.crs)
-
-    @property
-    def unit_m(self) -> float:
-        """Unit of the map in metres."""
-        return self.world.metres_per_unit if self.world.flat else 1.0
-
-    @cached_property
-    def outline(self) -> shapely.Polygon | None:
-        """The terrain's outline in the map, with a small margin.
-
-        ``None`` if the terrain covers too much of the globe (``MAX_OUTLINE_DISTANCE_M``).
-        """
-        cells = border_cells(*self.elevation.shape)
-        x, y = _transform(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
-        if not self.world.flat and not (np.hypot(x, y) < MAX_OUTLINE_DISTANCE_M).all():
-            return None
-        border = shapely.Polygon(np.column_stack([x, y]))
-        margin = 1e-3 * np.sqrt(border.area)  # more than the border bends between its points
-        return border.buffer(margin) if border.is_valid else None
-
-    def to_terrain_crs(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transform map coordinates to the elevation's CRS; NaN where its coordinates are undefined."""
-        x, y = _transform(self.crs, self.elevation.crs, x, y)
-        valid = np.isfinite(x) & np.isfinite(y)
-        return np.where(valid, x, np.nan), np.where(valid, y, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +90,7 @@ class Stems:
         Positions (n,) in the planting map.
     height_m
         Heights float64 (n,), metres.
-    crown_m
+    crown_diameter_m
         Crown diameters float64 (n,), metres; ``None``: usual for the height.
     growing_space_m
         Upper bounds of crown diameters float64 (n,), metres, from the distance to neighbours; ``None``: no bounds.
@@ -172,7 +106,7 @@ class Stems:
 
     positions: TreePositions
     height_m: np.ndarray
-    crown_m: np.ndarray | None
+    crown_diameter_m: np.ndarray | None
     growing_space_m: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     omissions: tuple[str, ...] = ()
@@ -180,10 +114,10 @@ class Stems:
     off_terrain_count: int = 0
 
     def __getitem__(self, chosen: np.ndarray) -> Stems:
-        p, crown, room = self.positions, self.crown_m, self.growing_space_m
+        p, crown, room = self.positions, self.crown_diameter_m, self.growing_space_m
         positions = TreePositions(p.x[chosen], p.y[chosen], p.key[chosen])
         return replace(
-            self, positions=positions, height_m=self.height_m[chosen], crown_m=None if crown is None else crown[chosen],
+            self, positions=positions, height_m=self.height_m[chosen], crown_diameter_m=None if crown is None else crown[chosen],
             growing_space_m=None if room is None else room[chosen],
         )  # fmt: skip
 
@@ -241,19 +175,19 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
         key_path = f"{loaded.path}: forest.{number}"
         stems = _stems(spec, loaded.resolve(spec.source), key_path, planting_map, MAX_TREES - count)
         trees = _plant_stand(stems, spec.species, key_path, planting_map)
-        count += len(trees.rank)
+        count += len(trees.thinning_rank)
         planted_stands.append(trees)
-        omission_text = _omission_text(stems, len(trees.rank))
-        planting_note = f"{len(trees.rank)} trees planted" + (f"; left out: {omission_text}" if omission_text else "")
+        omission_text = _omission_text(stems, len(trees.thinning_rank))
+        planting_note = f"{len(trees.thinning_rank)} trees planted" + (f"; left out: {omission_text}" if omission_text else "")
         notes += [f"{spec.source}: {note}" for note in (*stems.notes, planting_note)]
         warnings += [f"{spec.source}: {text}" for text in stems.warnings]
-        if not len(trees.rank):
+        if not len(trees.thinning_rank):
             warnings.append(f"{spec.source}: no tree is planted{f': {omission_text}' if omission_text else ''}")
     if not count:
         return Planting(None, tuple(notes), tuple(warnings))
     trees = Trees(**{name: np.concatenate([getattr(s, name) for s in planted_stands]) for name in Trees.__dataclass_fields__})
     east, north, _ = world.earth_from_anchor.T @ (trees.base_earth_m - world.anchor_earth_m).T
-    return Planting(replace(trees, rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
+    return Planting(replace(trees, thinning_rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
 
 
 def _omission_text(stems: Stems, planted_count: int) -> str:
@@ -271,7 +205,7 @@ class StandFeatures:
     ----------
     features
         The n features. Their geometries have single parts.
-    height_m, crown_m
+    height_m, crown_diameter_m
         Heights of trees and diameters of crowns float64 (n,), metres, NaN where invalid; ``None`` without attributes of them.
     notes
         Attributes that were used, in words.
@@ -281,7 +215,7 @@ class StandFeatures:
 
     features: Features
     height_m: np.ndarray | None
-    crown_m: np.ndarray | None
+    crown_diameter_m: np.ndarray | None
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -317,21 +251,25 @@ def _stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingM
 
 
 def _stand_features(
-    features: Features, heights: Sequence[str], crowns: Sequence[str], has_default_heights: bool, default_reason: str
+    features: Features,
+    height_attributes: Sequence[str],
+    crown_attributes: Sequence[str],
+    has_default_heights: bool,
+    default_reason: str,
 ) -> StandFeatures:
-    """Return features with the values of their attributes ``heights`` and ``crowns``.
+    """Return features with the values of their attributes ``height_attributes`` and ``crown_attributes``.
 
-    If ``has_default_heights``, features without any value of ``heights`` get heights of the default range. ``default_reason`` says
-    why in the note. Raises ``SourceError`` if an attribute has no valid value.
+    If ``has_default_heights``, features without any value of ``height_attributes`` get heights of the default range.
+    ``default_reason`` says why in the note. Raises ``SourceError`` if an attribute has no valid value.
     """
-    height = attribute_lengths(features, heights, HEIGHT_UNITS, "heights")
-    crown = attribute_lengths(features, crowns, CROWN_UNITS, "crowns")
+    height = attribute_lengths(features, height_attributes, HEIGHT_UNITS, "heights")
+    crown = attribute_lengths(features, crown_attributes, CROWN_UNITS, "crowns")
     is_drawn = has_default_heights and not height.has_values
     low_m, high_m = DEFAULT_HEIGHT_RANGE_M
     drawn_notes = [f"heights: drawn at random from {low_m:g} m to {high_m:g} m ({default_reason})"] if is_drawn else []
     return StandFeatures(
-        features, None if is_drawn or not heights else _valid_lengths_m(features, heights, height),
-        _valid_lengths_m(features, crowns, crown) if crowns else None,
+        features, None if is_drawn or not height_attributes else _valid_lengths_m(features, height_attributes, height),
+        _valid_lengths_m(features, crown_attributes, crown) if crown_attributes else None,
         (*drawn_notes, *height.notes, *crown.notes), (*height.warnings, *crown.warnings),
     )  # fmt: skip
 
@@ -408,16 +346,18 @@ def _point_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planting
     return _valid_stems(Stems(positions, *sizes_m, omissions=omissions, off_terrain_count=len(x) - len(covered)))
 
 
-def _sizes_m(spec: ForestSpec, stand: StandFeatures, row: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _sizes_m(
+    spec: ForestSpec, stand: StandFeatures, feature_row: np.ndarray, key: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the heights of trees, and their crown diameters if the stand sets them, float64 (n,), metres.
 
-    ``row`` (n,) is the row of each tree's feature, and ``key`` (n,) is each tree's hash.
+    ``feature_row`` (n,) is the row of each tree's feature, and ``key`` (n,) is each tree's hash.
     """
     height_range_m = spec.height if isinstance(spec.height, tuple) else DEFAULT_HEIGHT_RANGE_M
-    height_m = _random_lengths_m(height_range_m, key, HEIGHT_STREAM) if stand.height_m is None else stand.height_m[row]
+    height_m = _random_lengths_m(height_range_m, key, HEIGHT_STREAM) if stand.height_m is None else stand.height_m[feature_row]
     if isinstance(spec.crown, tuple):
         return height_m, _random_lengths_m(spec.crown, key, CROWN_STREAM)
-    return height_m, None if stand.crown_m is None else stand.crown_m[row]
+    return height_m, None if stand.crown_diameter_m is None else stand.crown_diameter_m[feature_row]
 
 
 def _canopy_stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
@@ -434,12 +374,12 @@ def _canopy_stems(spec: ForestSpec, source: str, key_path: str, planting_map: Pl
             raise _off_terrain_error(
                 key_path, shapely.total_bounds(shapely.MultiPoint(canopy.outline(planting_map.crs))), planting_map
             )
-        base, slope = species_line(CROWN_M, spec.species)
-        radius_line = species_line(TREETOP_WINDOW_M, spec.species)
+        base, slope = species_line(CROWN_DIAMETER_LINES, spec.species)
+        radius_line = species_line(TREETOP_WINDOW_RADIUS_LINES, spec.species)
         cells = _check_canopy(canopy, window, planting_map)
-        shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / HEXAGONAL_PACKING
+        shrub_m2 = (base + slope * (MIN_SHRUB_HEIGHT_M + MIN_TREE_HEIGHT_M) / 2) ** 2 / HEXAGONAL_CROWNS_PER_SQUARE
         canopy.min_height_m = spec.least_height or _default_min_height_m(
-            cells, window, canopy.cell_m(planting_map.crs, planting_map.unit_m, window), shrub_m2
+            cells, window, canopy.cell_side_m(planting_map.crs, planting_map.unit_m, window), shrub_m2
         )
         for part in canopy.trees(planting_map.crs, planting_map.unit_m, window, lambda h: base + slope * h, radius_line, spec.seed):
             parts.append(part)
@@ -453,7 +393,7 @@ def _canopy_stems(spec: ForestSpec, source: str, key_path: str, planting_map: Pl
     crown = None if spec.crown is None else _random_lengths_m(spec.crown, positions.key, CROWN_STREAM)
     warnings = []
     if cells.is_mostly_giant:
-        limit_m = f"{GIANT_HEIGHT_M:g} m"
+        limit_m = f"{MIN_GIANT_HEIGHT_M:g} m"
         warnings.append(f"most of its cells with trees are higher than {limit_m}. Check the unit of its heights.")
     return Stems(
         positions, height, crown, MAX_CROWN_RATIO * growing_space_m(positions.x, positions.y, planting_map.unit_m),
@@ -466,12 +406,12 @@ def _check_canopy(canopy: Canopy, window: CellWindow, planting_map: PlantingMap)
 
     Raises ``SourceError`` if all cells are nodata, or if the heights are above sea level instead of above ground.
     """
-    _, _, heights_m = canopy.sample(window, SAMPLES_PER_SIDE)
+    _, _, heights_m = canopy.sample_heights(window, CANOPY_SAMPLES_PER_SIDE)
     if np.isnan(heights_m).all():
-        _, _, raster_heights_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_PER_SIDE)
+        _, _, raster_heights_m = canopy.sample_heights(CellWindow(0, 0, canopy.rows, canopy.cols), CANOPY_SAMPLES_PER_SIDE)
         if np.isnan(raster_heights_m).all():
             raise SourceError(canopy.name, "no height in any cell (all nodata)", "Use a raster with canopy heights")
-    row, col, sampled_heights_m = canopy.sample(window, GROUND_SAMPLES_PER_SIDE)
+    row, col, sampled_heights_m = canopy.sample_heights(window, GROUND_COMPARISON_SAMPLES_PER_SIDE)
     ground_m = planting_map.elevation.ground_m(*planting_map.to_terrain_crs(*canopy.xy(planting_map.crs, row, col)))
     check_above_ground(canopy.name, sampled_heights_m, ground_m / planting_map.exaggeration)
     return height_class_shares(heights_m)
@@ -483,7 +423,11 @@ def _default_min_height_m(cells: HeightClassShares, window: CellWindow, cell_m: 
     Shrubs count if the canopy is mostly shrubs, its cells are fine enough, and there are at most ``MAX_SHRUBS``.
     """
     shrubs = cells.shrub_share * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
-    return SHRUB_HEIGHT_M if cells.is_mostly_shrubs and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
+    return (
+        MIN_SHRUB_HEIGHT_M
+        if cells.is_mostly_shrubs and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS
+        else MIN_TREE_HEIGHT_M
+    )
 
 
 def _plant_stand(stems: Stems, species: Species, key_path: str, planting_map: PlantingMap) -> Trees:
@@ -504,19 +448,19 @@ def _plant_stand(stems: Stems, species: Species, key_path: str, planting_map: Pl
     stems, x, y, ground_m = stems[on_land], x[on_land], y[on_land], ground_m[on_land]
     key = stems.positions.key
     variant = random_variants(key, species)
-    if stems.crown_m is None:
-        crown_m = random_crown_m(stems.height_m, variant, uniform_numbers(key, SPREAD_STREAM))
+    if stems.crown_diameter_m is None:
+        crown_m = random_crown_diameters_m(stems.height_m, variant, uniform_numbers(key, SPREAD_STREAM))
         crown_m = crown_m if stems.growing_space_m is None else np.minimum(crown_m, stems.growing_space_m)
     else:
-        crown_m = stems.crown_m
-    point, up = planting_map.world.ground(planting_map.elevation.crs, x, y)
+        crown_m = stems.crown_diameter_m
+    point, up = planting_map.world.points_at_zero_height(planting_map.elevation.crs, x, y)
     return Trees(
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),
-        crown_m=crown_m.astype(np.float32),
+        crown_diameter_m=crown_m.astype(np.float32),
         yaw_deg=(180.0 * uniform_numbers(key, YAW_STREAM)).astype(np.float32) % np.float32(180.0),
         variant=variant,
-        rank=np.zeros(len(key), np.float32),  # set for all stands together
+        thinning_rank=np.zeros(len(key), np.float32),  # set for all stands together
     )
 
 
@@ -528,7 +472,7 @@ def _random_lengths_m(range_m: tuple[float, float], key: np.ndarray, stream: int
 def _valid_stems(stems: Stems) -> Stems:
     """Return the stems with a height and, if crowns come from an attribute, with a crown."""
     valid = np.isfinite(stems.height_m)
-    valid = valid if stems.crown_m is None else valid & np.isfinite(stems.crown_m)
+    valid = valid if stems.crown_diameter_m is None else valid & np.isfinite(stems.crown_diameter_m)
     lost_count = np.count_nonzero(~valid)
     omissions = (f"{lost_count} without a usable height or crown",) if lost_count else ()
     return replace(stems[valid], omissions=(*stems.omissions, *omissions))
@@ -542,10 +486,6 @@ def _single_parts(features: Features) -> Features:
         row = row[index]
     nonempty = ~shapely.is_empty(geometry)
     return replace(features[row[nonempty]], geometry=geometry[nonempty])
-
-
-def _transform(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (x, y) if source == target else transformer(source, target).transform(x, y)
 
 
 def _too_many_trees_error(key_path: str, count: int, max_trees: int, qualifier: str = "") -> LevelError:

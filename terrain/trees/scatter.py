@@ -108,18 +108,18 @@ def _concatenate_positions(position_sets: list[TreePositions]) -> TreePositions:
     return TreePositions(*(np.concatenate([getattr(positions, name) for positions in position_sets]) for name in ("x", "y", "key")))
 
 
-def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[TreePositions]:
-    west, south, east, north = (int(np.floor(v / pitch)) for v in area.bounds)
+def _scatter_in_polygon(area: shapely.Polygon, cell_side: float, seed: int) -> Iterator[TreePositions]:
+    west, south, east, north = (int(np.floor(v / cell_side)) for v in area.bounds)
     cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE_CELLS), np.arange(south, north + 1, _TILE_CELLS)))
     shapely.prepare(area)
     is_within = np.zeros(len(cols), bool)
     if len(cols) > 1:
-        tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE_CELLS) * pitch, (rows + _TILE_CELLS) * pitch)
+        tiles = shapely.box(cols * cell_side, rows * cell_side, (cols + _TILE_CELLS) * cell_side, (rows + _TILE_CELLS) * cell_side)
         is_touched = shapely.intersects(area, tiles)
         cols, rows, is_within = cols[is_touched], rows[is_touched], shapely.contains_properly(area, tiles[is_touched])
     for col, row, is_inside in zip(cols.tolist(), rows.tolist(), is_within.tolist(), strict=True):
         x, y, key = _jittered_positions(seed, row, col, min(_TILE_CELLS, north + 1 - row), min(_TILE_CELLS, east + 1 - col))
-        x, y = x * pitch, y * pitch
+        x, y = x * cell_side, y * cell_side
         if not is_inside:
             is_in_polygon = shapely.contains_xy(area, x, y)
             x, y, key = x[is_in_polygon], y[is_in_polygon], key[is_in_polygon]

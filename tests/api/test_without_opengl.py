@@ -13,7 +13,7 @@ from PIL import Image
 
 from skugga.api.cli.snapshot import snapshot
 from skugga.api.request import ProductRequest
-from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.gl.egl_devices import NO_OPENGL_RENDERER
 from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.http.test_serve import ROOT, serving_process
@@ -95,7 +95,7 @@ def test_the_service_draws_terrain_without_opengl(level: Path, environment: dict
                 "the picture equals that with OpenGL"
             )
             ready = software_client.get("/readyz").json()
-            assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
+            assert ready["renderer"] == NO_OPENGL_RENDERER and ready["workers"] == 1
             for resource in ("snapshot.png?view=eye&size=64x64", f"{TILE}?algorithm=shadow_map"):
                 problem = check_problem(software_client.get(f"/levels/hills/{resource}"), 503, "no_opengl", None)
                 assert "needs OpenGL" in problem["detail"] and "EGL" not in problem["detail"]

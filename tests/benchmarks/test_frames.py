@@ -155,7 +155,7 @@ def test_the_yardstick_shows_the_same_scene():
     assert np.mean(sky == ~frame.valid) > 0.99
     buffer = geometry_buffer(scene, view)
     eye, _ = view.in_frame(buffer.frame)
-    near = (buffer.kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)
+    near = (buffer.surface_kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)
     near &= buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 0.1
     darker, dark = (plain - shadowed_picture).max(axis=2)[near] > 20, frame.visibility[near] < 0.5
     assert 0.05 < dark.mean() < 0.9

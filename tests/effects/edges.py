@@ -122,7 +122,7 @@ class EffectComparison:
     @staticmethod
     def _picture(scene: Scene, effect: str, override: str) -> tuple[np.ndarray, bool]:
         level = scene.loaded.level
-        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: override}})
+        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].required_effects, "on"), effect: override}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
         frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))

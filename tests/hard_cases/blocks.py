@@ -87,7 +87,7 @@ def axis_at_angle(to_sun: np.ndarray, other_direction: np.ndarray, angle_deg: fl
 def ground_intersections(view: PerspectiveView, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where the rays of a camera's masked pixels meet the plane z = 0: east and north (n,), metres."""
     row, col = np.nonzero(mask)
-    image_x, image_y = (view.col0 + col * view.step) / view.focal_px, (view.row0 + row * view.step) / view.focal_px
+    image_x, image_y = (view.col0 + col * view.step_px) / view.focal_px, (view.row0 + row * view.step_px) / view.focal_px
     ray = np.stack([image_x, image_y, np.ones(len(row))], axis=-1) @ view.earth_from_camera.T
     with np.errstate(divide="ignore", invalid="ignore"):
         east_north = view.eye_earth_m[:2] - ray[:, :2] * (view.eye_earth_m[2] / ray[:, 2:])
@@ -101,7 +101,7 @@ def closed_form_truth(rendered: RenderedView, hulls: Sequence[shapely.Polygon]) 
     """
     view = rendered.view
     assert isinstance(view, PerspectiveView)
-    valid = rendered.buffer.valid & (rendered.buffer.kind == RELIEF)
+    valid = rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF)
     dark, decidable = np.zeros(valid.shape, bool), valid.copy()
     dark[valid] = points_in_polygons(*ground_intersections(view, valid), hulls)
     for jittered in jittered_views(view, 4):
@@ -136,7 +136,7 @@ def ground_error_metrics(rendered: RenderedView, truth: Truth, hulls: Sequence[s
     wrong = truth.decidable & (dark != true_dark)
     interior = interior_region(truth, texels_px) & truth.decidable & (wrong | true_dark)
     points = np.stack([*ground_intersections(view, interior), np.zeros(np.count_nonzero(interior))], axis=-1)
-    texel_m = texels_px[interior] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
+    texel_m = texels_px[interior] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel_tangent
     outline = shapely.union_all(hulls).boundary
     interior[interior] = shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m
     edges_px = edge_distances(dark, true_dark, truth.valid)

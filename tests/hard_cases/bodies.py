@@ -51,7 +51,7 @@ def _applicable_truth(rendered: RenderedView, truth: Truth | None) -> Truth:
     """
     truth = truth or rendered.truth
     if any(step.algorithm == "planar" for step in rendered.plan.steps_of_light(rendered.light)):
-        truth = replace(truth, decidable=truth.decidable & (rendered.buffer.kind == RELIEF))
+        truth = replace(truth, decidable=truth.decidable & (rendered.buffer.surface_kind == RELIEF))
     return truth
 
 
@@ -84,7 +84,7 @@ def truth_of_boxes(rendered: RenderedView, boxes: list[trimesh.Trimesh], to_sun:
         ends = (mesh.bounds[:, None, None] - points) / to_sun
         entered, left = np.minimum(*ends).max(axis=-1), np.maximum(*ends).min(axis=-1)
         dark |= left > np.maximum(entered, 0.0)
-    ground = rendered.buffer.valid & (rendered.buffer.kind == RELIEF)
+    ground = rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF)
     uniform = [binary_erosion(ground & mask, structure=np.ones((3, 3))) for mask in (dark, ~dark)]
     return Truth(ground & ~dark, np.zeros_like(dark), uniform[0] | uniform[1], ground)
 

@@ -37,7 +37,8 @@ from skugga.shadows.truth.metrics import (
 )
 from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.shadows.visibility import fill_steps
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer

@@ -45,7 +45,7 @@ def _camera_above(
 ) -> PerspectiveView:
     """Return a camera that looks down at a square round a place in the raster's CRS, from a little south of it."""
     elevation = scene.elevation
-    point, up = scene.world.ground(elevation.crs, np.float64(at[0]), np.float64(at[1]))
+    point, up = scene.world.points_at_zero_height(elevation.crs, np.float64(at[0]), np.float64(at[1]))
     distance_m = extent_m / 2 / np.tan(np.radians(FOV_DEG / 2))
     low_m, high_m = height_range_m
     north = scene.world.earth_from_enu(point, up)[:, 1]

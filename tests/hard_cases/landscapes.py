@@ -90,7 +90,7 @@ class FarPeak:
         x, y, _ = self.scene.world.map_position(self.scene.elevation.crs, earth)
         in_lateral_range = np.abs(x - self.edge[0]) <= self.half_width
         result = np.full(x.shape, np.nan)
-        if self.scene.world.flat:
+        if self.scene.world.is_flat:
             result[in_lateral_range] = y[in_lateral_range] - self.edge[1]
         else:
             edge = np.full(np.count_nonzero(in_lateral_range), self.edge[1])

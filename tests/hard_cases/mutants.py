@@ -41,8 +41,8 @@ def _no_snapping() -> None:
 def _float32_world() -> None:
     from skugga.terrain.geo.world import World
 
-    ground = World.ground
-    World.ground = lambda self, crs, x, y: ground(self, crs, _round_to_float32(x), _round_to_float32(y))  # type: ignore[method-assign]
+    ground = World.points_at_zero_height
+    World.points_at_zero_height = lambda self, crs, x, y: ground(self, crs, _round_to_float32(x), _round_to_float32(y))  # type: ignore[method-assign]
 
 
 def _round_to_float32(values: Any) -> np.ndarray:

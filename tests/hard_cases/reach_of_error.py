@@ -96,7 +96,7 @@ def _unexplained(rendered: RenderedView, pixel_indices: np.ndarray, dark: np.nda
             a.reshape(-1, 3)[pixel_indices].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, lifts)
         )
         for moves in _candidate_moves(rendered, step, pixel_indices, to_sun, points, normals, facing.crease.ravel()[pixel_indices]):
-            unexplained &= rays.blocked(points + moves + rays.offset_m * lift, to_sun) != dark
+            unexplained &= rays.is_blocked(points + moves + rays.offset_m * lift, to_sun) != dark
     return unexplained
 
 
@@ -130,7 +130,7 @@ def _pixel_m(rendered: RenderedView, points: np.ndarray) -> np.ndarray:
     """Return the side of a pixel at points (n, 3), metres."""
     if isinstance(rendered.view, PerspectiveView):
         eye, _ = rendered.view.in_frame(rendered.buffer.frame)
-        return np.linalg.norm(points - eye, axis=1) * rendered.view.pixel
+        return np.linalg.norm(points - eye, axis=1) * rendered.view.pixel_tangent
     position = rendered.buffer.position_frame_m
     steps = (np.linalg.norm(np.diff(position, axis=axis), axis=-1) for axis in (0, 1))
     return np.full(len(points), max(float(np.nanmax(step, initial=0.0)) for step in steps))

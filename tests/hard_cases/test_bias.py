@@ -162,7 +162,7 @@ def test_a_cube_touches_its_shadow(trial: Trial) -> dict[str, float]:
             option_sets = [{}] if trial.algorithm != "shadow_map" else [{}, {"filter": 1}, {"filter": 1, "bias": "normal_offset"}]
             for options in option_sets:
                 rendered = trial.render_view(sunlit_scene, view, map_size=96, **options)
-                assert altitude > 10 or (rendered.dark & (rendered.buffer.kind == RELIEF)).any(), "there is a shadow"
+                assert altitude > 10 or (rendered.dark & (rendered.buffer.surface_kind == RELIEF)).any(), "there is a shadow"
                 worst = max(worst, gap_texels(rendered, from_sun, 0.5, 1.0 / np.tan(np.radians(altitude))))
     return {"gap_texels": worst}
 
@@ -177,7 +177,9 @@ def gap_texels(rendered: RenderedView, from_sun: np.ndarray, foot_m: float, leng
     pixel_m = describe(rendered.scene, rendered.view).pixel_m
     texel_px = texel_footprint_px(rendered.scene, rendered.plan.steps[0], rendered.buffer, pixel_m)
     unit_m = pixel_m * np.broadcast_to(np.maximum(texel_px, 1.0), distance_m.shape)
-    behind_wall = (rendered.buffer.kind == RELIEF) & (distance_m > 0.0) & (distance_m < 0.6 * length_m) & (np.abs(lateral_m) < 0.3)
+    behind_wall = (
+        (rendered.buffer.surface_kind == RELIEF) & (distance_m > 0.0) & (distance_m < 0.6 * length_m) & (np.abs(lateral_m) < 0.3)
+    )
     return float((distance_m / unit_m)[behind_wall & ~rendered.dark].max(initial=0.0))
 
 

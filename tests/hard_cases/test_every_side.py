@@ -52,7 +52,7 @@ def raster_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], p
     scene = trial.scene(trial.raster(np.ascontiguousarray(heights), ENGINEERING, 0.0, side_m, CELL_M), (0.0, 45.0))
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     view = scene.view(bounds=(0.0, 0.0, side_m, side_m), size=(pixels, pixels))
-    assert isinstance(view, MapView) and view.on_nodes == (pixels == len(heights))
+    assert isinstance(view, MapView) and view.is_on_nodes == (pixels == len(heights))
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)

@@ -124,12 +124,12 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     size, map_size = (512, 2048) if trial.thorough else (256, 1024)
     options = {"cascades": 4} if trial.algorithm == "shadow_map" else {}
     rendered = trial.render_view(scene, scene.view("eye", size=(size, size)), map_size=map_size, **options)
-    assert not (rendered.buffer.kind == MESHES).any(), "the beam is not in the view"
+    assert not (rendered.buffer.surface_kind == MESHES).any(), "the beam is not in the view"
     point = rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
     beyond_m = np.abs(point[..., 0]) - half_m  # from the strip's edge
     distance_m = eye_distances(rendered.buffer.position_frame_m, rendered.view.in_frame(rendered.buffer.frame)[0])
-    margin_m = distance_m * rendered.view.pixel
+    margin_m = distance_m * rendered.view.pixel_tangent
     if trial.algorithm == "shadow_map":
         cascades = rendered.plan.steps[0].settings.cascades
         number = np.searchsorted([cascade.far_m for cascade in cascades[:-1]], distance_m)

@@ -110,7 +110,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
                 options = {"map_size": round(side_m / texel_m) + 25, "filter": 1, "cascades": 1, "fit": "tight"}
                 rendered = trial.render_view(scene, view, **options)
             assert len(rendered.buffer.tree_instances) == len(places)
-            area = (rendered.dark & (rendered.buffer.kind == RELIEF)).sum() * (side_m / px) ** 2
+            area = (rendered.dark & (rendered.buffer.surface_kind == RELIEF)).sum() * (side_m / px) ** 2
             coverage_difference = area / (len(places) * CROWN_M**2) - share
             worst = max(worst, abs(coverage_difference))
     return {"coverage": worst}
@@ -122,7 +122,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
 def pixels_of(view: PerspectiveView, points_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the nearest pixels of points (n, 3) before a camera: rows and columns (n,), some outside the picture."""
     x, y, depth_m = ((points_earth_m - view.eye_earth_m) @ view.earth_from_camera).T
-    row, col = (((v / depth_m) * view.focal_px - first) / view.step for v, first in ((y, view.row0), (x, view.col0)))
+    row, col = (((v / depth_m) * view.focal_px - first) / view.step_px for v, first in ((y, view.row0), (x, view.col0)))
     return np.rint(row).astype(int), np.rint(col).astype(int)
 
 
@@ -131,13 +131,13 @@ def flicker_between(first: RenderedView, second: RenderedView) -> tuple[float, i
 
     The second result is the number of these points in shadow.
     """
-    row, col = np.nonzero(first.truth.decidable & (first.buffer.kind == RELIEF))
+    row, col = np.nonzero(first.truth.decidable & (first.buffer.surface_kind == RELIEF))
     frame = first.buffer.frame
     i, j = pixels_of(second.view, first.buffer.position_frame_m[row, col] @ frame.frame_from_earth + frame.origin_earth_m)  # type: ignore[arg-type]
     rows, cols = second.dark.shape
     inside = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
     row, col, i, j = row[inside], col[inside], i[inside], j[inside]
-    comparable = second.truth.decidable[i, j] & (second.buffer.kind[i, j] == RELIEF)
+    comparable = second.truth.decidable[i, j] & (second.buffer.surface_kind[i, j] == RELIEF)
     changed = flicker(first.dark[row, col], second.dark[i, j], ~first.truth.lit[row, col], ~second.truth.lit[i, j], comparable)
     return changed, int((comparable & ~first.truth.lit[row, col]).sum())
 
@@ -244,7 +244,7 @@ def test_stands(trial: Trial) -> dict[str, float]:
     eye = np.array([0.0, -0.75 * side_m, 0.3 * side_m])
     view = look_at(eye, np.array([0.0, -0.1 * side_m, 0.0]), UP, 40.0, *_size(trial))
     assert scene.objects.trees is not None
-    count = len(scene.objects.trees.rank)
+    count = len(scene.objects.trees.thinning_rank)
     assert count > (990_000 if trial.thorough else 19_000)
     rendered = trial.render_view(scene, view.finer(SAMPLES_PER_SIDE), map_size=texels)
     error, shadow = shadow_coverage_error(rendered, blocks)

@@ -16,7 +16,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import Grid, MapView
-from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.sun import apparent_sun_position
 from skugga.terrain.geo.world import WGS84
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -171,7 +171,7 @@ SAME_PLACE_BY_CRS = {
 def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
     """The expected sun is that of one time at each place, computed by the library that the engine uses."""
     time = datetime.fromisoformat("2024-10-21T15:00:00-05:00")
-    azimuth, altitude, _ = apparent_position(time, -85.3, 36.1)
+    azimuth, altitude, _ = apparent_sun_position(time, -85.3, 36.1)
     length_m, outline_error, sun_error_deg = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0
     tested_places = (
         SAME_PLACE_BY_CRS if trial.thorough else {name: SAME_PLACE_BY_CRS[name] for name in ("geographic", "state plane in feet")}
@@ -226,7 +226,7 @@ def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
         if name == "85 degrees north" and not trial.thorough:
             continue
         time = datetime.fromisoformat(MIDSUMMER.get(name, "2024-06-21T07:00:00+00:00"))
-        sun = apparent_position(time, place.lon, place.lat)[:2]
+        sun = apparent_sun_position(time, place.lon, place.lat)[:2]
         scene = mast(trial, place, (0.0, 10.0), name).with_sun(SunSpec(time=time))
         tolerance_m = np.radians(0.1) * MAST_M / np.sin(np.radians(sun[1]))
         outline_error = max(outline_error, relative_outline_error(trial, scene, place, sun, tolerance_m))
@@ -243,7 +243,7 @@ def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
         lon, lat, _ = WGS84.fwd(place.lon, place.lat, bearing, 10_000.0)
         origin_m = np.array(_to_earth().transform(lon, lat, 0.0))
         east, north, _ = _to_local(lon, lat).transform(*(origin_m + 1e6 * scene.sun.to_sun_earth))
-        error_deg = np.degrees(np.arctan2(east, north)) - apparent_position(time, lon, lat)[0]
+        error_deg = np.degrees(np.arctan2(east, north)) - apparent_sun_position(time, lon, lat)[0]
         worst = max(worst, abs(float((error_deg + 180.0) % 360.0 - 180.0)))
     return worst
 

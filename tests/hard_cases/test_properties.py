@@ -189,8 +189,8 @@ def matrix_errors(rendered: RenderedView) -> tuple[float, float]:
     A projection applies to the cube round the visible points: the origin's distance does not count.
     """
     buffer, scene = rendered.buffer, rendered.scene
-    assert scene.light is not None
-    rotations = [scene.light.light_from_earth, buffer.frame.frame_from_earth]
+    assert scene.light_space is not None
+    rotations = [scene.light_space.light_from_earth, buffer.frame.frame_from_earth]
     projections = []
     if isinstance(rendered.view, PerspectiveView):
         rotations.append(rendered.view.earth_from_camera)

@@ -48,7 +48,7 @@ def _pixels_of(first_picture: RenderedView, other_picture: RenderedView) -> tupl
     assert isinstance(view, PerspectiveView)
     earth_m = first_picture.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
     right_m, down_m, depth_m = np.moveaxis((earth_m - view.eye_earth_m) @ view.earth_from_camera, -1, 0)
-    pixel = [(v / depth_m * view.focal_px - first) / view.step for v, first in ((down_m, view.row0), (right_m, view.col0))]
+    pixel = [(v / depth_m * view.focal_px - first) / view.step_px for v, first in ((down_m, view.row0), (right_m, view.col0))]
     visible = first_picture.buffer.valid & (depth_m > 0.0)
     row, col = (np.where(visible, np.rint(v), -1).astype(int) for v in pixel)
     visible &= (row >= 0) & (row < view.rows) & (col >= 0) & (col < view.cols)
@@ -57,7 +57,7 @@ def _pixels_of(first_picture: RenderedView, other_picture: RenderedView) -> tupl
         other_picture.buffer.position_frame_m[row, col] @ other_picture.buffer.frame.frame_from_earth
         + other_picture.buffer.frame.origin_earth_m
     )
-    apart_px = np.linalg.norm(beside_m - earth_m, axis=-1) / (depth_m * view.pixel)
+    apart_px = np.linalg.norm(beside_m - earth_m, axis=-1) / (depth_m * view.pixel_tangent)
     return visible & other_picture.buffer.valid[row, col] & (apart_px < 4.0), row, col
 
 
@@ -199,7 +199,7 @@ def _whole_pixel_flicker(trial: Trial) -> float:
     scene = site(trial)
     px, size = (256, 512) if trial.thorough else (128, 128)
     view = scene.view(bounds=(-100.3, -99.1, 91.7, 92.9), size=(px, px))
-    assert isinstance(view, MapView) and not view.on_nodes
+    assert isinstance(view, MapView) and not view.is_on_nodes
     count = (600 if trial.algorithm == "shadow_map" else 60) if trial.thorough else 4
     shifts = np.random.default_rng(5).integers(-3, 4, (count, 2))
     picture, worst = trial.render_view(scene, view, map_size=size), 0.0

@@ -170,7 +170,7 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
         scene = trial.scene(FLOOR, sun=(180, 60), meshes=[stacked_plates(count)], name=f"plates_{count}", views=views)
         for name in views if trial.algorithm != "perspective_shadow_map" else list(views)[:2]:
             rendered = trial.render_view(scene, scene.view(name, size=picture_size(trial.thorough)))
-            floor = (rendered.buffer.kind == RELIEF) & rendered.buffer.valid
+            floor = (rendered.buffer.surface_kind == RELIEF) & rendered.buffer.valid
             x, y, _ = np.moveaxis(rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m, -1, 0)
             first_m, last_m = np.array([1.0, 1.0 + 0.05 * (count - 1)]) / np.tan(np.radians(60.0))
             inside_m = np.minimum(3.0 - np.abs(x), np.minimum(y - first_m + 3.0, last_m + 3.0 - y))

@@ -58,7 +58,7 @@ def view_from_above(scene: Scene, px: int) -> MapView:
 
 def true_shadow(rendered: RenderedView, hulls: list[shapely.Polygon]) -> np.ndarray:
     """Return which pixels of the ground lie in the wires' shadow, by their centres, bool (rows, cols)."""
-    ground, result = rendered.buffer.valid & (rendered.buffer.kind == RELIEF), np.zeros(rendered.dark.shape, bool)
+    ground, result = rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF), np.zeros(rendered.dark.shape, bool)
     points = (
         rendered.buffer.position_frame_m[ground] @ rendered.buffer.frame.frame_from_earth + rendered.buffer.frame.origin_earth_m
     )
@@ -97,7 +97,7 @@ def test_wires(trial: Trial) -> dict[str, float]:
         rendered = trial.render_view(scene, view, **options)
         other = replace(trial, algorithm=counterparts[trial.algorithm]).render_view(scene, view, **options)
         hulls = shadow_polygons(bodies, SUN)
-        is_shadow, ground = true_shadow(rendered, hulls), rendered.buffer.valid & (rendered.buffer.kind == RELIEF)
+        is_shadow, ground = true_shadow(rendered, hulls), rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF)
         assert is_shadow.sum() > 100, f"{is_shadow.sum()} pixels of shadow, {width} texels wide"
         is_wrong = far_from_outlines(rendered, ground & (rendered.dark != is_shadow), hulls, SIDE_M / px / 256.0)
         differ = (rendered.dark != other.dark) & ground

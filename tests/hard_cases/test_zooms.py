@@ -25,7 +25,7 @@ def share_of_shadow(trial: Trial, scene: Scene, side_px: int, zooms_below: int) 
     x, y = (float(value) for value in scene.world.map_position(scene.map_crs, scene.world.anchor_earth_m)[:2])
     half, pixels = side_px * PIXEL_M / 2, side_px // 2**zooms_below
     view = scene.view(bounds=(x - half, y - half, x + half, y + half), size=(pixels, pixels))
-    assert isinstance(view, MapView) and view.on_nodes
+    assert isinstance(view, MapView) and view.is_on_nodes
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
     # A block of the view's own size, without the rest of the blocks that tiles are cut from.
     block = render.render_block(scene, view, plan, PassLog(), "means")

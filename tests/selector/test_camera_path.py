@@ -126,7 +126,7 @@ def level(scene) -> Level:
 
 
 def moment(scene: Scene, pose: CameraPose) -> Moment:
-    (eye, up_vector), (target, _) = (scene.geolocator.above_ground(point, "place") for point in pose)
+    (eye, up_vector), (target, _) = (scene.geolocator.point_above_ground(point, "place") for point in pose)
     view = look_at(eye, target, up_vector, FOV_DEG, ROWS, COLS)
     return Moment(scene, view, describe(scene, view, "flight"))
 

@@ -52,7 +52,7 @@ def random_windows(scene: Scene, random: np.random.Generator, count: int) -> Ite
     """Yield random windows on a level, on and off tile pixels, under suns of all altitudes."""
     for number in range(count):
         sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUN_ALTITUDES_DEG[number % len(SUN_ALTITUDES_DEG)])
-        if scene.world.flat:
+        if scene.world.is_flat:
             whole = scene.view()
             west, south, east, north = whole.bounds
             side = 0.3 * min(east - west, north - south)
@@ -112,7 +112,7 @@ def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
     """Under a high sun over gentle ground no shadow pass runs, though the level's plan lists it."""
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro.yaml")).with_sun(SunSpec(azimuth=200.0, altitude=50.0))
     random = np.random.default_rng(3)
-    _, view = next((lit, view) for lit, view in random_windows(scene, random, 50) if view.on_nodes)
+    _, view = next((lit, view) for lit, view in random_windows(scene, random, 50) if view.is_on_nodes)
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 14)
     (top, bottom), (left, right) = extent_on_grid(scene.world, scene.elevation, grid)
     view = MapView(grid, float((top + bottom) // 2), float((left + right) // 2), 1.0, 1.0, 200, 200)

@@ -51,7 +51,7 @@ def single_kind_override(algorithm: str, kind: str) -> dict[str, str]:
 
 
 def test_village_has_casters_of_all_kinds(gl, village, buffer):
-    assert village.objects.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
+    assert village.objects.caster_kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.surface_kind))
     for kind in KINDS:
         kind_truth = truth(village, buffer, (kind,))
         assert 0.01 < (~kind_truth.lit & ~kind_truth.attached & kind_truth.valid).sum() / kind_truth.valid.sum() < 0.5

@@ -134,7 +134,7 @@ def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size
     """Pixels are coarse, of about the data's size, or magnified. None lies on a node, and all are equal to the bit."""
     scene = hills(225.0, altitude)
     view = scene.view(size=size)
-    assert isinstance(view, MapView) and not view.on_nodes
+    assert isinstance(view, MapView) and not view.is_on_nodes
     plan = plan_of(scene, view)
     assert can_draw_from_heights(scene, view, plan, COLOR_NEEDS)
     frame = render_frame(scene, view, plan)

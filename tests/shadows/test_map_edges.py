@@ -105,7 +105,7 @@ def test_outline_of_a_mesh_is_antialiased(gl, tower):
     """The roof stays white inside. On its rim the colour is a mean over the pixel, ground included."""
     view = view_of(tower)
     antialiased, point_frame = render(tower, view, algorithm="shadow_map"), render_at_points(tower, view, algorithm="shadow_map")
-    fine_mesh_mask = geometry_buffer(tower, view.finer(16)).kind == MESHES
+    fine_mesh_mask = geometry_buffer(tower, view.finer(16)).surface_kind == MESHES
     share = block_means(fine_mesh_mask.astype(float), 16)
     rim, roof = (share > 0.2) & (share < 0.8), share == 1.0
     assert rim.sum() > 30 and roof.sum() > 150
@@ -128,9 +128,9 @@ def test_edge_pixels_lie_where_class_or_object_changes(ridge):
     np.testing.assert_array_equal(edge_pixels(buffer, [lit]), expected_edges)
     np.testing.assert_array_equal(edge_pixels(buffer, [np.ones_like(lit), lit]), expected_edges)
     np.testing.assert_array_equal(edge_pixels(buffer, [np.where(lit == 0.0, np.float32(0.6), lit)]), block_border)  # a penumbra
-    kind = buffer.kind.copy()
+    kind = buffer.surface_kind.copy()
     kind[5, 5] = MESHES
-    np.testing.assert_array_equal(edge_pixels(replace(buffer, kind=kind), [np.ones_like(lit)]), expected_edges)
+    np.testing.assert_array_equal(edge_pixels(replace(buffer, surface_kind=kind), [np.ones_like(lit)]), expected_edges)
     assert not edge_pixels(buffer, []).any()
     valid = buffer.valid.copy()
     valid[0] = False

@@ -183,7 +183,7 @@ def test_sweep_opens_no_device_and_records_no_draws(write_raster, make_scene, mo
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 40, 1.0))
     monkeypatch.setattr(gl_module, "_device", None)
     frame = render_frame(scene, scene.view(), plan_of(scene, scene.view(), algorithm="sweep"))
-    assert not gl_module.is_open() and len(frame.passes) > 2
+    assert not gl_module.is_device_open() and len(frame.passes) > 2
     assert all((record.draws, record.programs, record.textures) == (0, (), ()) for record in frame.passes)
 
 

@@ -21,7 +21,8 @@ from skugga.shadows.planar import clip_from_plane, plane_projection
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.truth import TruthSettings, trace_truth
 from skugga.shadows.truth.truth import fill_visibility as truth_fill
-from skugga.terrain.casters.reach import NO_CASTERS, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -77,7 +78,7 @@ def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tup
     """Return the wrong share of decidable ground pixels, and the share of them in shadow."""
     buffer = geometry_buffer(scene, view)
     reference = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
-    ground = reference.decidable & (buffer.kind == RELIEF)
+    ground = reference.decidable & (buffer.surface_kind == RELIEF)
     mismatch = ground & ((visibility < 0.5) != ~reference.lit)
     return mismatch.sum() / ground.sum(), (ground & ~reference.lit).sum() / ground.sum()
 
@@ -107,7 +108,7 @@ def test_clip_from_plane_maps_points_to_their_pixels(build, kind):
     scene = build()
     view = view_of(scene, kind).part(20, 31, 150, 170)
     buffer = geometry_buffer(scene, view)
-    row, col = np.nonzero(buffer.kind == RELIEF)
+    row, col = np.nonzero(buffer.surface_kind == RELIEF)
     origin = np.array([3.0, -7.0, 0.0])
     points = np.column_stack([buffer.position_frame_m[row, col] - origin, np.ones(len(row))])
     x, y, _, w = clip_from_plane(scene.world, buffer.frame, view, origin) @ points.T
@@ -168,7 +169,7 @@ def test_planar_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
     view = view_of(scene, kind)
     frame = render(scene, view, algorithm="planar")
     buffer = geometry_buffer(scene, view)
-    assert {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
+    assert {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.surface_kind))
     error_share, shadow_share = ground_errors(scene, view, frame.visibility, light)
     assert error_share <= 1e-3 and shadow_share > 0.02
     assert PassLog.pass_names(light, ("relief", "meshes", "forest"), planar.PASSES) == [n for n in frame.plan.passes if "/" in n]
@@ -185,7 +186,7 @@ def test_planar_samples_match_rays_from_their_points(gl, build, light):
     kinds = scene.objects.kinds
     visibility = planar.fill_visibility(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
     reference = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
-    samples = (buffer.kind == RELIEF) & ~attached_shadow_mask(buffer, scene, light)
+    samples = (buffer.surface_kind == RELIEF) & ~attached_shadow_mask(buffer, scene, light)
     samples[: view.rows] = False
     dark_count = (reference < 0.5)[samples].sum()
     assert dark_count > 500 and dark_count < 0.95 * samples.sum()
@@ -223,7 +224,7 @@ def test_planar_casters_receive_no_shadow(gl, build):
     buffer = geometry_buffer(scene, view)
     kinds = scene.objects.kinds
     visibility = planar.fill_visibility(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
-    on_mesh = buffer.kind == MESHES
+    on_mesh = buffer.surface_kind == MESHES
     assert (visibility[on_mesh] == 1.0).all()
     reference = truth_fill(buffer, scene, SUN, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
     assert (reference < 0.5)[on_mesh & ~attached_shadow_mask(buffer, scene)].mean() > 0.05
@@ -274,7 +275,7 @@ def test_planar_light_below_the_ground_lights_none_of_it(gl, build, height_m):
     view = view_of(scene, "perspective")
     frame = render(scene, view, algorithm="planar")
     assert not np.nan_to_num(frame.visibilities[SUN]).any()
-    ground = geometry_buffer(scene, view).kind == RELIEF
+    ground = geometry_buffer(scene, view).surface_kind == RELIEF
     assert frame.visibilities["lamp"][ground].any() == (height_m > 0.0)
 
 

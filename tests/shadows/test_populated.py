@@ -98,7 +98,7 @@ def test_shadow_coverage_of_a_wood_is_near_truth(gl, build, kind):
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
     shares = coverage_truth(buffer, scene, casters, 16, max_blocks=48, sample_count=16)
-    assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
+    assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.surface_kind == FOREST).mean() > 0.1
     rendered_shares = block_shadow_shares(1.0 - frame.visibility)
     assert coverage_error(rendered_shares, shares) <= 0.02
     inverted_error = coverage_error(block_shadow_shares(frame.visibility), shares)
@@ -115,7 +115,11 @@ def test_shadows_of_buildings_have_no_interior_error(gl, build, kind, altitude):
     reference = trace_truth(buffer, scene, find_casters(scene, buffer))
     metrics = error_metrics(frame.visibility, reference, describe(scene, view).pixel_m, 0.5)
     cast_shadow = ~reference.lit & ~reference.attached_shadow_mask & reference.valid
-    assert 0.02 < cast_shadow.sum() / reference.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
+    assert (
+        0.02 < cast_shadow.sum() / reference.valid.sum()
+        and (buffer.surface_kind == MESHES).any()
+        and (buffer.surface_kind == RELIEF).any()
+    )
     assert (
         metrics.interior <= MAX_INTERIOR_SHARE
         and metrics.interior_parts == 0
@@ -141,7 +145,7 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
     assert (
         np.prod(list(reference.values()), axis=0) != combined
     ).mean() < 1e-4  # the offset of a ray's start depends on its casters
-    ground = buffer.valid & (buffer.kind == RELIEF)
+    ground = buffer.valid & (buffer.surface_kind == RELIEF)
     masks = {}
     for kind in all_kinds:
         algorithm = {other: "shadow_map" if other == kind else "none" for other in all_kinds}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.terrain.cache import MISSING, Cache, bytes_of, cached, caches, clear_caches, clear_scene_caches
+from skugga.terrain.cache import MISSING, Cache, cached, caches, clear_caches, clear_scene_caches, estimated_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -129,10 +129,10 @@ def test_caches_are_listed_by_name_while_they_live():
 
 def test_bytes_of_counts_nested_values_once():
     array = np.zeros(1000)
-    assert bytes_of(array) == 8000
-    assert 8000 < bytes_of((array, array)) < 8200, "the same array counts once"
-    assert 16000 < bytes_of({"a": [array], "b": np.zeros(1000)}) < 16800
-    assert bytes_of(None) == 0
+    assert estimated_bytes(array) == 8000
+    assert 8000 < estimated_bytes((array, array)) < 8200, "the same array counts once"
+    assert 16000 < estimated_bytes({"a": [array], "b": np.zeros(1000)}) < 16800
+    assert estimated_bytes(None) == 0
 
 
 def own_cache_names(source: str) -> list[str]:

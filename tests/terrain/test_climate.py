@@ -11,7 +11,7 @@ from morecantile import tms as matrix_sets
 from skugga.shadows.draw import SHADING_NEEDS, can_draw_from_heights
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
-from skugga.terrain.climate import ARID_RAMP, ICE_RAMP, LATITUDE_ROWS, TUNDRA_RAMP, climate_srgb, ramp_srgb, snow_line_m
+from skugga.terrain.climate import ARID_RAMP, ICE_RAMP, TINT_LATITUDE_ROWS, TUNDRA_RAMP, climate_srgb, ramp_srgb, snow_line_m
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.parts import StyleSpec
@@ -26,7 +26,7 @@ HEIGHTS_M = np.arange(-500.0, 7001.0, 50.0)
 
 def srgb_at(latitude: float, height: float) -> np.ndarray:
     """Return the colour (3,) in [0, 255] of a place, from the nearest row of the table."""
-    row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (LATITUDE_ROWS - 1))
+    row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (TINT_LATITUDE_ROWS - 1))
     return 255.0 * climate_srgb(STYLE_RAMP, np.array([height]))[row, 0]
 
 
@@ -67,7 +67,7 @@ def test_deserts_have_the_colour_of_sand():
 
 
 def test_middle_latitudes_have_the_ramp_of_the_style():
-    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDE_ROWS)))
+    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, TINT_LATITUDE_ROWS)))
     colors, style_colors = climate_srgb(STYLE_RAMP, HEIGHTS_M), ramp_srgb(STYLE_RAMP, HEIGHTS_M)
     middle = (latitude > 36.0) & (latitude < 60.0)
     below = HEIGHTS_M < snow_line_m(latitude)[:, None] - 250.0
@@ -79,9 +79,9 @@ def test_sea_floor_has_no_climate():
     assert np.allclose(climate_srgb(STYLE_RAMP, np.array([-4000.0, -500.0])), ramp_srgb(STYLE_RAMP, np.array([-4000.0, -500.0])))
 
 
-@pytest.mark.parametrize("name", [name for name, style in STYLES.items() if not style.has_climate])
+@pytest.mark.parametrize("name", [name for name, style in STYLES.items() if not style.has_latitude_tints])
 def test_styles_without_climate_have_one_ramp(name):
-    assert len(tint_table(STYLES[name].ramp, STYLES[name].has_climate)) == 1
+    assert len(tint_table(STYLES[name].ramp, STYLES[name].has_latitude_tints)) == 1
 
 
 RASTERS = {
@@ -136,8 +136,8 @@ def test_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, he
         level = buffer.valid & (np.abs(buffer.height_m - height) < 0.01)
         table = tint_table(STYLE_RAMP, True)
         for k in range(3):
-            table_row = (sine[level] + 1.0) / 2.0 * (LATITUDE_ROWS - 1)
+            table_row = (sine[level] + 1.0) / 2.0 * (TINT_LATITUDE_ROWS - 1)
             column = np.array([np.interp(height, -512.0 + 8.0 * np.arange(table.shape[1]), row[:, k]) for row in table])
-            np.testing.assert_allclose(albedo[level][:, k], np.interp(table_row, np.arange(LATITUDE_ROWS), column), atol=2e-6)
+            np.testing.assert_allclose(albedo[level][:, k], np.interp(table_row, np.arange(TINT_LATITUDE_ROWS), column), atol=2e-6)
         level_pixel_counts.append(level.sum())
     assert min(level_pixel_counts) > 500

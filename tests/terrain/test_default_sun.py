@@ -68,7 +68,9 @@ def test_default_sun_is_up_over_a_whole_country(tmp_path):
     scene = build_scene(load_level(write_geotiff(tmp_path / "g.tif", heights, "EPSG:2193", 1_000e3, 6_000e3, (10_000.0, 10_000.0))))
     assert scene.sun is not None and scene.sun.altitude_deg < 15.0
     west, south, east, north = scene.elevation.bounds
-    _, up = scene.world.ground(scene.elevation.crs, np.array([west, west, east, east]), np.array([south, north, south, north]))
+    _, up = scene.world.points_at_zero_height(
+        scene.elevation.crs, np.array([west, west, east, east]), np.array([south, north, south, north])
+    )
     corners_deg = np.degrees(np.arcsin(up @ scene.sun.to_sun_earth))
     assert 2.0 < corners_deg.min() < 8.0
 

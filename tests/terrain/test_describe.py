@@ -268,7 +268,7 @@ def test_bands_contain_the_visible_points_and_little_more(tmp_path):
         sides_m = np.subtract(band.high_light_m, band.low_light_m)
         assert (sides_m <= 2.2 * band.far_m).all(), f"the band of {band.far_m} m spans {sides_m} m in light space"
     buffer = geometry_buffer(scene, view)
-    rotation, translation = scene.light.from_frame(buffer.frame)
+    rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     points = buffer.position_frame_m[buffer.valid]
     distance_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
     for band in bands:

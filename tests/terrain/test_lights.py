@@ -19,7 +19,7 @@ from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.world import geocentric
 from skugga.terrain.level.level import SUN, parse_algorithm
-from skugga.terrain.lights import CONE_FADE_SHARE, axes_along
+from skugga.terrain.lights import CONE_EDGE_FADE_SHARE, axes_along
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import FLAT_GROUND_ALBEDO, LEVEL_GROUND_EXPOSURE, shade
 from tests.rasters import ENGINEERING
@@ -110,9 +110,9 @@ def test_spot_on_the_globe_has_its_position_and_target(write_raster, make_scene)
     position, target = p + 280.0 * up, q + 252.0 * up_q
     np.testing.assert_allclose(beam.position_earth_m, position, atol=1e-6)
     np.testing.assert_allclose(beam.earth_from_lamp[:, 2], (target - position) / np.linalg.norm(target - position), atol=1e-12)
-    assert beam.reference_m == pytest.approx(np.linalg.norm(target - position)) and beam.cutoff_deg == 25.0
+    assert beam.reference_distance_m == pytest.approx(np.linalg.norm(target - position)) and beam.cutoff_deg == 25.0
     np.testing.assert_allclose(bulb.earth_from_lamp[:, 2], -up, atol=1e-12)
-    assert bulb.cutoff_deg == 180.0 and bulb.reference_m == 1.0  # at least a metre
+    assert bulb.cutoff_deg == 180.0 and bulb.reference_distance_m == 1.0  # at least a metre
     assert scene.light_names == (SUN, "beam", "bulb")
 
 
@@ -136,7 +136,7 @@ def test_spot_fades_out_at_its_rim(floor, make_scene):
     lamp_color = (color_under_lights(scene, view, ("lamp",)) - color_under_lights(scene, view, ()))[..., 0]
     angle = np.degrees(np.arctan2(np.hypot(x, y), 20.0))
     full_light = FLAT_GROUND_ALBEDO * LEVEL_GROUND_EXPOSURE * 0.5 * np.cos(np.radians(angle)) ** 3
-    inside, outside = angle < 40.0 * (1 - CONE_FADE_SHARE), angle > 40.0
+    inside, outside = angle < 40.0 * (1 - CONE_EDGE_FADE_SHARE), angle > 40.0
     np.testing.assert_allclose(lamp_color[inside], full_light[inside], atol=1e-5)
     np.testing.assert_allclose(lamp_color[outside], 0.0, atol=1e-6)
     rim = ~inside & ~outside
@@ -191,7 +191,7 @@ def test_frame_under_another_light(gl, floor, make_scene, post_mesh):
 
 def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post_mesh):
     scene = make_scene(floor, sun="none", meshes=post_mesh)
-    assert scene.light_names == () and scene.light is None and not scene.sun_is_up
+    assert scene.light_names == () and scene.light_space is None and not scene.sun_is_up
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.valid.all()
     assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "attached", "shading"]
@@ -276,7 +276,7 @@ def test_searchlight_turns_to_its_moving_target(floor, make_scene):
         lamp = scene.at_second(seconds).lamps["lamp"]
         np.testing.assert_allclose(lamp.position_earth_m, [0, 0, 30], atol=1e-6)
         np.testing.assert_allclose(lamp.earth_from_lamp[:, 2] * np.hypot(aim, 30), [aim, 0, -30], atol=1e-6)
-        assert lamp.reference_m == pytest.approx(np.hypot(30, 30))
+        assert lamp.reference_distance_m == pytest.approx(np.hypot(30, 30))
         view, x, y = square_map(scene)
         is_lit = unshadowed_light(scene.at_second(seconds), view, ("lamp",))[1].sum(axis=-1) > 0
         assert x[is_lit].mean() == pytest.approx(aim, abs=3.0) and np.abs(y[is_lit]).max() < 8

@@ -20,7 +20,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.trees.canopy_sample import TREE_HEIGHT_M
+from skugga.terrain.trees.canopy_sample import MIN_TREE_HEIGHT_M
 
 CITY_FOLDER = "urban/goteborg_1m"
 ROOF_M = 0.2
@@ -82,7 +82,7 @@ def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
 @pytest.mark.parametrize("name", PLACES)
 def test_real_place_is_planned_and_drawn(scene_of, name):
     town, scene = PLACES[name], scene_of(name)
-    assert scene.objects.kinds == town.casters
+    assert scene.objects.caster_kinds == town.casters
     for view in (scene.view("air"), scene.view("map", size=(128, 128))):
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level, {})
         assert tuple(plan.algorithm["sun"]) == town.casters
@@ -97,11 +97,11 @@ def test_trees_agree_with_the_canopy(scene_of, shared_data, name):
     town, scene = PLACES[name], scene_of(name)
     trees = scene.objects.trees
     canopy_m, transform = heights_of(shared_data / town.canopy)
-    canopy_m2 = (canopy_m >= TREE_HEIGHT_M).sum() * abs(transform.determinant)
-    crowns_m2 = (np.pi / 4 * trees.crown_m.astype(np.float64) ** 2).sum()
+    canopy_m2 = (canopy_m >= MIN_TREE_HEIGHT_M).sum() * abs(transform.determinant)
+    crowns_m2 = (np.pi / 4 * trees.crown_diameter_m.astype(np.float64) ** 2).sum()
     assert 0.4 < crowns_m2 / canopy_m2 < 1.5
     assert 0.8 * canopy_m.max() < trees.height_m.max() <= canopy_m.max() + 0.01
-    assert trees.height_m.min() >= TREE_HEIGHT_M
+    assert trees.height_m.min() >= MIN_TREE_HEIGHT_M
     x, y, foot_m = scene.objects.trees_in_crs(scene.elevation.crs).T
     np.testing.assert_allclose(foot_m, scene.elevation.ground_m(x, y), atol=1e-3)
     col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
@@ -110,7 +110,7 @@ def test_trees_agree_with_the_canopy(scene_of, shared_data, name):
     # Look at the cell below a tree and at its neighbours, because trees are scattered over coarse cells.
     nearest = np.max([np.roll(canopy_m, shift, (0, 1)) for shift in np.ndindex(3, 3)], axis=0)
     nearest = np.roll(nearest, (-1, -1), (0, 1))
-    assert (nearest[row[inside], col[inside]] >= TREE_HEIGHT_M).mean() > 0.99
+    assert (nearest[row[inside], col[inside]] >= MIN_TREE_HEIGHT_M).mean() > 0.99
 
 
 def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
@@ -148,7 +148,7 @@ def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro_wooded.yaml"))
     houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
     footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]
-    assert scene.objects.kinds == ("relief", "meshes", "forest")
+    assert scene.objects.caster_kinds == ("relief", "meshes", "forest")
     assert len(footprints) == len(scene.objects.solids.is_closed) > 100 and all(scene.objects.solids.is_closed)
     assert heights_m.min() > 2 and heights_m.max() < 25
     x, y, _ = scene.objects.trees_in_crs(scene.elevation.crs).T

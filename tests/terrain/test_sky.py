@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from skugga.terrain.geo.camera import PerspectiveView, look_at
-from skugga.terrain.shading import srgb_encoded
+from skugga.terrain.shading import encode_srgb
 from skugga.terrain.sky import (
-    SKY_HORIZON,
-    SKY_ZENITH,
+    HORIZON_COLOR,
+    ZENITH_COLOR,
     gradient_noise,
     horizon_colors,
     horizontal_sun_direction,
@@ -54,8 +54,8 @@ def picture(scene, view: PerspectiveView) -> np.ndarray:
 
 
 def test_sky_far_from_a_high_sun_has_day_colours():
-    assert color_at(scene_of(60.0), 0.0, 180.0) == pytest.approx(SKY_HORIZON, abs=0.01)
-    assert color_at(scene_of(30.0), 90.0, 0.0) == pytest.approx(SKY_ZENITH, abs=0.04)
+    assert color_at(scene_of(60.0), 0.0, 180.0) == pytest.approx(HORIZON_COLOR, abs=0.01)
+    assert color_at(scene_of(30.0), 90.0, 0.0) == pytest.approx(ZENITH_COLOR, abs=0.04)
 
 
 @pytest.mark.parametrize("altitude_deg", [0.0, 2.0, 5.0])
@@ -110,7 +110,7 @@ def test_dithered_sky_has_no_bands(altitude_deg):
     """
     scene, rows, cols = scene_of(altitude_deg), 120, 160
     view = camera(rows, cols)
-    encoded = srgb_encoded(picture(scene, view)).astype(float)
+    encoded = encode_srgb(picture(scene, view)).astype(float)
     row, col = np.mgrid[0:rows, 0:cols]
     ray = np.stack([(col + view.col0) / view.focal_px, (row + view.row0) / view.focal_px, np.ones(row.shape)], axis=-1)
     ray = ray @ view.earth_from_camera.T

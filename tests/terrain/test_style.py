@@ -11,9 +11,9 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import LEVEL_GROUND_EXPOSURE, SKY_SHARE, shade
+from skugga.terrain.shading import LEVEL_GROUND_EXPOSURE, SKY_IRRADIANCE_SHARE, shade
 from skugga.terrain.shading_loops import (
-    MIN_SKY_FACTOR,
+    MIN_SLOPE_SKY_FACTOR,
     TONE_CURVE_START,
     _exaggerated_cosines,
     _slope_direct_light,
@@ -22,7 +22,7 @@ from skugga.terrain.shading_loops import (
     tone_curve,
 )
 from skugga.terrain.srgb import linear_of_srgb
-from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
+from skugga.terrain.style import STYLES, TINT_HEIGHT_STEP_M, TINT_MIN_HEIGHT_M, tint_table
 from tests.render import plan_of
 
 UTM = "EPSG:32633"
@@ -57,7 +57,7 @@ def color_of(scene: Scene) -> np.ndarray:
 
 @pytest.mark.parametrize("name", STYLES)
 def test_higher_ground_is_not_darker(name):
-    assert (np.diff(lightness(tint_table(STYLES[name].ramp, STYLES[name].has_climate)), axis=1) > -1e-9).all()
+    assert (np.diff(lightness(tint_table(STYLES[name].ramp, STYLES[name].has_latitude_tints)), axis=1) > -1e-9).all()
 
 
 @pytest.mark.parametrize("name", STYLES)
@@ -65,7 +65,7 @@ def test_ramp_has_its_colours_at_its_heights(name):
     (table,), ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
     for height, color in ramp:
         expected = linear_of_srgb(np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]))
-        ramp_position = (height - TINT_LOW_M) / TINT_STEP_M
+        ramp_position = (height - TINT_MIN_HEIGHT_M) / TINT_HEIGHT_STEP_M
         lower_index, share = int(ramp_position), ramp_position - int(ramp_position)
         np.testing.assert_allclose(table[lower_index] + share * (table[lower_index + 1] - table[lower_index]), expected, atol=4e-3)
 
@@ -111,7 +111,7 @@ def test_custom_ramp_replaces_that_of_the_style(write_raster, make_scene):
 
 
 def test_level_ground_keeps_its_brightness(write_raster, make_scene):
-    """Level, lit, white ground shows ``LEVEL_GROUND_EXPOSURE`` of white for any sun above ``EXPOSURE_FLOOR_DEG``.
+    """Level, lit, white ground shows ``LEVEL_GROUND_EXPOSURE`` of white for any sun above ``MIN_EXPOSURE_SUN_ALTITUDE_DEG``.
 
     The sky alone gives its share.
     """
@@ -125,11 +125,16 @@ def test_level_ground_keeps_its_brightness(write_raster, make_scene):
             effects={"sky_view": "off"},
             style={"name": "analysis", "ramp": [[0, "#ffffff"]]},
         )
-        sky = LEVEL_GROUND_EXPOSURE * SKY_SHARE / (1.0 + SKY_SHARE) * np.array(STYLES["analysis"].skylight)
+        sky = (
+            LEVEL_GROUND_EXPOSURE
+            * SKY_IRRADIANCE_SHARE
+            / (1.0 + SKY_IRRADIANCE_SHARE)
+            * np.array(STYLES["analysis"].sky_light_color)
+        )
         np.testing.assert_allclose(centre_color(scene, 0.0), sky, rtol=2e-3)
         np.testing.assert_allclose(
             centre_color(scene, 1.0),
-            [tone_curve(LEVEL_GROUND_EXPOSURE / (1.0 + SKY_SHARE) + sky_term) for sky_term in sky],
+            [tone_curve(LEVEL_GROUND_EXPOSURE / (1.0 + SKY_IRRADIANCE_SHARE) + sky_term) for sky_term in sky],
             rtol=2e-3,
         )
 
@@ -148,8 +153,8 @@ def test_shadowed_slopes_towards_the_sun_get_more_sky(write_raster, make_scene):
         centre_color(plane(write_raster, make_scene, rise, 270.0, 20.0, effects={"sky_view": "off"}, style="grey"), 0.0)[0]
         for rise in (0.5, -0.5)  # the plane that rises eastwards faces west
     )
-    k = STYLES["grey"].sky_towards_sun
-    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SKY_FACTOR) for side in (1.0, -1.0)]
+    k = STYLES["grey"].sunward_sky_light_share
+    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SLOPE_SKY_FACTOR) for side in (1.0, -1.0)]
     assert facing_sun / facing_away == pytest.approx(factors[0] / factors[1], rel=0.02)
     assert facing_sun > 1.5 * facing_away
 
@@ -157,7 +162,7 @@ def test_shadowed_slopes_towards_the_sun_get_more_sky(write_raster, make_scene):
 def test_sky_factor_is_one_on_level_ground_and_bounded():
     for sine in (-0.1, 0.0, 0.3, 0.9, 1.0):
         assert _slope_sky_factor(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
-        assert _slope_sky_factor(-1.0, 0.0, sine, 1.0) >= MIN_SKY_FACTOR
+        assert _slope_sky_factor(-1.0, 0.0, sine, 1.0) >= MIN_SLOPE_SKY_FACTOR
 
 
 def test_slopes_are_exaggerated_as_tangents():
@@ -193,7 +198,7 @@ def test_aerial_perspective_lowers_contrast_of_low_ground(write_raster, make_sce
         scene = plane(write_raster, make_scene, 0.05, 250.0, 20.0, base_m, style={"name": "swiss", "ramp": [[0, "#cccccc"]]})
         contrast[base_m] = centre_color(scene, 1.0)[1] - centre_color(scene, 0.0)[1]
     assert contrast[10.0] / contrast[4000.0] == pytest.approx(
-        (1 - STYLES["swiss"].aerial_share * np.exp(-10 / 1500)) / (1 - STYLES["swiss"].aerial_share * np.exp(-4000 / 1500)),
+        (1 - STYLES["swiss"].air_veil_share * np.exp(-10 / 1500)) / (1 - STYLES["swiss"].air_veil_share * np.exp(-4000 / 1500)),
         rel=0.01,
     )
 
@@ -244,8 +249,8 @@ def test_fine_ground_is_urban_unless_it_is_wooded(write_raster, make_scene, tmp_
     }))  # fmt: skip
     forest = [{"source": str(tmp_path / "trees.geojson"), "height": [9, 12], "crown": [5, 5]}] if trees else []
     scene = make_scene(fine_raster, forest=forest)
-    assert scene.objects.crown_share == pytest.approx(len(places) * np.pi * 2.5**2 / 3600.0, rel=0.01)
-    assert (scene.objects.crown_share > 0.25) == (name == "natural") and scene.style.name == name
+    assert scene.objects.crown_area_share == pytest.approx(len(places) * np.pi * 2.5**2 / 3600.0, rel=0.01)
+    assert (scene.objects.crown_area_share > 0.25) == (name == "natural") and scene.style.name == name
     assert make_scene(fine_raster, forest=forest, style="natural").style.name == "natural"
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.user_cache import user_cache
+from skugga.terrain.user_cache import user_cache_folder
 
 
 def test_user_cache_without_a_home_is_not_writable(monkeypatch: pytest.MonkeyPatch):
@@ -13,4 +13,4 @@ def test_user_cache_without_a_home_is_not_writable(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", unknown)
-    assert user_cache("devices") == Path("/nonexistent/.cache/skugga/devices")
+    assert user_cache_folder("devices") == Path("/nonexistent/.cache/skugga/devices")

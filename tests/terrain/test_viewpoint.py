@@ -46,7 +46,7 @@ def picture_points_on_map(scene: Scene) -> np.ndarray:
     for i, j in ((0, 0), (0, 0.5), (0, 1), (0.5, 0), (0.5, 0.5), (0.5, 1), (1, 0), (1, 0.5), (1, 1)):
         camera = np.array([(view.col0 + j * (view.cols - 1)), (view.row0 + i * (view.rows - 1)), view.focal_px])
         ray = frame.directions_from_earth(view.earth_from_camera @ camera)
-        eye_height_m = eye[2] - float(np.nanmean(scene.elevation.overview.heights_m))
+        eye_height_m = eye[2] - float(np.nanmean(scene.elevation.overview.mean_heights_m))
         points.append(eye + ray * (eye_height_m / -ray[2]) if ray[2] < 0 else np.full(3, np.nan))
     x, y, _ = scene.world.map_position(scene.elevation.crs, frame.points_to_earth(np.array(points)))
     return np.column_stack([x, y])

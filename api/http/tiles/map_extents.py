@@ -14,7 +14,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import InputError, UnsupportedError
 from skugga.terrain.geo.axes import check_axes
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 
 MapBounds = tuple[float, float, float, float]
 """Type of an extent: west, south, east, north in units of a CRS, always with x first."""
@@ -115,6 +115,6 @@ def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int,
 
 def check_side(name: str, pixels: int) -> int:
     """Return the width or height of a map in pixels after a check. Raises ``InputError`` about the parameter ``name``."""
-    if not 1 <= pixels <= MAX_PERSPECTIVE_PX:
-        raise InputError(name, pixels, f"1 to {MAX_PERSPECTIVE_PX} pixels")
+    if not 1 <= pixels <= MAX_PERSPECTIVE_SIDE_PX:
+        raise InputError(name, pixels, f"1 to {MAX_PERSPECTIVE_SIDE_PX} pixels")
     return pixels

@@ -23,12 +23,12 @@ from skugga.terrain.level.level import Shadows, parse_sun
 from skugga.terrain.level.model import Model
 from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
-from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 
 MAX_TIME_CHARACTERS = 60
 """Maximum number of characters of a time or a duration."""
 
-FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
+FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_SIDE_PX, strict=True)]
 TimeText = Annotated[str, Field(max_length=MAX_TIME_CHARACTERS)]
 
 

@@ -13,10 +13,10 @@ TIP_OVERLAP_M = 1.5
 """Overlap of the figure's tips."""
 
 WOOD_SIZE_M = (170.0, 110.0)
-WOOD_HEIGHT_M, WOOD_FOOTING_M = 13.0, 15.0
+WOOD_HEIGHT_M, WOOD_DEPTH_BELOW_GROUND_M = 13.0, 15.0
 """Height above the ground, and depth below it, which avoids gaps on slopes."""
 
-WOOD_CORNERS = 11
+WOOD_CORNER_COUNT = 11
 
 
 def tetrahedra() -> list[Body]:
@@ -33,9 +33,9 @@ def tetrahedra() -> list[Body]:
 def wood_hill() -> list[Body]:
     """Return a wood as one convex body, 170 m long and 13 m high: eleven uneven sides that lean in, and a vaulted top."""
     rng = np.random.default_rng(7)
-    azimuth = 2 * np.pi * (np.arange(WOOD_CORNERS) + rng.uniform(-0.2, 0.2, WOOD_CORNERS)) / WOOD_CORNERS
+    azimuth = 2 * np.pi * (np.arange(WOOD_CORNER_COUNT) + rng.uniform(-0.2, 0.2, WOOD_CORNER_COUNT)) / WOOD_CORNER_COUNT
     rim = np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * np.array(WOOD_SIZE_M) / 2
     top = WOOD_HEIGHT_M
-    rings = [(1.0, -WOOD_FOOTING_M), (1.0, 0.0), (0.93, 0.72 * top), (0.55, 0.96 * top)]
-    points = [np.column_stack([rim * share, np.full(WOOD_CORNERS, up)]) for share, up in rings]
+    rings = [(1.0, -WOOD_DEPTH_BELOW_GROUND_M), (1.0, 0.0), (0.93, 0.72 * top), (0.55, 0.96 * top)]
+    points = [np.column_stack([rim * share, np.full(WOOD_CORNER_COUNT, up)]) for share, up in rings]
     return [hull(np.vstack([*points, [[0, 0, top]]]), (0.24, 0.33, 0.17))]

@@ -36,12 +36,16 @@ def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
     return solid(points, triangles, color)
 
 
-def gable(low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, color: Colour) -> Body:
+def gable(low: tuple[float, float], high: tuple[float, float], eaves_height_m: float, ridge_height_m: float, color: Colour) -> Body:
     """Return a roof over a rectangle with its ridge along the longer side: a prism of 8 triangles."""
     (x0, y0), (x1, y1) = low, high
-    corners = [(x, y, eaves) for x in (x0, x1) for y in (y0, y1)]
+    corners = [(x, y, eaves_height_m) for x in (x0, x1) for y in (y0, y1)]
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    ends = [(x, y0, ridge), (x, y1, ridge)] if y1 - y0 > x1 - x0 else [(x0, y, ridge), (x1, y, ridge)]
+    ends = (
+        [(x, y0, ridge_height_m), (x, y1, ridge_height_m)]
+        if y1 - y0 > x1 - x0
+        else [(x0, y, ridge_height_m), (x1, y, ridge_height_m)]
+    )
     return hull(corners + ends, color)
 
 
@@ -87,22 +91,22 @@ def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: C
     return solid(loops.reshape(-1, 3), _walls(lower, upper, sides), color)
 
 
-def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> Body:
+def plate(outline: shapely.Polygon, bottom_m: float, top_m: float, color: Colour) -> Body:
     """Return a flat slab between two heights over an outline (east, north), which may have holes."""
-    slab = trimesh.creation.extrude_polygon(outline, high - low, engine="earcut")
-    return solid(slab.vertices + [0, 0, low], slab.faces, color)
+    slab = trimesh.creation.extrude_polygon(outline, top_m - bottom_m, engine="earcut")
+    return solid(slab.vertices + [0, 0, bottom_m], slab.faces, color)
 
 
-def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thickness: float, color: Colour) -> Body:
+def wall(face: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thickness_m: float, color: Colour) -> Body:
     """Return an upright slab to the left of the line from ``start`` to ``end``.
 
-    ``elevation`` is its shape (metres from ``start``, metres up), which may have holes.
+    ``face`` is its shape (metres from ``start``, metres up), which may have holes.
     """
-    slab = plate(elevation, 0.0, thickness, color)
+    slab = plate(face, 0.0, thickness_m, color)
     direction = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
     # axes along the wall, up, and outwards from its face: right-handed, so triangles stay counter-clockwise
     axes = np.array([[direction[0], direction[1], 0], [0, 0, 1], [direction[1], -direction[0], 0]])
-    left = np.array([-direction[1], direction[0], 0]) * thickness
+    left = np.array([-direction[1], direction[0], 0]) * thickness_m
     return solid(slab.vertices_m @ axes + [start[0], start[1], 0] + left, slab.triangles, color)
 
 
@@ -150,16 +154,16 @@ def loft(loops_m: np.ndarray, color: Colour) -> Body:
     return solid(*_loft_mesh(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
 
 
-def arc(centre: Vector, radius: float, first_deg: float, last_deg: float, points: int) -> np.ndarray:
+def arc(centre: Vector, radius_m: float, first_deg: float, last_deg: float, point_count: int) -> np.ndarray:
     """Return points (n, 3) on a horizontal circle, counter-clockwise from east."""
-    angle = np.radians(np.linspace(first_deg, last_deg, points))
-    return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(points)], axis=1)
+    angle = np.radians(np.linspace(first_deg, last_deg, point_count))
+    return np.asarray(centre) + radius_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(point_count)], axis=1)
 
 
-def circle(centre: tuple[float, float], radius: float, points: int) -> list[tuple[float, float]]:
+def circle(centre: tuple[float, float], radius_m: float, point_count: int) -> list[tuple[float, float]]:
     """Return a circular, counter-clockwise section (radius, height) for ``ring``."""
-    angles = 2 * np.pi * np.arange(points) / points
-    return [(centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)) for angle in angles]
+    angles = 2 * np.pi * np.arange(point_count) / point_count
+    return [(centre[0] + radius_m * np.cos(angle), centre[1] + radius_m * np.sin(angle)) for angle in angles]
 
 
 def _revolve(profile: np.ndarray, sides: int) -> np.ndarray:

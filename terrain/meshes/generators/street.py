@@ -5,14 +5,14 @@ from __future__ import annotations
 from skugga.terrain.meshes.body import Body, transformed
 from skugga.terrain.meshes.generators.shapes import Colour, cuboid, gable, hull
 
-PLASTER = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.52, 0.42), (0.88, 0.86, 0.80))
-TILES, SLATE, BRICK = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)
-STONE, WOOD, HEDGE, IRON = (0.70, 0.68, 0.63), (0.46, 0.35, 0.24), (0.28, 0.38, 0.20), (0.25, 0.26, 0.27)
+PLASTER_COLORS = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.52, 0.42), (0.88, 0.86, 0.80))
+TILE_COLOR, SLATE_COLOR, BRICK_COLOR = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)
+STONE_COLOR, WOOD_COLOR, HEDGE_COLOR, IRON_COLOR = (0.70, 0.68, 0.63), (0.46, 0.35, 0.24), (0.28, 0.38, 0.20), (0.25, 0.26, 0.27)
 
-OVERHANG_M = 0.45
+ROOF_OVERHANG_M = 0.45
 """Overhang of the roofs beyond the walls."""
 
-FRONT_DISTANCE_M = 5.5
+HOUSE_FRONT_DISTANCE_M = 5.5
 """Distance from the middle of the street to the houses."""
 
 # Side of the street (1: east), position along it, setback, width along the street, depth, heights of eaves and ridge, chimney.
@@ -34,56 +34,67 @@ def street() -> list[Body]:
     """Return ten houses, seven chimneys, a church and street furniture: 400 triangles."""
     bodies = []
     for number, (side, street_position, setback, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
-        near = FRONT_DISTANCE_M + setback
+        near = HOUSE_FRONT_DISTANCE_M + setback
         low, high = sorted((side * near, side * (near + depth)))
-        roof = TILES if number % 3 else SLATE
+        roof = TILE_COLOR if number % 3 else SLATE_COLOR
         bodies += _house(
             (low, street_position - width / 2),
             (high, street_position + width / 2),
             eaves,
             ridge,
-            PLASTER[number % len(PLASTER)],
+            PLASTER_COLORS[number % len(PLASTER_COLORS)],
             roof,
         )
         if chimney:
             east, north = (low + high) / 2 - side * 0.9, street_position + (number % 2 - 0.5) * width * 0.55
-            bodies.append(cuboid((east - 0.45, north - 0.35, eaves), (east + 0.45, north + 0.35, ridge + 1.0), BRICK))
+            bodies.append(cuboid((east - 0.45, north - 0.35, eaves), (east + 0.45, north + 0.35, ridge + 1.0), BRICK_COLOR))
     return bodies + _church() + _furniture()
 
 
 def _house(
-    low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, walls: Colour, roof: Colour
+    low: tuple[float, float],
+    high: tuple[float, float],
+    eaves_height_m: float,
+    ridge_height_m: float,
+    wall_color: Colour,
+    roof_color: Colour,
 ) -> list[Body]:
     """Return walls under a gabled roof with overhanging eaves: 20 triangles."""
-    overhang = OVERHANG_M
+    overhang = ROOF_OVERHANG_M
     return [
-        cuboid((*low, 0.0), (*high, eaves + 0.1), walls),
-        gable((low[0] - overhang, low[1] - overhang), (high[0] + overhang, high[1] + overhang), eaves, ridge, roof),
+        cuboid((*low, 0.0), (*high, eaves_height_m + 0.1), wall_color),
+        gable(
+            (low[0] - overhang, low[1] - overhang),
+            (high[0] + overhang, high[1] + overhang),
+            eaves_height_m,
+            ridge_height_m,
+            roof_color,
+        ),
     ]
 
 
 def _church() -> list[Body]:
     """Return nave, tower and spire across the end of the street: 38 triangles."""
-    nave = _house((-5.0, 42.0), (5.0, 60.0), 7.0, 13.0, PLASTER[4], SLATE)
-    tower = cuboid((-2.6, 37.6, 0.0), (2.6, 42.8, 16.0), PLASTER[4])
-    return [*nave, tower, _pyramid((0.0, 40.2), 3.0, 15.8, 27.0, SLATE)]
+    nave = _house((-5.0, 42.0), (5.0, 60.0), 7.0, 13.0, PLASTER_COLORS[4], SLATE_COLOR)
+    tower = cuboid((-2.6, 37.6, 0.0), (2.6, 42.8, 16.0), PLASTER_COLORS[4])
+    return [*nave, tower, _pyramid((0.0, 40.2), 3.0, 15.8, 27.0, SLATE_COLOR)]
 
 
 def _furniture() -> list[Body]:
     """Return a well house, lamps, a hedge and a bench: 78 triangles."""
-    lamp = cuboid((-0.09, -0.09, 0.0), (0.09, 0.09, 4.6), IRON)
-    bench = cuboid((-0.3, -1.1, 0.0), (0.3, 1.1, 0.5), WOOD)
+    lamp = cuboid((-0.09, -0.09, 0.0), (0.09, 0.09, 4.6), IRON_COLOR)
+    bench = cuboid((-0.3, -1.1, 0.0), (0.3, 1.1, 0.5), WOOD_COLOR)
     return [
-        cuboid((-1.1, 29.4, 0.0), (1.1, 31.6, 2.3), STONE),
-        _pyramid((0.0, 30.5), 1.6, 2.25, 4.0, TILES),
+        cuboid((-1.1, 29.4, 0.0), (1.1, 31.6, 2.3), STONE_COLOR),
+        _pyramid((0.0, 30.5), 1.6, 2.25, 4.0, TILE_COLOR),
         transformed(lamp, (-4.2, -15.0, 0.0)),
         transformed(lamp, (4.2, -1.5, 0.0)),
-        cuboid((4.6, -31.0, 0.0), (5.4, -28.2, 1.3), HEDGE),
+        cuboid((4.6, -31.0, 0.0), (5.4, -28.2, 1.3), HEDGE_COLOR),
         transformed(bench, (-4.6, 9.4, 0.0)),
         transformed(lamp, (-4.2, 12.0, 0.0)),
     ]
 
 
-def _pyramid(middle: tuple[float, float], half: float, foot: float, top: float, color: Colour) -> Body:
-    corners = [(middle[0] + i * half, middle[1] + j * half, foot) for i in (-1, 1) for j in (-1, 1)]
-    return hull([*corners, (*middle, top)], color)
+def _pyramid(middle: tuple[float, float], half_width_m: float, bottom_m: float, top_m: float, color: Colour) -> Body:
+    corners = [(middle[0] + i * half_width_m, middle[1] + j * half_width_m, bottom_m) for i in (-1, 1) for j in (-1, 1)]
+    return hull([*corners, (*middle, top_m)], color)

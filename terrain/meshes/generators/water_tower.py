@@ -7,19 +7,24 @@ import numpy as np
 from skugga.terrain.meshes.body import Body, transformed
 from skugga.terrain.meshes.generators.shapes import arc, circle, hull, lathe, ring, tube
 
-LEGS = 6
-FOOT_RADIUS_M, HEAD_RADIUS_M = 8.0, 5.75
+LEG_COUNT = 6
+LEG_FOOT_RADIUS_M, LEG_TOP_RADIUS_M = 8.0, 5.75
 TANK_RADIUS_M = 6.0
 GALLERY_HEIGHT_M = 24.0
 """Height of the gallery, the lower end of the tank's wall and the upper end of the legs."""
 
-TIER_HEIGHTS_M = (0.9, 8.6, 16.3, 23.2)
+BRACE_HEIGHTS_M = (0.9, 8.6, 16.3, 23.2)
 """Heights of the joints of the braces, the lowest on the footings."""
 
 RUNG_SPACING_M = 0.36
-CAGE_BOTTOM_M, CAGE_RADIUS_M = 2.6, 0.4
+LADDER_CAGE_BOTTOM_M, LADDER_CAGE_RADIUS_M = 2.6, 0.4
 
-STEEL, PAINT, ROOF, CONCRETE = (0.42, 0.47, 0.49), (0.80, 0.83, 0.82), (0.55, 0.31, 0.26), (0.68, 0.67, 0.64)
+STEEL_COLOR, PAINT_COLOR, ROOF_COLOR, CONCRETE_COLOR = (
+    (0.42, 0.47, 0.49),
+    (0.80, 0.83, 0.82),
+    (0.55, 0.31, 0.26),
+    (0.68, 0.67, 0.64),
+)
 
 
 def water_tower() -> list[Body]:
@@ -44,12 +49,12 @@ def _tank() -> list[Body]:
         (0.0, wall_top + 6.6),
     ]
     return [
-        lathe([*bowl, (TANK_RADIUS_M, wall_top), (0.0, wall_top)], 64, PAINT),
-        lathe([*roof, *cone, *cap], 64, ROOF),
+        lathe([*bowl, (TANK_RADIUS_M, wall_top), (0.0, wall_top)], 64, PAINT_COLOR),
+        lathe([*roof, *cone, *cap], 64, ROOF_COLOR),
         lathe(
             [(0.0, 0.0), (1.1, 0.0), (1.1, 0.5), (0.55, 0.7), (0.55, GALLERY_HEIGHT_M - 4.0), (0.0, GALLERY_HEIGHT_M - 4.0)],
             24,
-            PAINT,
+            PAINT_COLOR,
         ),
     ]
 
@@ -63,7 +68,7 @@ def _gallery() -> list[Body]:
         (outer, GALLERY_HEIGHT_M + 0.07),
         (inner, GALLERY_HEIGHT_M + 0.07),
     ]
-    bars = [ring(circle((outer - 0.08, GALLERY_HEIGHT_M + up), 0.03, 6), 64, STEEL) for up in (0.42, 0.77, 1.12)]
+    bars = [ring(circle((outer - 0.08, GALLERY_HEIGHT_M + up), 0.03, 6), 64, STEEL_COLOR) for up in (0.42, 0.77, 1.12)]
     posts = [
         tube(
             [
@@ -72,11 +77,11 @@ def _gallery() -> list[Body]:
             ],
             0.04,
             6,
-            STEEL,
+            STEEL_COLOR,
         )
         for azimuth_deg in range(0, 360, 10)
     ]
-    return [ring(floor, 64, STEEL), *bars, *posts]
+    return [ring(floor, 64, STEEL_COLOR), *bars, *posts]
 
 
 def _legs() -> list[Body]:
@@ -84,8 +89,10 @@ def _legs() -> list[Body]:
     foot = np.array([(i * s, j * s, up) for s, up in ((0.95, 0.0), (0.6, 0.9)) for i in (-1, 1) for j in (-1, 1)])
     bodies = []
     for azimuth_deg in _leg_angles_deg():
-        bodies.append(transformed(transformed(hull(foot, CONCRETE), (FOOT_RADIUS_M, 0.0, 0.0)), yaw_deg=azimuth_deg))
-        bodies.append(tube([_on_leg(0.5, azimuth_deg), _on_leg(GALLERY_HEIGHT_M + 1.0, azimuth_deg)], [0.34, 0.26], 16, STEEL))
+        bodies.append(transformed(transformed(hull(foot, CONCRETE_COLOR), (LEG_FOOT_RADIUS_M, 0.0, 0.0)), yaw_deg=azimuth_deg))
+        bodies.append(
+            tube([_on_leg(0.5, azimuth_deg), _on_leg(GALLERY_HEIGHT_M + 1.0, azimuth_deg)], [0.34, 0.26], 16, STEEL_COLOR)
+        )
     return bodies
 
 
@@ -93,10 +100,12 @@ def _braces() -> list[Body]:
     """Return the struts around each tier, and two crossed rods in each panel."""
     bodies = []
     for azimuth_deg, next_azimuth_deg in zip(_leg_angles_deg(), np.roll(_leg_angles_deg(), -1), strict=True):
-        bodies += [tube([_on_leg(up, azimuth_deg), _on_leg(up, next_azimuth_deg)], 0.13, 8, STEEL) for up in TIER_HEIGHTS_M[1:]]
-        for low, high in zip(TIER_HEIGHTS_M[:-1], TIER_HEIGHTS_M[1:], strict=True):
+        bodies += [
+            tube([_on_leg(up, azimuth_deg), _on_leg(up, next_azimuth_deg)], 0.13, 8, STEEL_COLOR) for up in BRACE_HEIGHTS_M[1:]
+        ]
+        for low, high in zip(BRACE_HEIGHTS_M[:-1], BRACE_HEIGHTS_M[1:], strict=True):
             bodies += [
-                tube([_on_leg(low, a), _on_leg(high, b)], 0.055, 6, STEEL)
+                tube([_on_leg(low, a), _on_leg(high, b)], 0.055, 6, STEEL_COLOR)
                 for a, b in ((azimuth_deg, next_azimuth_deg), (next_azimuth_deg, azimuth_deg))
             ]
     return bodies
@@ -108,29 +117,31 @@ def _ladder() -> list[Body]:
     eaves, roof = TANK_RADIUS_M + 0.6, GALLERY_HEIGHT_M + 6.9
     bodies = []
     for side in (-half_width, half_width):
-        bodies.append(tube([(ladder_east, side, 0.0), (ladder_east, side, gallery)], 0.035, 6, STEEL))
+        bodies.append(tube([(ladder_east, side, 0.0), (ladder_east, side, gallery)], 0.035, 6, STEEL_COLOR))
         bodies.append(
-            tube([(eaves, side, GALLERY_HEIGHT_M), (eaves, side, roof), (eaves - 1.2, side, roof + 0.5)], 0.035, 6, STEEL)
+            tube([(eaves, side, GALLERY_HEIGHT_M), (eaves, side, roof), (eaves - 1.2, side, roof + 0.5)], 0.035, 6, STEEL_COLOR)
         )
-        for up in TIER_HEIGHTS_M[1:]:
+        for up in BRACE_HEIGHTS_M[1:]:
             strut = _on_leg(up, _leg_angles_deg()[0])[0]
-            bodies.append(tube([(strut, side, up), (ladder_east, side, up)], 0.04, 6, STEEL))
+            bodies.append(tube([(strut, side, up), (ladder_east, side, up)], 0.04, 6, STEEL_COLOR))
     for east, first, last in ((ladder_east, 0.4, GALLERY_HEIGHT_M), (eaves, GALLERY_HEIGHT_M + 0.4, roof)):
         for up in np.arange(first, last, RUNG_SPACING_M):
-            bodies.append(tube([(east, -half_width, up), (east, half_width, up)], 0.022, 5, STEEL))
-    hoops = np.linspace(CAGE_BOTTOM_M, gallery - 0.1, 16)
+            bodies.append(tube([(east, -half_width, up), (east, half_width, up)], 0.022, 5, STEEL_COLOR))
+    hoops = np.linspace(LADDER_CAGE_BOTTOM_M, gallery - 0.1, 16)
     for up in hoops:
-        bodies.append(tube(arc((ladder_east + 0.22, 0.0, up), CAGE_RADIUS_M, -145, 145, 9), 0.02, 5, STEEL))
+        bodies.append(tube(arc((ladder_east + 0.22, 0.0, up), LADDER_CAGE_RADIUS_M, -145, 145, 9), 0.02, 5, STEEL_COLOR))
     for azimuth_deg in (-90, -30, 30, 90):
-        east, north = _on_circle(CAGE_RADIUS_M, azimuth_deg)
+        east, north = _on_circle(LADDER_CAGE_RADIUS_M, azimuth_deg)
         bodies.append(
-            tube([(ladder_east + 0.22 + east, north, hoops[0]), (ladder_east + 0.22 + east, north, hoops[-1])], 0.02, 5, STEEL)
+            tube(
+                [(ladder_east + 0.22 + east, north, hoops[0]), (ladder_east + 0.22 + east, north, hoops[-1])], 0.02, 5, STEEL_COLOR
+            )
         )
     return bodies
 
 
 def _leg_angles_deg() -> np.ndarray:
-    return 30.0 + np.arange(LEGS) * 360.0 / LEGS
+    return 30.0 + np.arange(LEG_COUNT) * 360.0 / LEG_COUNT
 
 
 def _on_circle(radius_m: float, azimuth_deg: float) -> tuple[float, float]:
@@ -139,5 +150,5 @@ def _on_circle(radius_m: float, azimuth_deg: float) -> tuple[float, float]:
 
 def _on_leg(up_m: float, azimuth_deg: float) -> tuple[float, float, float]:
     """Return the point of a leg's axis at a height."""
-    radius = FOOT_RADIUS_M + (HEAD_RADIUS_M - FOOT_RADIUS_M) * up_m / GALLERY_HEIGHT_M
+    radius = LEG_FOOT_RADIUS_M + (LEG_TOP_RADIUS_M - LEG_FOOT_RADIUS_M) * up_m / GALLERY_HEIGHT_M
     return (*_on_circle(radius, azimuth_deg), up_m)

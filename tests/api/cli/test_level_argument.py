@@ -57,7 +57,7 @@ def full_level_source(site: Path) -> LevelSource:
 
 def test_options_and_a_level_file_make_the_same_level(site):
     options, file = (build_scene(load_level(source)) for source in (full_level_source(site), site / "level.yaml"))
-    assert options.objects.kinds == file.objects.kinds == ("relief", "meshes", "forest")
+    assert options.objects.caster_kinds == file.objects.caster_kinds == ("relief", "meshes", "forest")
     assert set(options.loaded.sources) == set(file.loaded.sources)
     assert options.loaded.level.terrain == file.loaded.level.terrain and options.loaded.level.title == file.loaded.level.title
 
@@ -120,7 +120,7 @@ def test_the_service_and_its_workers_accept_the_options(site):
     levels = ServedLevels([full_level_source(site)])
     level = levels.reload_if_changed("dem")
     assert level.loaded.level.forest and level.summary()["warnings"] == []
-    assert build_scene(load_level(level.key)).objects.kinds == ("relief", "meshes", "forest")
+    assert build_scene(load_level(level.key)).objects.caster_kinds == ("relief", "meshes", "forest")
     other = ServedLevels([LevelSource(path=site / "dem.tif")]).reload_if_changed("dem")
     assert other.version != level.version
 

@@ -24,7 +24,7 @@ SENTINEL = -32768
 def lower_overview_limits(monkeypatch):
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 300_000)
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 300_000)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 64)
     monkeypatch.setattr(overview, "MAX_CELLS_READ", 500_000)
 
 
@@ -76,7 +76,7 @@ def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, suffix)
         assert dataset.overviews(1) == [2, 4, 8, 16, 32]
     heights = relief().astype(float)
     means = heights[: 34 * 32, : 40 * 32].reshape(34, 32, 40, 32).mean((1, 3))
-    error = np.abs(elevation.overview.heights_m - means)
+    error = np.abs(elevation.overview.mean_heights_m - means)
     # GDAL maps an overview's 41 columns to 1300 cells, not to 41 x 32: cells are shifted by a fraction of one.
     assert error.max() < 0.2 * np.abs(np.diff(means)).max() and error[:8, :8].max() < 2.0
     assert run("overviews", str(path)) == (
@@ -114,7 +114,7 @@ def test_nodata_is_left_out_of_means(run, tmp_path, declares_nodata, dtype):
         valid_count_range = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a coarse cell over at least one height is valid
         assert valid_count_range[0] <= (~valid).sum() <= valid_count_range[1]
     elevation = Elevation(str(path))
-    assert np.nanmin(elevation.overview.heights_m) >= 199.0
+    assert np.nanmin(elevation.overview.mean_heights_m) >= 199.0
 
 
 def test_a_nodata_value_given_as_an_option(run, tmp_path):

@@ -22,7 +22,7 @@ from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_vi
 from skugga.selector.cost.device_profile import DeviceProfile, profile_digest
 from skugga.selector.select import plan_of_view
 from skugga.shadows.plan import Plan
-from skugga.terrain.cache import bytes_of
+from skugga.terrain.cache import estimated_bytes
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
@@ -339,7 +339,7 @@ def test_tiles_of_a_zoom_share_one_cached_plan(gl, hills_level):
 
 
 def test_plan_cache_evicts_the_least_recently_used():
-    cache, built_keys = TilePlanCache(limit_bytes=2 * bytes_of("plan 1")), []
+    cache, built_keys = TilePlanCache(limit_bytes=2 * estimated_bytes("plan 1")), []
 
     def plan_of(key: int) -> str:
         return cache.get(key, lambda: built_keys.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]

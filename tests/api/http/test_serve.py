@@ -41,7 +41,7 @@ if __name__ == "__main__":
         tile = client.get("/levels/timed/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png")
         assert tile.status_code == 200, tile.content
         assert "server-timing" in tile.headers
-    assert not gl.is_open(), "the service's process has made an OpenGL context"
+    assert not gl.is_device_open(), "the service's process has made an OpenGL context"
     assert "pvlib" not in sys.modules
 """
 

@@ -38,7 +38,7 @@ def raise_ground(level: Path, metres: float) -> None:
 def test_bundled_levels_can_be_served():
     levels = ServedLevels(bundled_levels())
     assert [level.name for level in levels.current_levels()] == [path.stem for path in bundled_levels()]
-    assert all(bool(level.zooms) != level.world.flat for level in levels.current_levels())
+    assert all(bool(level.zooms) != level.world.is_flat for level in levels.current_levels())
 
 
 def test_equal_files_have_equal_versions(path: Path):

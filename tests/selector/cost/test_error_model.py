@@ -36,7 +36,7 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
-from skugga.terrain.facts.probes import MIN_CAST_SHARE
+from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
 from skugga.terrain.level.level import SUN
 
@@ -159,7 +159,7 @@ def test_expected_errors_of_planar_are_the_shadow_on_bodies():
 
     assert wrong_cast(0.05) == pytest.approx(0.25 + floor)
     assert wrong_cast(None) == pytest.approx(1.0)
-    assert wrong_cast(0.0) == pytest.approx(MIN_CAST_SHARE / 0.2 + floor)
+    assert wrong_cast(0.0) == pytest.approx(MIN_CAST_SHADOW_SHARE / 0.2 + floor)
 
 
 def test_expected_errors_of_a_map_sum_its_bands():

@@ -90,7 +90,7 @@ def test_run_light_draws_what_a_frame_draws(gl, scene):
     clear_caches("light")
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
-    assert len(picture.buffer.valid) > picture.rows == view.rows
+    assert len(picture.buffer.valid) > picture.picture_rows == view.rows
     triangles = {name: record.triangles for name, record in run.log.records.items()}
     assert triangles == {record.name: record.triangles for record in frame.passes if record.name in triangles} != {}
     visibility = run.parts[0].copy()

@@ -42,7 +42,7 @@ def shaded_share(make_scene, raster, azimuth: float, altitude: float, **override
 
 def interior_errors(rendered: np.ndarray, truth: Truth, buffer: GeometryBuffer) -> np.ndarray:
     """Return pixels of the wrong class, two pixels or more from shadow edges and from contacts of ground and meshes."""
-    contact_pixels = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
+    contact_pixels = binary_dilation(buffer.surface_kind == MESHES) & (buffer.surface_kind != MESHES)
     return truth.valid & ~binary_dilation(~truth.decidable | contact_pixels, iterations=2) & ((rendered >= 0.5) != truth.lit)
 
 
@@ -102,14 +102,14 @@ def test_front_culling_of_closed_bodies_needs_no_bias(gl, tmp_path, light):
     for culling in ("none", "front"):
         for scale in (0.0, 1.0):
             rendered[culling, scale], buffer = visibility(scene, view, light, scale, culling=culling, filter=1, map_size=1024)
-    lit_side = (buffer.kind == MESHES) & ~attached_shadow_mask(buffer, scene, light)
+    lit_side = (buffer.surface_kind == MESHES) & ~attached_shadow_mask(buffer, scene, light)
     inside = lit_side & ~binary_dilation(~lit_side, iterations=3)
     assert inside.mean() > 0.02
     assert (rendered["none", 0.0][inside] < 1.0).mean() > 0.05
     assert (rendered["front", 0.0][inside] == 1.0).all() and (rendered["front", 1.0][inside] == 1.0).all()
-    ground = buffer.kind == RELIEF
+    ground = buffer.surface_kind == RELIEF
     assert (rendered["none", 1.0][ground] < 0.5).mean() > 0.02
-    contact = binary_dilation(buffer.kind == MESHES, iterations=3)
+    contact = binary_dilation(buffer.surface_kind == MESHES, iterations=3)
     np.testing.assert_array_equal(rendered["none", 1.0][ground & ~contact], rendered["front", 1.0][ground & ~contact])
 
 

@@ -39,8 +39,8 @@ def jacksboro() -> Scene:
 @pytest.fixture(scope="module")
 def ridge(jacksboro) -> PerspectiveView:
     """Return a view from above a ridge along the mountains."""
-    eye, up = jacksboro.geolocator.above_ground((-84.30, 36.2333, 150.0), "eye")
-    target, _ = jacksboro.geolocator.above_ground((-84.22, 36.3133, 0.0), "target")
+    eye, up = jacksboro.geolocator.point_above_ground((-84.30, 36.2333, 150.0), "eye")
+    target, _ = jacksboro.geolocator.point_above_ground((-84.22, 36.3133, 0.0), "target")
     return look_at(eye, target, up, 40.0, 150, 200)
 
 
@@ -131,8 +131,8 @@ def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:
 )  # fmt: skip
 def test_tight_fit_holds_receivers_and_is_never_coarser(jacksboro, azimuth, altitude, heading, cascades, map_size, bits):
     scene = jacksboro.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-    eye, up = scene.geolocator.above_ground((-84.25, 36.2933, 120.0), "eye")
-    target, _ = scene.geolocator.above_ground((-84.25 + heading[0], 36.2933 + heading[1], 0.0), "target")
+    eye, up = scene.geolocator.point_above_ground((-84.25, 36.2933, 120.0), "eye")
+    target, _ = scene.geolocator.point_above_ground((-84.25 + heading[0], 36.2933 + heading[1], 0.0), "target")
     view = look_at(eye, target, up, 40.0, 60, 80)
     buffer = geometry_buffer(scene, view)
     overrides = {"map_size": map_size, "cascades": cascades, "depth_bits": bits}

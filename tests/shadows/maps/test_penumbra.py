@@ -190,7 +190,7 @@ def test_penumbra_leaks_no_light_at_ground_contacts(gl, tmp_path):
     view = scene.view("eye")
     expected = disc_visibility(scene, view)
     rendered, buffer = visibility(scene, view, filter="sun", map_size=2048)
-    contact_pixels = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
+    contact_pixels = binary_dilation(buffer.surface_kind == MESHES) & (buffer.surface_kind != MESHES)
     umbra, lit = (buffer.valid & ~binary_dilation((expected != value) | contact_pixels, iterations=2) for value in (0.0, 1.0))
     assert umbra.mean() > 0.03 and lit.mean() > 0.3
     assert rendered[umbra].max() < 0.1 and (rendered[umbra] > 0.01).mean() < 1e-3

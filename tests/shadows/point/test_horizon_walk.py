@@ -201,7 +201,7 @@ def test_horizon_of_real_mountains_matches_rays(shared_data, make_scene, name):
     start = np.repeat(frame.points_from_earth(place.eye_earth_m)[None], len(horizon), axis=0)
     for offset_deg, is_hidden in ((0.02, False), (-0.02, True)):
         enu = np.stack([direction_enu(*angles) for angles in zip(AZIMUTHS_DEG, horizon + offset_deg, strict=True)])
-        blocked = rays.blocked(start, frame.directions_from_earth(enu @ place.earth_from_enu.T))
+        blocked = rays.is_blocked(start, frame.directions_from_earth(enu @ place.earth_from_enu.T))
         assert (blocked == is_hidden).mean() > 0.998
 
 

@@ -15,7 +15,7 @@ from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
-from skugga.terrain.geo.sun import direction_enu, position_at
+from skugga.terrain.geo.sun import azimuth_and_altitude, direction_enu
 from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING, write_geotiff
 
@@ -97,13 +97,13 @@ def test_horizon_of_a_tree_is_its_highest_leaf(village):
     assert sees_sun(surroundings, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
     assert not sees_sun(surroundings, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
     frame = scene.world.frame_near_earth(surroundings.place.eye_earth_m)
-    rays = RayScene(alpha=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
+    rays = RayScene(alpha_meshes=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
     rng = np.random.default_rng(3)
     azimuth, altitude = rng.uniform(176.5, 183.5, 4000), rng.uniform(0.5, 19.0, 4000)
     enu = np.stack([direction_enu(*angles) for angles in zip(azimuth, altitude, strict=True)])
     directions = frame.directions_from_earth(enu @ surroundings.place.earth_from_enu.T)
     start = np.repeat(frame.points_from_earth(surroundings.place.eye_earth_m)[None], len(enu), axis=0)
-    blocked = rays.blocked(start, directions)
+    blocked = rays.is_blocked(start, directions)
     assert 300 < blocked.sum() < 3700
     assert (sees_sun(surroundings, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
 
@@ -119,12 +119,12 @@ def test_sees_sun_agrees_with_truth(village):
         view = scene.view(bounds=(500_004.0, 5_299_756.0, 500_256.0, 5_299_996.0), size=(63, 60))
         buffer = geometry_buffer(scene, view)
         truth = trace_truth(buffer, scene, find_casters(scene, buffer))
-        decidable_cells = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.valid)
+        decidable_cells = np.argwhere(truth.decidable & (buffer.surface_kind == RELIEF) & buffer.valid)
         assert len(decidable_cells) > 1000
         for i, j in decidable_cells[:: len(decidable_cells) // 150]:
             xy = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
             place = place_at(scene, xy, view.grid.crs)
-            sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+            sun = azimuth_and_altitude(scene.sun.to_sun_earth, place.earth_from_enu)
             is_sunlit = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
             assert is_sunlit == truth.lit[i, j], (azimuth, i, j)
             dark_count += not is_sunlit
@@ -162,7 +162,7 @@ def test_sees_sun_on_columns_agrees_with_truth(tmp_path, make_scene):
         xy = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
         place = place_at(scene, xy, view.grid.crs)
         assert place.ground_m == heights[i, j]
-        sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+        sun = azimuth_and_altitude(scene.sun.to_sun_earth, place.earth_from_enu)
         is_sunlit = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
         assert is_sunlit == truth.lit[i, j], (i, j)
         dark_count += not is_sunlit

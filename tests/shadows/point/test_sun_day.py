@@ -15,7 +15,7 @@ from skugga.shadows.point.sun_day import sampled_sun_hours, sun_day
 from skugga.shadows.point.sun_year import sun_year
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.clock import day_bounds
-from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.sun import apparent_sun_position
 
 DAY = date(2024, 10, 21)
 
@@ -45,12 +45,12 @@ def test_sun_day_over_level_ground_is_the_astronomical_day(surroundings_at):
     day = sun_day(surroundings, DAY, UTC)
     place = surroundings.place
     for moment in (day.sunrise, day.sunset):
-        _, altitude, _ = apparent_position(moment, place.lon_deg, place.lat_deg)
+        _, altitude, _ = apparent_sun_position(moment, place.lon_deg, place.lat_deg)
         assert altitude == pytest.approx(0.0, abs=0.02)
     assert day.first_sun == pytest.approx(day.sunrise, abs=timedelta(seconds=5))
     assert day.last_sun == pytest.approx(day.sunset, abs=timedelta(seconds=5))
     assert day.direct_sun_h == pytest.approx(day.daylight_h, abs=0.003) and day.hidden_sun_h < 0.003
-    _, noon, _ = apparent_position(day.noon, place.lon_deg, place.lat_deg)
+    _, noon, _ = apparent_sun_position(day.noon, place.lon_deg, place.lat_deg)
     assert noon == pytest.approx(day.noon_altitude_deg, abs=0.01)
     assert day.remark is None and len(day.sunlit_intervals) == 1 and day.sunlit_intervals[0].occluder_before is None
 
@@ -134,7 +134,7 @@ def test_sun_day_refuses_a_date_missing_from_the_calendar(surroundings_at):
 
 def test_solar_clock_noon_has_the_sun_in_the_south():
     clock = solar_clock(13.4, DAY)
-    azimuth, _, _ = apparent_position(datetime(2024, 10, 21, 12, tzinfo=clock), 13.4, 52.5)
+    azimuth, _, _ = apparent_sun_position(datetime(2024, 10, 21, 12, tzinfo=clock), 13.4, 52.5)
     assert azimuth == pytest.approx(180.0, abs=0.1)
 
 

@@ -15,7 +15,7 @@ from skugga.shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, 
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.shadows.sweep.horizon import horizon_deg
-from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Patch
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -42,7 +42,7 @@ def open_scene(tmp_path: Path):
 
 def ground_and_origin(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[WalkedGround, int, int]:
     """Return the ground, and the row and column of the raster's first cell."""
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     return walked_ground(scene, bare_nodes(scene, view, 1), patches), int(view.row0), int(view.col0)
 
 
@@ -89,7 +89,7 @@ def test_horizon_tangent_ignores_nodata(open_scene):
     heights[:, 60] = 50.0
     heights[20:60, 30:41] = np.nan
     scene = open_scene(heights)
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     nodes = bare_nodes(scene, view, 1)
     assert tangent_towards(walked_ground(scene, nodes, ()), int(view.row0) + 40, int(view.col0) + 20, 90.0) == pytest.approx(
         50.0 / 400.0, abs=1e-4
@@ -100,7 +100,7 @@ def test_horizon_tangent_walks_fine_and_coarse_patches(open_scene):
     heights = np.zeros((40, 1500))
     heights[:, 600:608], heights[:, 1200:1208] = 60.0, 700.0
     scene = open_scene(heights)
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     block = replace(view, cols=64)
     nodes = bare_nodes(scene, block, 1)
     row, col = int(block.row0) + 20, int(block.col0) + 30

@@ -59,7 +59,7 @@ def open_scene(tmp_path: Path):
 
 
 def sampling_step_of(scene: Scene) -> float:
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
     return sampling_step_minutes(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
 
@@ -84,7 +84,7 @@ def test_sampling_step_is_long_over_smooth_ground_only(open_scene):
 
 def test_sun_hours_without_a_step_use_the_sampling_step(open_scene):
     scene = open_scene(dome(), 30.0)
-    view = raster_view(scene).view.as_nodes()
+    view = raster_view(scene).view.with_pixels_as_nodes()
     days = window_suns(scene.world, [window_of(scene, SPRING)])
     default_hours, long_step_hours, hourly_step_hours = (
         sun_hours(scene, view, days, SunRules(step), forbid_plan).hours for step in (None, LONG_STEP_MINUTES, 60.0)

@@ -78,7 +78,7 @@ def test_sweep_shades_roofs_of_meshes_beside_columns(tmp_path: Path):
     scene = scene_of(tmp_path, heights, ENGINEERING, 1.0, meshes=[{"generate": "boxgrid", "at": [0.0, 12.0], "scale": 0.1}])
     buffer = geometry_buffer(scene, scene.view(size=(240, 240)))
     casters = find_casters(scene, buffer)
-    on_mesh = buffer.kind == MESHES
+    on_mesh = buffer.surface_kind == MESHES
     assert on_mesh.any()
     rays = ray_scene(buffer, scene, casters, ("relief",))
     lit, expected = sweep_visibility(buffer, scene) > 0.5, lit_mask(buffer, scene, "sun", rays)

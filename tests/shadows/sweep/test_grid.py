@@ -74,7 +74,7 @@ def traced_sunlit(
     lit_by_offset = []
     for offset_factor in (0.25, 1.0, 4.0):
         start = nodes + [0.0, 0.0, offset_factor * rays.offset_m]
-        lit_by_offset.append(~rays.blocked(start, sun_direction(azimuth_deg, altitude_deg)).reshape(rows, cols))
+        lit_by_offset.append(~rays.is_blocked(start, sun_direction(azimuth_deg, altitude_deg)).reshape(rows, cols))
     return lit_by_offset[0], (lit_by_offset[0] == lit_by_offset[1]) & (lit_by_offset[0] == lit_by_offset[2])
 
 
@@ -145,7 +145,7 @@ def test_sunlit_of_rectangular_cells_matches_rays():
     heights = mountains(160, seed=2)
     rays = RayScene([sheet_of(_node_positions(np.pad(heights, 1, mode="edge"), 13.0, 7.0, first=-1))])
     nodes = _node_positions(heights, 13.0, 7.0).reshape(-1, 3)
-    lit = ~rays.blocked(nodes + [0, 0, rays.offset_m], sun_direction(157.0, 11.0)).reshape(160, 160)
+    lit = ~rays.is_blocked(nodes + [0, 0, rays.offset_m], sun_direction(157.0, 11.0)).reshape(160, 160)
     assert (sunlit_nodes(heights, (13.0, 7.0), 157.0, 11.0) != lit)[1:-1, 1:-1].mean() < 1e-3
 
 

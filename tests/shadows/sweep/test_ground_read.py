@@ -16,7 +16,8 @@ from skugga.shadows.sweep.ground_windows import patch_windows
 from skugga.shadows.sweep.position_cubics import fit_cubics
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill_visibility, find_lit_nodes
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
+from skugga.terrain.casters.caster_types import PATCH_QUADS, Casters, Patch
+from skugga.terrain.casters.reach import find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
@@ -55,10 +56,10 @@ def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch
     nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
     point_casters = find_casters(scene, buffer)
     point_casters = replace(
-        point_casters, culled=frozenset(point_casters.patches)
+        point_casters, culled_patches=frozenset(point_casters.patches)
     )  # the sheet keeps its size, and has no ground in those patches
     node_casters = Casters(find_sun_casters(scene, nodes), point_casters.reach)
-    node_casters = replace(node_casters, culled=frozenset(node_casters.patches))
+    node_casters = replace(node_casters, culled_patches=frozenset(node_casters.patches))
 
     def sweep_results() -> list[np.ndarray]:
         return [

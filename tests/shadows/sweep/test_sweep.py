@@ -18,7 +18,8 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics, soft
 from skugga.shadows.truth.truth import ray_scene, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters import reach
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -75,7 +76,7 @@ def test_sweep_of_a_tile_on_a_curved_earth_matches_truth(jacksboro, tile, sun):
 def test_sweep_of_pixels_off_the_nodes_matches_truth(jacksboro, sun):
     scene = with_sun_at(jacksboro, *sun)
     view = scene.view(size=(301, 257))
-    assert not view.on_nodes
+    assert not view.is_on_nodes
     buffer, casters, visibility = sweep_view(scene, view)
     metrics = error_metrics(visibility, trace_truth(buffer, scene, casters), 100.0)
     assert metrics.wrong <= 3e-4 and metrics.interior <= 1e-4
@@ -200,7 +201,7 @@ def test_sweep_shades_trees_and_houses_by_hills():
     scene = with_sun_at(scene, 120.0, 6.0)
     view = scene.view("valley", size=(320, 256))
     buffer, casters, visibility = sweep_view(scene, view)
-    on_object = buffer.valid & (buffer.kind != RELIEF)
+    on_object = buffer.valid & (buffer.surface_kind != RELIEF)
     reference = trace_truth(buffer, scene, casters, kinds=("relief",))
     decidable_object = on_object & reference.decidable & ~reference.attached_shadow_mask
     assert decidable_object.sum() > 1000 and (~reference.lit & decidable_object).sum() > 50
@@ -246,7 +247,7 @@ def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
     to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
     for offset_m, is_lit in ((1.0, True), (-1.0, False)):
         start_points = buffer.position_frame_m[deep_shadow] + (height_m - buffer.height_m + offset_m)[deep_shadow][:, None] * up
-        assert (~rays.blocked(start_points, to_sun) == is_lit).mean() > 0.98
+        assert (~rays.is_blocked(start_points, to_sun) == is_lit).mean() > 0.98
 
 
 def test_sweep_is_independent_of_the_number_of_cores(jacksboro, tile, monkeypatch):

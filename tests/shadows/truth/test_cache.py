@@ -9,7 +9,8 @@ import numpy as np
 
 from skugga.shadows.truth import cache
 from skugga.shadows.truth.cache import cached_truth, content_key
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import map_geometry
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level

@@ -24,7 +24,8 @@ from skugga.shadows.truth.metrics import (
 )
 from skugga.shadows.truth.truth import Truth, coverage_truth, fill_visibility, jittered_views, simplification_error, trace_truth
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.caster_types import Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level

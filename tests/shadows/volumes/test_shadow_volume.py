@@ -26,7 +26,8 @@ from skugga.shadows.visibility import receivers_of
 from skugga.shadows.volumes import shadow_volume
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -77,7 +78,7 @@ class ShadowCase:
     def volume_visibility(self, mask: str | None = None, log: PassLog | None = None, **settings: Any) -> np.ndarray:
         """Return visibility by volumes, or with ``mask`` by the hybrid. Attached shadow is dark; NaN marks no surface."""
         buffer = receivers_of(self.buffer, self.scene, self.light)
-        kinds, log = tuple(kind for kind in self.scene.objects.kinds if kind != "forest"), log or PassLog()
+        kinds, log = tuple(kind for kind in self.scene.objects.caster_kinds if kind != "forest"), log or PassLog()
         if mask is None:
             visibility = shadow_volume.fill_visibility(
                 buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log
@@ -95,7 +96,7 @@ class ShadowCase:
 
     def rays(self) -> np.ndarray:
         """Return visibility by rays from the same points, in the form of ``volume_visibility``."""
-        kinds, log = self.scene.objects.kinds, PassLog()
+        kinds, log = self.scene.objects.caster_kinds, PassLog()
         return self.with_attached_shadow(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
     def truth(self) -> Truth:
@@ -321,7 +322,7 @@ def test_volumes_of_a_lamp_on_a_wall(gl, tmp_path):
     )
     case = shadow_case(scene)
     y = case.buffer.position_frame_m[..., 1]
-    ground = case.buffer.valid & (case.buffer.kind == RELIEF)
+    ground = case.buffer.valid & (case.buffer.surface_kind == RELIEF)
     visibility = case.volume_visibility()
     assert (ground & (y > 3.6)).mean() > 0.2 and (ground & (y < 2.9)).any()
     assert (visibility[ground & (y > 3.6)] == 0.0).all() and (visibility[ground & (y < 2.9)] == 1.0).all()

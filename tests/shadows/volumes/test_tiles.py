@@ -148,7 +148,7 @@ def all_faces(
 
 def stencil_counts(case: ShadowCase, pixel_mask: np.ndarray, is_marked: bool, counting: Any = "auto") -> np.ndarray:
     light = np.array(case.scene.light_position(case.light, case.buffer.frame))
-    volumes = volumes_of(case.buffer, case.scene, light, case.scene.objects.kinds, case.casters, PassRecord("volumes"))
+    volumes = volumes_of(case.buffer, case.scene, light, case.scene.objects.caster_kinds, case.casters, PassRecord("volumes"))
     return count_volumes(
         case.buffer, case.scene, light, volumes, VolumeSettings(counting=counting), pixel_mask, is_marked, PassRecord("stencil")
     )

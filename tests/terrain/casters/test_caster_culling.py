@@ -15,9 +15,10 @@ from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill_visibility
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.caster_culling import block_ground_casts_no_shadow, culled_patches
+from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_sheets
 from skugga.terrain.casters.facet_rises import RISE_DIRECTIONS, rise_support
-from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
@@ -64,7 +65,7 @@ def make_block(write_raster, make_scene):
         view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
         buffer = geometry_buffer(scene, view)
         casters = find_casters(scene, buffer)
-        return scene, buffer, replace(casters, culled=culled_patches(scene, buffer, casters.patches))
+        return scene, buffer, replace(casters, culled_patches=culled_patches(scene, buffer, casters.patches))
 
     return make
 
@@ -88,21 +89,21 @@ def test_no_ray_to_the_sun_s_disc_meets_culled_ground(make_block, seed, relief, 
     for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
         lit = lit_at_altitude(scene, buffer, unculled_casters, sun_deg)
         assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, sun_deg))
-        if not casters.casting and block_ground_casts_no_shadow(scene, buffer):
+        if not casters.casting_patches and block_ground_casts_no_shadow(scene, buffer):
             assert lit[buffer.valid].all()
 
 
 def test_culling_omits_gentle_ground_and_keeps_casters(make_block):
     """A high sun culls all ground beside a block of gentle hills. A low sun culls less, and shadows fall into the block."""
     scene, buffer, high_sun_casters = make_block(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
-    assert high_sun_casters.patches and not high_sun_casters.casting and block_ground_casts_no_shadow(scene, buffer)
+    assert high_sun_casters.patches and not high_sun_casters.casting_patches and block_ground_casts_no_shadow(scene, buffer)
     scene, buffer, low_sun_casters = make_block(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
-    assert low_sun_casters.casting and not block_ground_casts_no_shadow(scene, buffer)
+    assert low_sun_casters.casting_patches and not block_ground_casts_no_shadow(scene, buffer)
     empty_casters = Casters((), low_sun_casters.reach)
     assert (
         lit_at_altitude(scene, buffer, low_sun_casters, 6.0) != lit_at_altitude(scene, buffer, empty_casters, 6.0)
     ).mean() > 0.01
-    assert len([*caster_sheets(scene, buffer, low_sun_casters, ("relief",))]) == 1 + len(low_sun_casters.casting)
+    assert len([*caster_sheets(scene, buffer, low_sun_casters, ("relief",))]) == 1 + len(low_sun_casters.casting_patches)
 
 
 def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene):
@@ -117,12 +118,12 @@ def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene)
     view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
     buffer = geometry_buffer(scene, view)
     unculled_casters = find_casters(scene, buffer)
-    casters = replace(unculled_casters, culled=culled_patches(scene, buffer, unculled_casters.patches))
+    casters = replace(unculled_casters, culled_patches=culled_patches(scene, buffer, unculled_casters.patches))
     unculled_light, culled_light = (
         fill_visibility(buffer, scene, SUN, ("relief",), tested_casters, SweepSettings(), PassLog())
         for tested_casters in (unculled_casters, casters)
     )
-    assert casters.culled and 0.05 < (unculled_light == 0.0).mean() < 0.95
+    assert casters.culled_patches and 0.05 < (unculled_light == 0.0).mean() < 0.95
     assert np.array_equal(unculled_light, culled_light)
 
 
@@ -135,7 +136,7 @@ def test_culling_keeps_a_wall_only_if_its_shadow_reaches(write_raster, make_scen
     view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    casters = replace(casters, culled=culled_patches(scene, buffer, casters.patches))
+    casters = replace(casters, culled_patches=culled_patches(scene, buffer, casters.patches))
     lit = lit_at_altitude(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
-    assert bool(casters.casting) == casts == (not lit.all())
+    assert bool(casters.casting_patches) == casts == (not lit.all())
     assert np.array_equal(lit, lit_at_altitude(scene, buffer, casters, 5.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.terrain.casters.clip_space import AFFINE_PART_PX, affine_parts, bend_px, camera_clip, map_clip
+from skugga.terrain.casters.clip_space import AFFINE_PART_PX, affine_camera_error_px, affine_parts, camera_clip, map_clip
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, view_frame
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
@@ -72,7 +72,7 @@ def test_map_clip_is_exact_in_a_flat_world(gl, flat_scene):
     expected = np.indices(buffer.valid.shape).reshape(2, -1)
     np.testing.assert_allclose(np.stack([row, col]), expected, rtol=0, atol=1e-7)
     np.testing.assert_allclose(depth, (buffer.position_frame_m[..., 2].ravel() + 2.0) / 10.0, atol=1e-12)
-    assert bend_px(flat_scene, view.grid, 1.0, 1.0) == 0.0
+    assert affine_camera_error_px(flat_scene, view.grid, 1.0, 1.0) == 0.0
     _, _, z, w = clip @ [0.0, 0.0, -1.0, 0.0]
     assert z < 0.0 and w == 0.0  # infinitely far below
 
@@ -82,7 +82,7 @@ def test_affine_parts_of_a_globe_map_err_within_the_bound(gl, globe_scene, zoom)
     """The error is at most the bend of the level's parts, and slightly more where ground rises above the fitted heights."""
     block = block_at(-84.25, 36.2933, zoom)
     buffer = geometry_buffer(globe_scene, block)
-    error_bound_px, max_error_px = bend_px(globe_scene, block.grid, block.row_step, block.col_step), 0.0
+    error_bound_px, max_error_px = affine_camera_error_px(globe_scene, block.grid, block.row_step, block.col_step), 0.0
     for part, top, left in affine_parts(globe_scene.world, block):
         inside = np.s_[top : top + part.rows, left : left + part.cols]
         pixel_indices = np.nonzero(buffer.valid[inside])
@@ -99,7 +99,7 @@ def test_affine_parts_of_a_globe_map_err_within_the_bound(gl, globe_scene, zoom)
 
 
 def test_coarser_maps_bend_more(globe_scene):
-    bends = [bend_px(globe_scene, block_at(-84.25, 36.2933, zoom).grid, 1.0, 1.0) for zoom in (13, 11, 9, 7)]
+    bends = [affine_camera_error_px(globe_scene, block_at(-84.25, 36.2933, zoom).grid, 1.0, 1.0) for zoom in (13, 11, 9, 7)]
     assert bends == sorted(bends) and bends[-1] > 0.25
 
 

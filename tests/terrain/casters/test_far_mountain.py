@@ -72,7 +72,7 @@ def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
     if request.param != "a raster":
         monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)
         monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 10_000)
-        monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+        monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 64)
         with rasterio.open(raster, "r+") as dataset:
             dataset.build_overviews([2, 4, 8, 16, 32], Resampling.average)
     middle_m = WEST_M + COLS / 2 * CELL_M

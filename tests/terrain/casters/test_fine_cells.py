@@ -38,7 +38,7 @@ def results_by_raster(write_raster, make_scene, monkeypatch):
     results = {"small": count_and_shadow()}
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 256 * 256)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 256 * 256)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 8)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 8)
     monkeypatch.setattr(overview, "FINE_LOD", 3)
     results["big"] = count_and_shadow()
     monkeypatch.setattr(overview, "FINE_LOD", 7)
@@ -61,12 +61,14 @@ def test_fine_cells_keep_shadows_and_reduce_patches(results_by_raster):
 def test_fine_cells_nest_in_the_overview_cells(write_raster, make_scene, monkeypatch):
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 256 * 256)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 256 * 256)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 8)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 8)
     monkeypatch.setattr(overview, "FINE_LOD", 4)
     raster_overview = make_scene(
         write_raster(relief_heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
     ).elevation.overview
-    assert raster_overview.lod == 7 and raster_overview.fine_lod == 4 and raster_overview.fine_high_m is not None
-    np.testing.assert_array_equal(raster_overview.fine_high_m.reshape(8, 8, 8, 8).max(axis=(1, 3)), raster_overview.high_m)
+    assert raster_overview.lod == 7 and raster_overview.fine_lod == 4 and raster_overview.fine_max_heights_m is not None
+    np.testing.assert_array_equal(
+        raster_overview.fine_max_heights_m.reshape(8, 8, 8, 8).max(axis=(1, 3)), raster_overview.max_heights_m
+    )
     highest = relief_heights().reshape(64, 16, 64, 16).max(axis=(1, 3))
-    assert (raster_overview.fine_high_m >= highest - 60.0).all()
+    assert (raster_overview.fine_max_heights_m >= highest - 60.0).all()

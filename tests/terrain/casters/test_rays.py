@@ -69,7 +69,7 @@ def check_shadow(mesh, tilt: float, sun: np.ndarray, distance) -> None:
     sheet, points, normal = receiver_plane(tilt)
     assert normal @ sun > 0.02
     scene = RayScene([sheet], [mesh])
-    blocked = scene.blocked(points + scene.offset_m * normal, sun)
+    blocked = scene.is_blocked(points + scene.offset_m * normal, sun)
     outline_distance = distance(points)
     far = np.abs(outline_distance) > OUTLINE_TOLERANCE_PX * PIXEL_M
     assert 0.001 < blocked.mean() < 0.5 and far.mean() > 0.99
@@ -153,9 +153,9 @@ def test_start_offset_neither_self_intersects_nor_leaks():
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     start = middle + scene.offset_m * normal
-    assert not scene.blocked(start, np.array([0.0, 0.0, 1.0])).any()
-    assert not scene.blocked(start, normal).mean() > 0.02  # rays along the normal are blocked by other ground only
-    assert scene.blocked(middle - scene.offset_m * normal, np.array([0.0, 0.0, 1.0])).all()
+    assert not scene.is_blocked(start, np.array([0.0, 0.0, 1.0])).any()
+    assert not scene.is_blocked(start, normal).mean() > 0.02  # rays along the normal are blocked by other ground only
+    assert scene.is_blocked(middle - scene.offset_m * normal, np.array([0.0, 0.0, 1.0])).all()
 
 
 def test_rays_pass_through_transparent_texels():
@@ -176,18 +176,18 @@ def test_rays_pass_through_transparent_texels():
         meshes.append(AlphaMesh(corners + [0, 3.0 * k, 0], triangles, uv, alpha, 0.5))
         expected = (x >= -10 + 4 * k) & (x < -6 + 4 * k)
         is_off_edge = np.abs(np.abs(x - (-8 + 4 * k)) - 2) > 0.06
-        is_blocked = RayScene(alpha=[meshes[-1]]).blocked(start, north)
+        is_blocked = RayScene(alpha_meshes=[meshes[-1]]).is_blocked(start, north)
         np.testing.assert_array_equal(is_blocked[is_off_edge], expected[is_off_edge])
-    assert RayScene(alpha=meshes).blocked(start, north).mean() > 0.99
+    assert RayScene(alpha_meshes=meshes).is_blocked(start, north).mean() > 0.99
     stacked = AlphaMesh(
         np.concatenate([mesh.vertices_m for mesh in meshes]),
         np.concatenate([triangles + 4 * k for k in range(5)]),
         np.tile(uv, (5, 1)),
         np.where(np.arange(20) >= 10, 1.0, 0.0)[None, :].repeat(20, 0),
     )
-    is_blocked = RayScene(alpha=[stacked]).blocked(start, north)
+    is_blocked = RayScene(alpha_meshes=[stacked]).is_blocked(start, north)
     np.testing.assert_array_equal(is_blocked[np.abs(x) > 0.06], (x > 0)[np.abs(x) > 0.06])
-    assert not RayScene(alpha=[AlphaMesh(corners, triangles, uv, np.zeros((4, 4)))]).blocked(start, north).any()
+    assert not RayScene(alpha_meshes=[AlphaMesh(corners, triangles, uv, np.zeros((4, 4)))]).is_blocked(start, north).any()
 
 
 def test_alpha_is_bilinear_between_texel_centres():
@@ -197,5 +197,5 @@ def test_alpha_is_bilinear_between_texel_centres():
 
 
 def test_an_empty_scene_blocks_no_ray():
-    assert not RayScene().blocked(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])).any()
-    assert RayScene([sheet_of(np.full((3, 3, 3), np.nan))]).blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)
+    assert not RayScene().is_blocked(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])).any()
+    assert RayScene([sheet_of(np.full((3, 3, 3), np.nan))]).is_blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)

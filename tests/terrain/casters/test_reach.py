@@ -33,8 +33,8 @@ def test_longest_shadow_on_a_curved_earth(relief, altitude, length_km):
 
 
 def test_longest_shadow_on_a_flat_earth():
-    assert longest_shadow_m(100, 30, curved=False) == pytest.approx(100 / np.tan(np.radians(30)))
-    assert longest_shadow_m(100, 0, curved=False) == np.inf
+    assert longest_shadow_m(100, 30, is_curved=False) == pytest.approx(100 / np.tan(np.radians(30)))
+    assert longest_shadow_m(100, 0, is_curved=False) == np.inf
 
 
 def test_find_casters_reads_only_high_ground_towards_the_sun(write_raster, make_scene):

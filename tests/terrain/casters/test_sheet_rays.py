@@ -50,7 +50,10 @@ def test_traversing_rays_agree_with_embree_where_decidable(azimuth, altitude):
     points, normal = random_points_on_sheet(sheets[0], 40_000, 6)
     upward_normal = normal * np.sign(normal @ sun)[:, None]
     is_blocked = np.array(
-        [[ray_scene.blocked(points + k * ray_scene.offset_m * upward_normal, sun) for k in (1.0, 2.0, 4.0)] for ray_scene in scenes]
+        [
+            [ray_scene.is_blocked(points + k * ray_scene.offset_m * upward_normal, sun) for k in (1.0, 2.0, 4.0)]
+            for ray_scene in scenes
+        ]
     )
     is_decidable = (is_blocked[:, :1] == is_blocked).all(axis=(0, 1))
     assert is_decidable.mean() > 0.99
@@ -78,7 +81,7 @@ def test_traversing_rays_leak_at_no_edge_or_node(azimuth, altitude):
     rays = SheetRays([sheet], np.zeros(3))
     for place in places:
         for distance_m in (1e-3, 1.0, 7.0):
-            assert rays.blocked(place.reshape(-1, 3) - distance_m * sun, sun).all()
+            assert rays.is_blocked(place.reshape(-1, 3) - distance_m * sun, sun).all()
 
 
 @pytest.mark.parametrize("z_direction", [1.0, -1.0])
@@ -89,7 +92,7 @@ def test_edges_and_nodes_belong_to_a_triangle(z_direction):
     starts = np.column_stack([places, np.full(len(places), -z_direction)])
     for is_cut_nw_se in (False, True):
         sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), is_cut_nw_se))
-        assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, z_direction])).all()
+        assert SheetRays([sheet], np.zeros(3)).is_blocked(starts, np.array([0.0, 0.0, z_direction])).all()
 
 
 def test_a_sheet_is_walked_in_several_directions():
@@ -99,7 +102,7 @@ def test_a_sheet_is_walked_in_several_directions():
     for azimuth in (40.0, 160.0, 280.0):
         sun = direction_enu(azimuth, 8.0)
         starts = points + [0.0, 0.0, 0.5]
-        assert (traversed.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
+        assert (traversed.is_blocked(starts, sun) == embree.is_blocked(starts, sun)).mean() > 0.999
 
 
 def test_traversing_rays_refuse_lengths_and_accept_empty_input():
@@ -107,7 +110,7 @@ def test_traversing_rays_refuse_lengths_and_accept_empty_input():
     scene = RayScene([rough_sheet(1, 8, 8, 1.0)], traverse_sheets=True)
     for arguments in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):
         with pytest.raises(ValueError, match="traverse_sheets"):
-            scene.blocked(points, **arguments)
-    assert scene.blocked(np.zeros((0, 3)), sun).shape == (0,)
-    assert not RayScene(traverse_sheets=True).blocked(points, sun).any()
-    assert not RayScene([sheet_of(np.full((9, 9, 3), np.nan))], traverse_sheets=True).blocked(points, sun).any()
+            scene.is_blocked(points, **arguments)
+    assert scene.is_blocked(np.zeros((0, 3)), sun).shape == (0,)
+    assert not RayScene(traverse_sheets=True).is_blocked(points, sun).any()
+    assert not RayScene([sheet_of(np.full((9, 9, 3), np.nan))], traverse_sheets=True).is_blocked(points, sun).any()

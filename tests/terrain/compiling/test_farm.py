@@ -45,16 +45,16 @@ import os, signal, sys
 import loops
 from numba.core import types
 from skugga.terrain.compiling import farm
-from skugga.terrain.compiling.loop_cache import recorders
+from skugga.terrain.compiling.loop_cache import compile_recorders
 
 if {deadly}:  # a child that compiles ``middle`` is killed
-    recorders.append(lambda loop, args: loop.py_func.__name__ == "middle" and os.kill(os.getpid(), signal.SIGKILL))
+    compile_recorders.append(lambda loop, args: loop.py_func.__name__ == "middle" and os.kill(os.getpid(), signal.SIGKILL))
 ranks = {{loops.top: 0, loops.leaf: 0, loops.middle: 0, loops.other: 1}}
 tasks = [farm.Task(loop, (types.float64,), rank) for loop, rank in ranks.items()]
 for task in farm.compile_tasks(tasks, {processes}):
     print(task.loop.py_func.__name__)
-missing = [task.loop.py_func.__name__ for task in tasks if not farm.loop_store().has(
-    task.loop._cache.entry_name(task.args, task.loop.targetctx.codegen().magic_tuple()))]
+missing = [task.loop.py_func.__name__ for task in tasks if not farm.loop_store().contains(
+    task.loop._cache.entry_name(task.argument_types, task.loop.targetctx.codegen().magic_tuple()))]
 print("missing:", *missing)
 """
 

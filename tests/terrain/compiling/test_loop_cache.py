@@ -35,7 +35,7 @@ def through(x):
 CALLER_SOURCE = """
 import b
 from skugga.terrain.compiled import compiled
-from skugga.terrain.compiling.loop_cache import recorders
+from skugga.terrain.compiling.loop_cache import compile_recorders
 
 @compiled
 def f(x):
@@ -51,7 +51,7 @@ def difference(pair):
 
 if __name__ == "__main__":
     compiled = []
-    recorders.append(lambda loop, args: compiled.append(loop.py_func.__name__))
+    compile_recorders.append(lambda loop, args: compiled.append(loop.py_func.__name__))
     print(f(2.0), derived(2.0), difference(b.Pair(first=5.0, second=3.0)), *["compiling"] * bool(compiled))
 """
 
@@ -153,7 +153,7 @@ def test_concurrent_processes_lose_no_entry(modules: ModulePair) -> None:
         for argument in arguments
     ]
     assert [process.wait() for process in processes] == [0, 0, 0]
-    code = "import a, numpy as np; a.recorders.append(lambda *_: print('compiling'))\n"
+    code = "import a, numpy as np; a.compile_recorders.append(lambda *_: print('compiling'))\n"
     code += "print(a.f(2), a.f(2.0), a.f(np.float32(2)))"
     assert modules.run(code=code) == "4.0 4.0 4.0"
 

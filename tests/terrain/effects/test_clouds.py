@@ -20,11 +20,11 @@ from skugga.terrain.effects.clouds import (
     CLOUD_HEIGHT_M,
     MAX_NOISE,
     MAX_NOISE_SLOPE,
-    NOISE_BOUND,
+    MAX_OCTAVE_SUM,
     apply_clouds,
     cloud_layer_of,
     density_at,
-    threshold_of,
+    noise_threshold_of,
 )
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -50,7 +50,7 @@ def make_cloudy_scene(make_scene: Callable[..., Scene], write_raster) -> Callabl
 
 
 def sample_densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarray:
-    threshold = threshold_of(cover)
+    threshold = noise_threshold_of(cover)
     return np.array([density_at(x * step_m, y * step_m, threshold) for x in range(side) for y in range(side)])
 
 
@@ -76,16 +76,16 @@ def test_shaded_share_of_the_ground_is_the_cloud_cover(cover: float) -> None:
 
 
 def test_cover_0_has_no_cloud_and_cover_1_has_no_gap() -> None:
-    assert threshold_of(0.0) - CLOUD_EDGE_WIDTH / 2 >= NOISE_BOUND
-    assert threshold_of(1.0) + CLOUD_EDGE_WIDTH / 2 <= -NOISE_BOUND
+    assert noise_threshold_of(0.0) - CLOUD_EDGE_WIDTH / 2 >= MAX_OCTAVE_SUM
+    assert noise_threshold_of(1.0) + CLOUD_EDGE_WIDTH / 2 <= -MAX_OCTAVE_SUM
     cover_values = np.linspace(0.0, 1.0, 401)
-    thresholds = [threshold_of(cover) for cover in cover_values]
+    thresholds = [noise_threshold_of(cover) for cover in cover_values]
     assert all(a > b for a, b in pairwise(thresholds))
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.0, 0.999))
 def test_density_grows_continuously_with_the_cover(x: float, y: float, cover: float) -> None:
-    density, denser = (density_at(x, y, threshold_of(c)) for c in (cover, cover + 1e-6))
+    density, denser = (density_at(x, y, noise_threshold_of(c)) for c in (cover, cover + 1e-6))
     assert 0.0 <= density <= denser <= density + 0.05
 
 
@@ -101,19 +101,19 @@ def test_noise_and_its_slope_stay_within_their_bounds(x: float, y: float, azimut
 @given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
 @settings(max_examples=20)
 def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side: float, cover: float) -> None:
-    threshold = threshold_of(cover)
+    threshold = noise_threshold_of(cover)
     sampled_max = max(
         density_at(x, y, threshold) for x in np.linspace(west, west + side, 60) for y in np.linspace(south, south + side, 60)
     )
     bound = clouds._max_density(west, west + side, south, south + side, threshold)
     assert sampled_max <= bound
     sample_step_m = side / 59.0
-    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
+    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_CLOUD_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= sampled_max + slope * (sample_step_m + 1.0)
 
 
 def test_skipped_noise_octaves_do_not_change_the_density() -> None:
-    threshold = threshold_of(0.3)
+    threshold = noise_threshold_of(0.3)
     for x in range(0, 40_000, 997):
         full_noise = clouds._cloud_noise(float(x), 0.7 * x, -np.inf, np.inf)
         assert density_at(float(x), 0.7 * x, threshold) == clouds._density_of_noise(full_noise, threshold)
@@ -129,7 +129,7 @@ def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> No
     east, north, _ = np.moveaxis(points @ scene.world.earth_from_anchor, -1, 0)
     # The sun stands in the east at 45 degrees: the cloud that shades a point is as far east of it as it is high.
     for i, j in ((3, 5), (500, 500), (1000, 900)):
-        expected = 1.0 - layer.max_opacity * density_at(east[i, j] + CLOUD_HEIGHT_M, north[i, j], layer.threshold)
+        expected = 1.0 - layer.max_opacity * density_at(east[i, j] + CLOUD_HEIGHT_M, north[i, j], layer.noise_threshold)
         assert light[i, j] == pytest.approx(expected, abs=2e-3)
 
 
@@ -233,6 +233,6 @@ def test_clouds_in_perspective_count_visible_ground_only(make_cloudy_scene) -> N
         view = later_scene.view_from(spec)
         light = cloud_transmittance(later_scene, view)
         clouds_are_needed = clouds.judge(describe(later_scene, view, "down")).is_needed
-        assert clouds_are_needed or np.nanmin(light) > 1.0 - clouds.INVISIBLE_SHARE
+        assert clouds_are_needed or np.nanmin(light) > 1.0 - clouds.MAX_INVISIBLE_LIGHT_SHARE
         verdicts.append(clouds_are_needed)
     assert any(verdicts) and not all(verdicts)

@@ -10,7 +10,13 @@ import pytest
 
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, INVISIBLE_CHANGE, apply_ground_detail, max_albedo_change
+from skugga.terrain.effects.ground_detail import (
+    EFFECT,
+    GROUND_WAVES,
+    MAX_INVISIBLE_ALBEDO_CHANGE,
+    apply_ground_detail,
+    max_albedo_change,
+)
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.geo.camera import look_at
@@ -66,7 +72,7 @@ def test_ground_detail_is_not_needed_on_imagery(scene):
 def test_largest_share_bounds_detail_and_falls_with_pixel_size(scene):
     widths = np.geomspace(1e-3, 100.0, 60)
     bounds = [max_albedo_change(width) for width in widths]
-    assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > INVISIBLE_CHANGE
+    assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > MAX_INVISIBLE_ALBEDO_CHANGE
     rng = np.random.default_rng(1)
     for distance_m in (2.0, 50.0, 1000.0, 15_000.0):
         points = np.column_stack([rng.uniform(-0.3, 0.3, (4000, 2)) * distance_m, np.zeros(4000)]) + [70.0, 40.0, 0.0]

@@ -18,23 +18,23 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
     CLEAR_AIR_VISIBILITY_M,
     EFFECT,
-    ENCODER_BIN_WIDTH,
-    RAYLEIGH_PER_M,
+    RAYLEIGH_SCATTERING_PER_M,
+    SRGB_ENCODER_BIN_WIDTH,
     _max_clipped_distance,
     _max_hiding_transmittance,
     _max_invisible_share,
     apply_haze,
-    extinction,
-    extinctions,
+    green_extinction_per_m,
+    rgb_extinctions_per_m,
     shadow_hiding_distance_m,
-    visibility_of,
+    visibility_m_of,
 )  # fmt: skip
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import MESHES
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.shading import encode_srgb, shade
 from skugga.terrain.sky import horizon_colors, sky_color, sky_of
 
 EAST = np.array([1.0, 0.0, 0.0])
@@ -110,17 +110,17 @@ def test_contrast_at_the_visibility_is_two_percent(make_floor_scene):
     black = hazed_colors(scene, np.zeros((3, 3)), np.array([0.0, 250.0, 500.0]))
     contrast = 1.0 - black / horizon_in_east(scene)
     assert contrast[:, 1] == pytest.approx(np.array([1.0, 0.02**0.5, 0.02]), rel=1e-5)
-    assert extinction(500.0) == pytest.approx(3.912 / 500.0, rel=1e-4)
+    assert green_extinction_per_m(500.0) == pytest.approx(3.912 / 500.0, rel=1e-4)
 
 
 def test_extinction_is_rayleigh_in_clear_air_and_grey_in_mist():
     """At the visibility of air alone, extinction is Rayleigh's. Dust and drops add the same extinction to every colour."""
-    air = np.array(RAYLEIGH_PER_M)
-    air_extinctions = extinctions(3.912023 / air[1])
+    air = np.array(RAYLEIGH_SCATTERING_PER_M)
+    air_extinctions = rgb_extinctions_per_m(3.912023 / air[1])
     assert air_extinctions == pytest.approx(air, rel=1e-6)
-    assert extinctions(2.0 * 3.912023 / air[1]) == pytest.approx(air / 2.0, rel=1e-6)
-    haze_extinctions = extinctions(10_000.0)
-    assert haze_extinctions[1] == pytest.approx(extinction(10_000.0))
+    assert rgb_extinctions_per_m(2.0 * 3.912023 / air[1]) == pytest.approx(air / 2.0, rel=1e-6)
+    haze_extinctions = rgb_extinctions_per_m(10_000.0)
+    assert haze_extinctions[1] == pytest.approx(green_extinction_per_m(10_000.0))
     assert haze_extinctions - haze_extinctions[1] == pytest.approx(air - air[1], rel=1e-6)
 
 
@@ -166,17 +166,17 @@ def test_air_is_clear_if_a_level_sets_no_visibility(make_floor_scene):
 
 
 def test_srgb_encoder_is_constant_within_bins():
-    first = np.arange(round(1.0 / ENCODER_BIN_WIDTH)) * ENCODER_BIN_WIDTH
-    assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * ENCODER_BIN_WIDTH)).all()
-    assert (np.diff(srgb_encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
+    first = np.arange(round(1.0 / SRGB_ENCODER_BIN_WIDTH)) * SRGB_ENCODER_BIN_WIDTH
+    assert (encode_srgb(first) == encode_srgb(first + 0.999 * SRGB_ENCODER_BIN_WIDTH)).all()
+    assert (np.diff(encode_srgb(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
 def test_max_invisible_share_moves_no_colour_by_two_steps(color, horizon):
     share = _max_invisible_share((horizon,), (horizon,))
-    near = np.linspace(max(color - 2 * ENCODER_BIN_WIDTH, 0.0), min(color + 2 * ENCODER_BIN_WIDTH, 1.0), 400)
+    near = np.linspace(max(color - 2 * SRGB_ENCODER_BIN_WIDTH, 0.0), min(color + 2 * SRGB_ENCODER_BIN_WIDTH, 1.0), 400)
     blended = near + share * (horizon - near)
-    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(near)).max() <= 1
+    assert np.abs(encode_srgb(blended).astype(int) - encode_srgb(near)).max() <= 1
 
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
@@ -184,16 +184,16 @@ def test_max_invisible_share_is_tight_within_a_tenth(horizon):
     share = 1.1 * _max_invisible_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
     blended = color + share * (horizon - color)
-    assert np.abs(srgb_encoded(blended).astype(int) - srgb_encoded(color)).max() == 2
+    assert np.abs(encode_srgb(blended).astype(int) - encode_srgb(color)).max() == 2
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
 def test_max_hiding_transmittance_equates_sun_and_shadow(dark, horizon, white, part):
     share = _max_hiding_transmittance((horizon,) * 3, (white,) * 3)
-    dark = (1.0 - white) * dark + np.linspace(0.0, 8 * ENCODER_BIN_WIDTH, 400)
+    dark = (1.0 - white) * dark + np.linspace(0.0, 8 * SRGB_ENCODER_BIN_WIDTH, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
     sun = shadow + part * share * white
-    assert np.abs(srgb_encoded(np.minimum(sun, 1.0)).astype(int) - srgb_encoded(np.minimum(shadow, 1.0))).max() <= 1
+    assert np.abs(encode_srgb(np.minimum(sun, 1.0)).astype(int) - encode_srgb(np.minimum(shadow, 1.0))).max() <= 1
 
 
 SUN_ALTITUDES_DEG = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
@@ -212,7 +212,7 @@ def sun_shadow_steps(scene: Scene, distance_m: float) -> np.ndarray:
     for share in (0.0, 1.0):
         color = shade(buffer, scene, np.full(buffer.valid.shape, share, np.float32))
         apply_haze(color, ShadingBlock(scene, view, buffer, {}))
-        pictures.append(srgb_encoded(color).astype(int))
+        pictures.append(encode_srgb(color).astype(int))
     return np.abs(pictures[0] - pictures[1]).max(axis=-1).ravel()
 
 
@@ -251,9 +251,9 @@ def test_clear_air_visibility_grows_with_the_eye_s_height(make_floor_scene):
     for up_m in (10.0, 3000.0, 40_000.0):
         scene, z = make_floor_scene(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
         mean_density = np.exp(-z / 8000.0).mean()
-        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_VISIBILITY_M / mean_density, rel=1e-4)
+        assert visibility_m_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_VISIBILITY_M / mean_density, rel=1e-4)
         hazy_scene = make_floor_scene(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
-        assert visibility_of(hazy_scene, hazy_scene.view("v")) == 5000.0
+        assert visibility_m_of(hazy_scene, hazy_scene.view("v")) == 5000.0
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import EFFECT, apply_sky_view, max_darkening_steps
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, view_frame
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.sky_view_factor import pyramid, sky_occlusion, sky_view, sky_view_nodes
+from skugga.terrain.ground.sky_view_factor import mip_pyramid, sky_occlusion, sky_view, sky_view_nodes
 from tests.render import plan_of, render
 
 NODE_OFFSETS = np.arange(129) - 64.0
@@ -102,7 +102,7 @@ def test_nodata_hides_no_sky() -> None:
 
 def test_pyramid_reduces_pairs_down_to_one_node() -> None:
     """Each level reduces nodes two by two. An odd last node is reduced with itself."""
-    values, table = pyramid(np.arange(15, dtype=np.float32).reshape(3, 5), np.max)
+    values, table = mip_pyramid(np.arange(15, dtype=np.float32).reshape(3, 5), np.max)
     assert table[:, 1:].tolist() == [[3, 5], [2, 3], [1, 2], [1, 1]]
     assert values[table[1, 0] : table[2, 0]].tolist() == [6.0, 8.0, 9.0, 11.0, 13.0, 14.0]
     assert values[-1] == 14.0
@@ -123,7 +123,7 @@ def test_sky_view_nodes_agree_with_proj(write_raster, make_scene, crs: str, x0: 
     rng = np.random.default_rng(1)
     scene = make_scene(write_raster(rng.normal(size=(60, 80)) * 100.0 + 1000.0, crs, x0, y0, cell))
     row, col, height = rng.uniform(0, 59, 200), rng.uniform(0, 79, 200), rng.uniform(0, 4000, 200)
-    point, up = scene.world.ground(scene.elevation.crs, *scene.elevation.xy(row, col))
+    point, up = scene.world.points_at_zero_height(scene.elevation.crs, *scene.elevation.xy(row, col))
     frame = scene.world.frame_near_earth(point[0])
     position = (point + height[:, None] * up - frame.origin_earth_m) @ frame.frame_from_earth.T
     nodes = sky_view_nodes(sky_view(scene.elevation, scene.world), frame, position, height)

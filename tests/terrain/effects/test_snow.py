@@ -12,7 +12,14 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import snow
 from skugga.terrain.effects.effect import PixelSize, ShadingBlock
-from skugga.terrain.effects.snow import EDGE_NOISE_DEG, FULL_SNOW_DEG, NO_SNOW_DEG, ROCK_ALBEDO, SNOW_ALBEDO, apply_snow
+from skugga.terrain.effects.snow import (
+    MAX_FULL_SNOW_SLOPE_DEG,
+    MIN_BARE_SLOPE_DEG,
+    ROCK_ALBEDO,
+    SNOW_ALBEDO,
+    SNOW_EDGE_NOISE_DEG,
+    apply_snow,
+)
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, ShadingInputs
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
@@ -47,20 +54,20 @@ def albedo_without_and_with_snow(scene: Scene) -> tuple[np.ndarray, np.ndarray, 
     return before, albedo, buffer
 
 
-@pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * EDGE_NOISE_DEG])
+@pytest.mark.parametrize("slope_deg", [0.0, 15.0, MAX_FULL_SNOW_SLOPE_DEG - 1.6 * SNOW_EDGE_NOISE_DEG])
 def test_snow_covers_gentle_slopes(make_slope_scene, slope_deg: float) -> None:
     _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
     assert np.allclose(albedo[buffer.valid], SNOW_ALBEDO, atol=0.01)
 
 
-@pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * EDGE_NOISE_DEG, 75.0])
+@pytest.mark.parametrize("slope_deg", [MIN_BARE_SLOPE_DEG + 2 * SNOW_EDGE_NOISE_DEG, 75.0])
 def test_steep_slopes_show_rock_without_tint(make_slope_scene, slope_deg: float) -> None:
     _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene(slope_deg))
     assert np.allclose(albedo[buffer.valid], ROCK_ALBEDO, atol=0.01)
 
 
 def test_the_edge_of_the_snow_is_irregular(make_slope_scene) -> None:
-    _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
+    _, albedo, buffer = albedo_without_and_with_snow(make_slope_scene((MAX_FULL_SNOW_SLOPE_DEG + MIN_BARE_SLOPE_DEG) / 2))
     share = (albedo[buffer.valid][:, 0] - ROCK_ALBEDO[0]) / (SNOW_ALBEDO[0] - ROCK_ALBEDO[0])
     assert 0.3 < share.mean() < 0.7
     assert share.std() > 0.1
@@ -70,12 +77,12 @@ def test_the_edge_of_the_snow_is_irregular(make_slope_scene) -> None:
 def test_snow_share_is_1_on_gentle_and_0_on_steep_slopes() -> None:
     shares = [snow._slope_snow_share(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
     assert shares[0] == 1.0 and shares[-1] == 0.0
-    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < FULL_SNOW_DEG - 2 * EDGE_NOISE_DEG] == 0.0).all()
+    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < MAX_FULL_SNOW_SLOPE_DEG - 2 * SNOW_EDGE_NOISE_DEG] == 0.0).all()
 
 
 def test_snow_noise_fades_out_in_wide_pixels() -> None:
-    middle = (FULL_SNOW_DEG + NO_SNOW_DEG) / 2
-    assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.EDGE_NOISE_WAVELENGTH_M)) for k in range(9)} == {0.5}
+    middle = (MAX_FULL_SNOW_SLOPE_DEG + MIN_BARE_SLOPE_DEG) / 2
+    assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.SNOW_EDGE_NOISE_WAVELENGTH_M)) for k in range(9)} == {0.5}
     assert len({float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
 
 
@@ -117,7 +124,7 @@ def test_steep_imagery_keeps_its_albedo() -> None:
 
 
 def test_snow_of_map_parts_agrees(make_slope_scene) -> None:
-    scene = make_slope_scene((FULL_SNOW_DEG + NO_SNOW_DEG) / 2)
+    scene = make_slope_scene((MAX_FULL_SNOW_SLOPE_DEG + MIN_BARE_SLOPE_DEG) / 2)
     full_view = scene.view(size=(100, 100))
     part = full_view.part(20, 30, 40, 50)
     albedos = []

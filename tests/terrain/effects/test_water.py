@@ -18,7 +18,7 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.shading import albedo_of, water_in
+from skugga.terrain.shading import albedo_of, water_mask
 from skugga.terrain.sky import Sky
 
 UTM = "EPSG:32633"
@@ -87,7 +87,10 @@ def test_heights_are_the_maximum_of_ground_and_water(write_raster, bowl_m):
         np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(WATER_LEVEL_M)))
         np.testing.assert_array_equal(flooded_valid, valid)
     assert flooded_elevation.ground_m(395.0, 305.0) == WATER_LEVEL_M == flooded_elevation.filled_ground_m(395.0, 305.0)
-    assert flooded_elevation.overview.heights_m.min() == WATER_LEVEL_M and flooded_elevation.overview.lowest_m == bowl_m.min()
+    assert (
+        flooded_elevation.overview.mean_heights_m.min() == WATER_LEVEL_M
+        and flooded_elevation.overview.lowest_ground_m == bowl_m.min()
+    )
 
 
 def test_overviews_of_large_rasters_are_flooded(write_raster):
@@ -95,8 +98,8 @@ def test_overviews_of_large_rasters_are_flooded(write_raster):
     heights_m[:300] = 40.0
     heights_m[5, 5] = 10.0
     overview = Elevation(str(write_raster(heights_m, UTM, 0, 6000, 10)), water_m=WATER_LEVEL_M).overview
-    assert overview.lod == 2 and overview.lowest_m == 10.0
-    for values in (overview.heights_m, overview.high_m):
+    assert overview.lod == 2 and overview.lowest_ground_m == 10.0
+    for values in (overview.mean_heights_m, overview.max_heights_m):
         assert set(np.unique(values)) == {100.0, 120.0}
 
 
@@ -124,10 +127,10 @@ def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
 def test_water_is_painted_up_to_its_round_shore(make_lake):
     scene = make_lake()
     buffer = geometry_buffer(scene, scene.view("map", size=(800, 600)))
-    is_water = water_in(buffer, scene)
+    is_water = water_mask(buffer, scene)
     albedo = albedo_of(buffer, scene)
-    np.testing.assert_allclose(albedo[is_water], np.broadcast_to(scene.style.water, albedo[is_water].shape), atol=1e-6)
-    assert not np.isclose(albedo[~is_water & buffer.valid], scene.style.water, atol=1e-3).all(axis=-1).any()
+    np.testing.assert_allclose(albedo[is_water], np.broadcast_to(scene.style.water_albedo, albedo[is_water].shape), atol=1e-6)
+    assert not np.isclose(albedo[~is_water & buffer.valid], scene.style.water_albedo, atol=1e-3).all(axis=-1).any()
     area_m2 = is_water.sum() * 100.0 / 100.0
     assert area_m2 == pytest.approx(np.pi * (WATER_LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
 
@@ -138,16 +141,16 @@ def test_trees_do_not_stand_in_water(make_lake, tmp_path):
     path = tmp_path / "trees.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
     trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).objects.trees for m in (0.0, WATER_LEVEL_M)]
-    assert [len(tree_set.rank) for tree_set in trees] == [2, 1]
+    assert [len(tree_set.thinning_rank) for tree_set in trees] == [2, 1]
 
 
 @given(cosine=st.floats(0.0, 1.0))
 def test_seen_facets_match_integrals_over_all_facets(cosine):
-    s = np.sqrt(0.5 * water.MEAN_SQUARE_SLOPE)
+    s = np.sqrt(0.5 * water.MEAN_SQUARE_WAVE_SLOPE)
     sine = np.sqrt(1.0 - cosine * cosine)
     z = np.linspace(-8.0 * s, 8.0 * s, 20001)
     visible_density = np.exp(-0.5 * (z / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) * np.maximum(cosine + z * sine, 0.0)
-    area, slope = water._visible_facets(cosine, water.MEAN_SQUARE_SLOPE)
+    area, slope = water._visible_facet_area_and_slope(cosine, water.MEAN_SQUARE_WAVE_SLOPE)
     assert area == pytest.approx(np.trapezoid(visible_density, z), rel=1e-4, abs=1e-6)
     assert slope == pytest.approx(np.trapezoid(z * visible_density, z) / np.trapezoid(visible_density, z), rel=1e-3, abs=1e-6)
 
@@ -164,11 +167,17 @@ def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
     def radiance(azimuth, eye_up_cosine):
         eye_horizontal = np.sqrt(1.0 - eye_up_cosine * eye_up_cosine)
         eye_sun_cosine = eye_horizontal * np.cos(azimuth) * sun[0] + eye_up_cosine * sun[2]
-        area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
-        return water._glint(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up_cosine
+        area, _ = water._visible_facet_area_and_slope(eye_up_cosine, water.MEAN_SQUARE_WAVE_SLOPE)
+        return (
+            water._glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, area, water.MEAN_SQUARE_WAVE_SLOPE)
+            / np.pi
+            * eye_up_cosine
+        )
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
-    flat = sun_up_cosine * (water.NORMAL_REFLECTANCE + (1.0 - water.NORMAL_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5)
+    flat = sun_up_cosine * (
+        water.NORMAL_INCIDENCE_REFLECTANCE + (1.0 - water.NORMAL_INCIDENCE_REFLECTANCE) * (1.0 - sun_up_cosine) ** 5
+    )
     assert 0.8 * flat < power < 1.25 * flat
 
 
@@ -177,23 +186,25 @@ def test_water_seen_vertically_reflects_a_fiftieth():
     foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
     sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
     valid, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
-    water._add_reflections(color, valid, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
+    water._add_reflections(
+        color, valid, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_WAVE_SLOPE, np.zeros(3), None, None
+    )
     share = 1.0 - np.exp(-4.0)
     np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 
 
 def test_glint_peaks_under_the_sun_and_is_symmetric():
     sun_up_cosine, eye_up_cosine = np.sin(np.radians([30.0, 25.0]))
-    area, _ = water._visible_facets(eye_up_cosine, water.MEAN_SQUARE_SLOPE)
+    area, _ = water._visible_facet_area_and_slope(eye_up_cosine, water.MEAN_SQUARE_WAVE_SLOPE)
     horizontal_product = np.sqrt((1.0 - sun_up_cosine**2) * (1.0 - eye_up_cosine**2))
     off_deg = np.arange(-90.0, 91.0, 5.0)  # angle between the eye's azimuth and the sun's
     glint = [
-        water._glint(
+        water._glint_share(
             eye_up_cosine,
             sun_up_cosine,
             sun_up_cosine * eye_up_cosine - horizontal_product * np.cos(np.radians(offset_deg)),
             area,
-            water.MEAN_SQUARE_SLOPE,
+            water.MEAN_SQUARE_WAVE_SLOPE,
         )
         for offset_deg in off_deg
     ]
@@ -209,7 +220,7 @@ def test_water_is_needed_by_day_and_changes_only_water(make_lake, name):
     is_changed = (with_water != without_water).any(axis=-1)
     buffer = geometry_buffer(scene, scene.view(name))
     assert is_changed.any() and (np.abs(with_water - without_water).max() > 1)
-    far = ~water_in(buffer, scene)
+    far = ~water_mask(buffer, scene)
     if name == "map":
         assert not (is_changed & far).any()
 
@@ -261,7 +272,7 @@ def test_glint_stays_out_of_shadow(make_lake):
     scene = make_lake(altitude=25.0)
     view = scene.view("rim")
     buffer = geometry_buffer(scene, view)
-    is_water = water_in(buffer, scene)
+    is_water = water_mask(buffer, scene)
     colors = []
     for sun_visibility in (0.0, 1.0):
         color = np.full((*is_water.shape, 3), 0.2, np.float32)
@@ -280,7 +291,7 @@ def test_a_pond_between_coarse_view_points_is_not_missed(make_lake, bowl_m):
     view_count_with_water = 0
     for shift in range(8):
         view = eye.shifted(shift, 3 * shift)
-        on_water = water_in(geometry_buffer(scene, view), scene).any()
+        on_water = water_mask(geometry_buffer(scene, view), scene).any()
         assert water.judge(describe(scene, view, "rim")).is_needed >= on_water
         view_count_with_water += on_water
     assert view_count_with_water > 0

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
 from skugga.terrain.describe import describe
-from skugga.terrain.facts.caster_facts import trees_of
+from skugga.terrain.facts.caster_facts import drawn_trees_of
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 from skugga.terrain.facts.leaf_rays import first_leaf_hits
 from skugga.terrain.facts.mesh_rays import any_hit, bvh_of
 from skugga.terrain.facts.probes import quasirandom, stratified_indices
-from skugga.terrain.facts.silhouette_facts import mean_volume_layers, mesh_edges, projected_length
+from skugga.terrain.facts.silhouette_facts import mean_volume_layers, mesh_edges, projected_edge_length
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
@@ -205,9 +205,9 @@ def test_projected_length_is_clipped_to_the_picture():
     inside = np.array([[[-5.0, 0.0, 100.0], [5.0, 0.0, 100.0]]])
     half = np.array([[[0.0, 0.0, 10.0], [20.0, 0.0, 10.0]]])
     edges_behind_eye = np.array([[[-1.0, 0.0, -5.0], [1.0, 0.0, -5.0]]])
-    assert projected_length(inside, low, high) == pytest.approx(0.1)
-    assert projected_length(half, low, high) == pytest.approx(1.0)
-    assert projected_length(edges_behind_eye, low, high) == 0.0
+    assert projected_edge_length(inside, low, high) == pytest.approx(0.1)
+    assert projected_edge_length(half, low, high) == pytest.approx(1.0)
+    assert projected_edge_length(edges_behind_eye, low, high) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_any_hit_agrees_with_embree(seed, count):
     length = rng.uniform(1.0, 20.0, 200)
     tree = bvh_of(vertices, triangles)
     is_hit = any_hit(tree, start - tree.origin_earth_m, ray_direction, length)
-    expected = RayScene(meshes=[(vertices, triangles)]).blocked(start, ray_direction, length)
+    expected = RayScene(meshes=[(vertices, triangles)]).is_blocked(start, ray_direction, length)
     assert (is_hit != expected).sum() <= 1  # one that grazes an edge in float32
 
 
@@ -247,12 +247,12 @@ def test_first_leaf_hits_agree_with_embree(tmp_path):
     pyogrio.raw.write(tmp_path / "trees.gpkg", wkb, [np.full(150, 12.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
     view = {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
     scene = scene_with_body(tmp_path, sun=SUN, forest=[{"source": "trees.gpkg", "height": "height"}], views={"main": view})
-    trees = trees_of(scene, scene.view("main"))
+    trees = drawn_trees_of(scene, scene.view("main"))
     rng = np.random.default_rng(5)
     start = np.column_stack([rng.uniform(-60, 60, (500, 2)), rng.uniform(0.1, 5.0, 500)])
     ray_directions = np.tile(scene.sun.to_sun_earth, (500, 1))
     hits, _ = first_leaf_hits(trees, start, ray_directions, np.full(500, np.inf))
-    expected = RayScene(alpha=[trees_as_mesh(trees)]).blocked(start, ray_directions)
+    expected = RayScene(alpha_meshes=[trees_as_mesh(trees)]).is_blocked(start, ray_directions)
     assert 0.1 < expected.mean() < 0.9
     assert (np.isfinite(hits) == expected).mean() >= 0.97
     facts = describe(scene, scene.view("main"), "main")

@@ -20,7 +20,7 @@ from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.shading import encode_srgb, shade
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -50,7 +50,7 @@ def render_unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
 
 def mesh_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return the share of each pixel that shows a mesh, from 16 x 16 points."""
-    fine_mesh_mask = geometry_buffer(scene, view.finer(16)).kind == MESHES
+    fine_mesh_mask = geometry_buffer(scene, view.finer(16)).surface_kind == MESHES
     return fine_mesh_mask.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
 
 
@@ -58,10 +58,10 @@ def test_edge_pixels_are_blended_and_face_interiors_plain(gl, tower, monkeypatch
     """On the outline against the sky, colours lie between the sky's and the wall's. The interior of a face has one colour."""
     view = tower.view("eye")
     frame, unsampled_frame, buffer = render(tower, view), render_unsampled(monkeypatch, tower), geometry_buffer(tower, view)
-    wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
+    wall, sky = buffer.surface_kind == MESHES, buffer.surface_kind == NO_SURFACE
     assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
     share = mesh_share(tower, view)
-    partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.kind == RELIEF)
+    partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.surface_kind == RELIEF)
     low, high = minimum_filter(unsampled_frame.color[..., 0], 5), maximum_filter(unsampled_frame.color[..., 0], 5)
     contrast = partly & (high.astype(int) - low > 40)
     assert contrast.sum() > 40
@@ -80,10 +80,10 @@ def test_edge_means_match_the_covered_share_of_the_pixel(gl, tower):
     """Compared with 16 x 16 points per pixel, the means are far nearer than one point is, and unbiased."""
     view = tower.view("eye")
     picture = multisampled(tower, view)
-    row, col = picture.pixels
+    row, col = picture.sampled_pixels
     assert len(row) > 100 and picture.sample_count == 4
-    mesh_samples = (picture.buffer.kind == MESHES).astype(float)[..., None]
-    sample_means = picture.averaged(mesh_samples)[..., 0]
+    mesh_samples = (picture.buffer.surface_kind == MESHES).astype(float)[..., None]
+    sample_means = picture.average_samples(mesh_samples)[..., 0]
     covered_share = mesh_share(tower, view)
     single_samples = mesh_samples[: view.rows, :, 0]
     is_partly_covered = (covered_share > 0.02) & (covered_share < 0.98)
@@ -125,7 +125,7 @@ def test_samples_leave_data_layers_unchanged(gl, tower, monkeypatch):
     """Visibility, heights and positions equal those of a frame without samples. Colours do so away from edges."""
     view = tower.view("eye")
     sampled_frame = render(tower, view)
-    pixels = multisampled(tower, view).pixels
+    pixels = multisampled(tower, view).sampled_pixels
     unsampled_frame = render_unsampled(monkeypatch, tower)
     assert (unsampled_frame.visibility == 0.0).any() and (unsampled_frame.visibility == 1.0).any()
     np.testing.assert_array_equal(sampled_frame.height_m, unsampled_frame.height_m)
@@ -143,13 +143,13 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
     picture = multisampled(scene, scene.view("eye"))
-    assert not len(picture.pixels[0]) and picture.pixel_buffer is picture.buffer and picture.buffer.valid.all()
+    assert not len(picture.sampled_pixels[0]) and picture.pixel_buffer is picture.buffer and picture.buffer.valid.all()
     slanting = {"eye": {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 50, 25], "fov": 50, "size": [40, 400]}}
     scene = make_scene(floor, views=slanting)
     picture = multisampled(scene, scene.view("eye"))
     valid = picture.pixel_buffer.valid
     is_sampled = np.zeros(valid.shape, bool)
-    is_sampled[picture.pixels] = True
+    is_sampled[picture.sampled_pixels] = True
     rim = valid & binary_dilation(~valid) | ~valid & binary_dilation(valid)
     assert rim.any() and (is_sampled == rim).all()
 
@@ -161,11 +161,11 @@ def test_edge_means_are_of_linear_light(gl, tower):
     frame = render(tower, view)
     visibility = np.where(picture.buffer.valid, 1.0, 0.0).astype(np.float32)
     colours = shade(picture.buffer, tower, visibility)
-    row, col = picture.pixels
+    row, col = picture.sampled_pixels
     valid_samples = picture.buffer.valid.copy()
     extra_samples_valid = valid_samples[view.rows :].ravel()[: len(row) * picture.sample_count].reshape(-1, picture.sample_count)
     is_opaque = extra_samples_valid.all(axis=1) & valid_samples[row, col]  # no sky in them
-    expected = srgb_encoded(picture.averaged(colours))[row[is_opaque], col[is_opaque]].astype(int)
+    expected = encode_srgb(picture.average_samples(colours))[row[is_opaque], col[is_opaque]].astype(int)
     is_lit = frame.visibility[row[is_opaque], col[is_opaque]] == 1.0
     is_equal = np.abs(frame.color[row[is_opaque], col[is_opaque]].astype(int) - expected).max(axis=1) <= 1
     assert is_opaque.sum() > 30 and is_equal[is_lit].mean() > 0.5
@@ -175,7 +175,9 @@ def test_averages_in_closed_form():
     """Two pixels of 2 x 3 have four samples each, and the last row is padded: the means are of five values."""
     picture = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
     samples = np.array([10, 20, 30, 40, 100, 100, 100, 100, 999], np.float32).reshape(3, 3, 1)
-    averages = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
+    averages = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).average_samples(
+        np.concatenate([picture, samples])
+    )  # type: ignore[arg-type]
     expected = picture.copy()
     expected[0, 1], expected[1, 2] = (1 + 100) / 5, (5 + 400) / 5
     np.testing.assert_allclose(averages, expected)
@@ -189,7 +191,7 @@ def test_coarse_views_of_all_pixels_find_the_sampled_edges(gl, tower):
     view = tower.view("eye")
     padded_buffer = multisampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
     is_sampled = np.zeros((view.rows + 2, view.cols + 2), bool)
-    is_sampled[padded_buffer.pixels] = True
+    is_sampled[padded_buffer.sampled_pixels] = True
     edge_mask, shares = np.zeros((view.rows, view.cols), bool), []
     for row in range(COARSE_STEP_PX):
         for col in range(COARSE_STEP_PX):
@@ -210,18 +212,18 @@ def test_a_coarse_view_of_sky_alone_samples_every_pixel(gl, tower):
     The coarse view then samples all of them and finds their edges.
     """
     view = tower.view("eye")
-    wall = geometry_buffer(tower, view).kind == MESHES
+    wall = geometry_buffer(tower, view).surface_kind == MESHES
     row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
     part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
     valid = geometry_buffer(tower, part).valid
     assert not valid[0, 0] and valid.any()
-    assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).pixels[0]) / 49)
+    assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).sampled_pixels[0]) / 49)
 
 
 def test_descriptor_s_edge_share_is_the_sampled_share(gl, tower, floor, make_scene):
     """The edge share is about the share of sampled pixels. It is 0 in a map and on a floor alone."""
     view = tower.view("eye", size=(512, 384))
-    sampled_share = len(multisampled(tower, view).pixels[0]) / (view.rows * view.cols)
+    sampled_share = len(multisampled(tower, view).sampled_pixels[0]) / (view.rows * view.cols)
     assert describe(tower, view).edge_share == pytest.approx(sampled_share, abs=0.01) and sampled_share > 0.01
     assert describe(tower, tower.view("map")).edge_share == 0.0
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
@@ -236,6 +238,6 @@ def test_edge_pixel_share_counts_leaf_edges_with_few_rays(gl):
     """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("overview", size=(320, 256))
-    sampled_share = len(multisampled(scene, view).pixels[0]) / (view.rows * view.cols)
+    sampled_share = len(multisampled(scene, view).sampled_pixels[0]) / (view.rows * view.cols)
     coarse_share, described_share = coarse_view_of(scene, view).edge_share, describe(scene, view).edge_share
     assert coarse_share < 0.5 * sampled_share and described_share == pytest.approx(sampled_share, abs=0.04)

@@ -178,7 +178,7 @@ def test_parts_shifts_and_turned_cameras_share_one_mesh(hills, make_scene):
 
 
 def test_a_ground_of_too_many_nodes_is_averaged(hills, make_scene, monkeypatch):
-    monkeypatch.setattr(module, "MAX_SIDE_NODES", 40)
+    monkeypatch.setattr(module, "MAX_NODES_PER_SIDE", 40)
     scene = make_scene(hills, views=eye_views())
     mesh = ground_mesh(scene, view_of(scene))
     assert mesh.grid.step == 50.0 and len(mesh.x) <= 31 * 41

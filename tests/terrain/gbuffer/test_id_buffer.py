@@ -40,7 +40,7 @@ def test_frustum_culling_leaves_the_id_buffer_unchanged(gl, landscape, monkeypat
     monkeypatch.setattr(id_buffer, "_triangles_in_frustum", every)
     unculled_buffer = RasterisedView(landscape, view, frame).id_buffer
     assert all(0 < kept_count < triangle_count for kept_count, triangle_count in counts), counts
-    np.testing.assert_array_equal(culled_buffer.number, unculled_buffer.number)
+    np.testing.assert_array_equal(culled_buffer.triangle_number, unculled_buffer.triangle_number)
     np.testing.assert_array_equal(culled_buffer.depth, unculled_buffer.depth)
 
 
@@ -51,10 +51,10 @@ def test_pixel_mask_keeps_its_pixels_and_empties_the_others(gl, landscape):
         RasterisedView(landscape, view, frame).id_buffer,
         RasterisedView(landscape, view, frame, pixel_mask=pixel_mask).id_buffer,
     )
-    assert (full_buffer.number[pixel_mask] > 0).mean() > 0.5
-    np.testing.assert_array_equal(masked_buffer.number[pixel_mask], full_buffer.number[pixel_mask])
+    assert (full_buffer.triangle_number[pixel_mask] > 0).mean() > 0.5
+    np.testing.assert_array_equal(masked_buffer.triangle_number[pixel_mask], full_buffer.triangle_number[pixel_mask])
     np.testing.assert_array_equal(masked_buffer.sqrt_albedo[pixel_mask], full_buffer.sqrt_albedo[pixel_mask])
-    assert not masked_buffer.number[~pixel_mask].any()
+    assert not masked_buffer.triangle_number[~pixel_mask].any()
 
 
 def test_multisampled_buffer_is_cached_across_suns(gl, landscape):
@@ -66,4 +66,4 @@ def test_multisampled_buffer_is_cached_across_suns(gl, landscape):
     sampled_buffer = multisampled(landscape, view)
     later_scene = landscape.at_second(2.0)
     assert multisampled(later_scene, view) is not sampled_buffer
-    assert (multisampled(later_scene, view).pixel_buffer.kind != sampled_buffer.pixel_buffer.kind).any()
+    assert (multisampled(later_scene, view).pixel_buffer.surface_kind != sampled_buffer.pixel_buffer.surface_kind).any()

@@ -38,7 +38,7 @@ def make_ground(write_raster, make_scene) -> GroundFactory:
         raster = write_raster(heights.astype(np.float32), ENGINEERING, 0.0, rows * CELL_M, CELL_M, nodata=-9999.0)
         scene = make_scene(raster, azimuth, altitude, **keys)
         view = scene.view(bounds=(0, 0, cols * CELL_M, rows * CELL_M), size=(cols, rows))
-        assert view.on_nodes
+        assert view.is_on_nodes
         return scene, view
 
     return make

@@ -37,7 +37,7 @@ def test_map_views_at_a_zoom_s_resolution_share_the_tile_grid(name, epsg):
         assert map_grid(WORLD, CRS.from_epsg(epsg), grid.step * 1.9) == grid
         bounds = tms.xy_bounds(*tms.tile(15.0, 47.0, zoom))
         view = map_view(WORLD, CRS.from_epsg(epsg), (bounds.left, bounds.bottom, bounds.right, bounds.top), 256, 256)
-        assert view.on_nodes and view.grid == grid
+        assert view.is_on_nodes and view.grid == grid
         tile = tms.tile(15.0, 47.0, zoom)
         assert (view.row0, view.col0) == (tile.y * 256, tile.x * 256)
 
@@ -150,7 +150,7 @@ def test_crease_is_0_on_planes_and_normal_distance_on_folds(write_raster, make_s
     heights[:, 20:] = np.arange(20) * 10.0  # a plane of 45 degrees from column 20 on
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 400, 10))
     view = scene.view(bounds=(0, 0, 400, 400), size=(50, 50))
-    assert view.on_nodes
+    assert view.is_on_nodes
     # Nodes of 8 m do not fall on the fold, at 205 m: from 204 to 212 m the ground rises by 7 m, and only then by 8 m in 8 m.
     fold = np.arctan(7.0 / 8.0)
     for pixels, expected in ((view, 2.0 * np.sin(fold / 4.0)), (view.shifted(0.2, 0.3), 2.0 * np.sin(fold / 2.0))):
@@ -165,7 +165,7 @@ def test_frames_are_true_to_north_and_scale_in_web_mercator():
     world = World(CRS.from_epsg(4326), False, 10.0, 60.0, 10.0, 60.0)
     frame = world.frame_near(CRS.from_epsg(4326), 10.0, 60.0)
     lon, lat, _ = Geod(ellps="WGS84").fwd(10.0, 60.0, 0.0, 1000.0)
-    point, _ = world.ground(CRS.from_epsg(4326), np.array(lon), np.array(lat))
+    point, _ = world.points_at_zero_height(CRS.from_epsg(4326), np.array(lon), np.array(lat))
     east, north, up = frame.frame_from_earth @ (point - frame.origin_earth_m)
     assert (east, north) == (pytest.approx(0.0, abs=1e-3), pytest.approx(1000.0, abs=0.01))
     assert up == pytest.approx(-(1000.0**2) / 2 / 6.38e6, abs=1e-3)  # the earth falls away
@@ -176,7 +176,7 @@ def test_neighbouring_frames_place_the_same_ground_alike():
     crs = CRS.from_epsg(4326)
     west_frame, east_frame = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
     assert west_frame.key != east_frame.key
-    point, _ = world.ground(crs, np.array(10.2), np.array(45.1))
+    point, _ = world.points_at_zero_height(crs, np.array(10.2), np.array(45.1))
     for frame in (west_frame, east_frame):
         local = frame.frame_from_earth @ (point - frame.origin_earth_m)
         assert np.abs(local).max() < 25_000
@@ -203,7 +203,7 @@ def test_sub_samples_with_shared_nodes_are_identical():
                 "normal_frame",
                 "shading_normal_frame",
                 "crease",
-                "kind",
+                "surface_kind",
                 "lift_m",
             ):
                 assert np.array_equal(getattr(buffer, name), getattr(shared_buffer, name), equal_nan=True), name

@@ -67,11 +67,11 @@ def test_a_box_covers_pixels_with_centres_in_its_outline(gl, floor, make_scene, 
     inside, outline_distance = shapely.contains(outline, points), shapely.distance(outline.exterior, points)
     is_decidable = outline_distance > 0.25 / 128
     assert is_decidable.mean() > 0.99 and 0.05 < inside.mean() < 0.1
-    np.testing.assert_array_equal((buffer.kind == MESHES)[is_decidable], inside[is_decidable])
+    np.testing.assert_array_equal((buffer.surface_kind == MESHES)[is_decidable], inside[is_decidable])
     roof, ground = inside & is_decidable, ~inside & is_decidable
     np.testing.assert_allclose(buffer.height_m[roof], 13.0, atol=1e-5)
     np.testing.assert_allclose(buffer.height_m[ground], 5.0, atol=1e-5)
-    assert (buffer.kind[ground] == RELIEF).all()
+    assert (buffer.surface_kind[ground] == RELIEF).all()
     np.testing.assert_allclose(buffer.normal_frame[roof], np.tile([0, 0, 1], (roof.sum(), 1)), atol=1e-6)
     position = buffer.position_frame_m + buffer.frame.origin_earth_m
     np.testing.assert_allclose(
@@ -91,7 +91,7 @@ def test_a_building_on_the_globe_covers_its_footprint(gl, rolling, make_scene, t
     points = shapely.points(x, y)
     inside = shapely.contains(outline, points)
     is_decidable = shapely.distance(outline.exterior, points) > 0.02
-    np.testing.assert_array_equal((buffer.kind == MESHES)[is_decidable], inside[is_decidable])
+    np.testing.assert_array_equal((buffer.surface_kind == MESHES)[is_decidable], inside[is_decidable])
     roof = inside & is_decidable
     assert roof.sum() > 5000 and np.ptp(buffer.height_m[roof]) < 1e-3
     ground = scene.elevation.ground_m(*np.array(outline.exterior.coords).T)
@@ -123,7 +123,7 @@ def test_buried_bodies_are_hidden_and_the_highest_one_shows(gl, floor, make_scen
     lowered_solids = type(solids)(**{**vars(solids), "vertices_earth_m": solids.vertices_earth_m - [0.0, 0.0, 60.0]})
     raised.objects.__dict__["solids"] = lowered_solids
     buffer, _, _ = buffer_and_coordinates(raised, (-80, -80, 80, 80), (160, 160))
-    assert (buffer.kind == RELIEF).all() and (buffer.height_m == 5.0).all()
+    assert (buffer.surface_kind == RELIEF).all() and (buffer.height_m == 5.0).all()
 
 
 def test_a_building_over_nodata_is_visible(gl, write_raster, make_scene, tmp_path):
@@ -135,9 +135,9 @@ def test_a_building_over_nodata_is_visible(gl, write_raster, make_scene, tmp_pat
     scene = make_scene(floor, meshes=[{"source": "box.obj", "at": [-20, 0]}])
     buffer, x, y = buffer_and_coordinates(scene, (-60, -30, 30, 30), (180, 120))
     roof = (np.abs(x + 20) < 14.9) & (np.abs(y) < 14.9)
-    assert buffer.valid[roof].all() and (buffer.kind[roof] == MESHES).all()
+    assert buffer.valid[roof].all() and (buffer.surface_kind[roof] == MESHES).all()
     assert np.isfinite(buffer.position_frame_m[roof]).all()
-    assert not buffer.valid[(x > 0) & ~roof].any() and (buffer.kind[(x > 0) & ~roof] == NO_SURFACE).all()
+    assert not buffer.valid[(x > 0) & ~roof].any() and (buffer.surface_kind[(x > 0) & ~roof] == NO_SURFACE).all()
 
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
@@ -150,7 +150,7 @@ def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_p
     source = write_geopackage(tmp_path / "tree.gpkg", [shapely.Point(*place)], height=[20.0], crown=[12.0])
     scene = make_scene(rolling, forest=[{"source": source, "height": "height", "crown": "crown", "species": species}])
     buffer, x, y = buffer_and_coordinates(scene, (place[0] - 16, place[1] - 16, place[0] + 16, place[1] + 16), (256, 256))
-    tree = buffer.kind == FOREST
+    tree = buffer.surface_kind == FOREST
     assert len(buffer.tree_instances) == 1 and tree.sum() > 300
     rotation_rad = np.radians(scene.objects.trees.yaw_deg[0])
     # The frame's axes are the anchor's east and north; the zone's grid is turned from them by its convergence there.
@@ -197,7 +197,7 @@ def test_every_tree_of_a_wood_covers_pixels_around_its_foot(gl, rolling, make_sc
     buffer, x, y = buffer_and_coordinates(scene, bounds, size)
     bare_buffer, _, _ = buffer_and_coordinates(bare_scene, bounds, size)
     tree_distance = np.hypot(x[..., None] - places[:, 0], y[..., None] - places[:, 1])
-    tree = buffer.kind == FOREST
+    tree = buffer.surface_kind == FOREST
     assert len(buffer.tree_instances) == 60 and not tree[tree_distance.min(axis=-1) > np.hypot(4, 4) + 0.1].any()
     assert all((tree & (tree_distance[..., k] < 4.0)).sum() > 5 for k in range(60))
     np.testing.assert_array_equal(buffer.position_frame_m[~tree], bare_buffer.position_frame_m[~tree])
@@ -220,7 +220,7 @@ def test_whole_pixel_shifts_leave_a_map_unchanged(gl, rolling, make_scene, tmp_p
         return scene.view(bounds=(west, north - 128, west + 128, north), size=(128, 128))
 
     plan = plan_of(scene, view(0, 0))
-    assert view(0, 0).on_nodes
+    assert view(0, 0).is_on_nodes
     full_frame = render_frame(scene, view(0, 0), plan)
     assert 0.1 < (full_frame.visibility < 0.5).mean() < 0.9 and np.ptp(full_frame.height_m) > 20
     for down, right in ((37, 23), (5, -64)):  # in the same block, and across the border of two
@@ -242,7 +242,7 @@ def test_a_part_of_a_block_has_the_block_s_points(gl, rolling, make_scene, tmp_p
     full_buffer = geometry_buffer(scene, view)
     part = geometry_buffer(scene, view.part(31, 77, 128, 96), full_buffer.frame)
     overlap = slice(31, 159), slice(77, 173)
-    is_other_kind = part.kind != full_buffer.kind[overlap]
-    assert is_other_kind.mean() < 1e-3 and (full_buffer.kind[overlap] == FOREST).mean() > 0.02
+    is_other_kind = part.surface_kind != full_buffer.surface_kind[overlap]
+    assert is_other_kind.mean() < 1e-3 and (full_buffer.surface_kind[overlap] == FOREST).mean() > 0.02
     is_same_point = ~is_other_kind & (np.abs(part.height_m - full_buffer.height_m[overlap]) < 1e-4)
     assert is_same_point.mean() > 0.998

@@ -18,8 +18,8 @@ from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import srgb_encoded
-from skugga.terrain.sky import SKY_HORIZON, SKY_ZENITH
+from skugga.terrain.shading import encode_srgb
+from skugga.terrain.sky import HORIZON_COLOR, ZENITH_COLOR
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
@@ -61,8 +61,8 @@ def lon_lat_at(east_m: float, north_m: float) -> tuple[float, float]:
 
 def rays_in_frame(view: PerspectiveView, buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     """Return the eye (3,) and the pixels' rays (rows, cols, 3) of depth 1 in a buffer's frame."""
-    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
-    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x = (view.col0 + np.arange(view.cols) * view.step_px) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step_px) / view.focal_px
     x, y = np.meshgrid(x, y)
     eye, camera_from_frame = view.in_frame(buffer.frame)
     return eye, np.stack([x, y, np.ones_like(x)], axis=-1) @ camera_from_frame
@@ -72,7 +72,7 @@ def ray_distance_px(view: PerspectiveView, point: np.ndarray, eye: np.ndarray, r
     """Return the distance of points (n, 3) from their pixels' rays, in pixels."""
     to_point = point - eye
     ray_distance = np.linalg.norm(np.cross(to_point, ray), axis=-1) / np.linalg.norm(ray, axis=-1)
-    return ray_distance / np.linalg.norm(to_point, axis=-1) / view.pixel
+    return ray_distance / np.linalg.norm(to_point, axis=-1) / view.pixel_tangent
 
 
 def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
@@ -83,7 +83,7 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
         t = np.where(ray[..., 2] < 0.0, -eye[2] / ray[..., 2], np.nan)
     floor_points = eye + t[..., None] * ray
     border_distance_m = np.abs(floor_points[..., :2] + buffer.frame.origin_earth_m[:2]).max(axis=-1) - FLOOR_M
-    pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel
+    pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel_tangent
     slanted_m = 2.0 * pixel_m / np.maximum(np.abs(ray[..., 2]) / np.linalg.norm(ray, axis=-1), 1e-9)
     assert (buffer.valid == (border_distance_m < 0.0))[~(np.abs(border_distance_m) < slanted_m)].all()
     valid = buffer.valid & (border_distance_m < 0.0)
@@ -94,7 +94,7 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
     is_exact = relative_error < 1e-6
     offset_px = ray_distance_px(view, points, eye, ray[valid])
     assert is_exact.mean() > 0.97 and offset_px.max() < RASTER_TOLERANCE_PX and np.abs(points[:, 2]).max() < 1e-9
-    assert (buffer.kind[buffer.valid] == RELIEF).all() and (buffer.height_m[buffer.valid] == 0.0).all()
+    assert (buffer.surface_kind[buffer.valid] == RELIEF).all() and (buffer.height_m[buffer.valid] == 0.0).all()
     for normal in (buffer.normal_frame, buffer.shading_normal_frame):
         np.testing.assert_allclose(normal[buffer.valid], np.tile([0, 0, 1], (buffer.valid.sum(), 1)), atol=1e-6)
     assert np.isnan(buffer.position_frame_m[~buffer.valid]).all() and np.isnan(buffer.height_m[~buffer.valid]).all()
@@ -157,9 +157,13 @@ def test_points_on_the_globe_lie_on_the_visible_triangle(gl, hills, make_scene):
     visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = resolve_buffer(scene, view, visible)
     valid = buffer.valid
-    assert valid.mean() > 0.4 and (visible.id_buffer.number[valid] > 0).all() and (visible.id_buffer.number[~valid] == 0).all()
+    assert (
+        valid.mean() > 0.4
+        and (visible.id_buffer.triangle_number[valid] > 0).all()
+        and (visible.id_buffer.triangle_number[~valid] == 0).all()
+    )
     ground = visible.ground
-    corner_numbers = ground.triangles[visible.id_buffer.number[valid].astype(int) - 1]
+    corner_numbers = ground.triangles[visible.id_buffer.triangle_number[valid].astype(int) - 1]
     corners = ground.position_frame_m[corner_numbers]
     point = buffer.position_frame_m[valid]
     e, g = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -183,7 +187,7 @@ def test_points_on_the_globe_lie_on_the_visible_triangle(gl, hills, make_scene):
     rays = RayScene(meshes=[(ground.position_frame_m, ground.triangles)])
     to_point = point - eye
     length = np.linalg.norm(to_point, axis=1)
-    is_occluded = rays.blocked(np.tile(eye, (len(to_point), 1)), to_point / length[:, None], length * (1 - 1e-4) - 0.01)
+    is_occluded = rays.is_blocked(np.tile(eye, (len(to_point), 1)), to_point / length[:, None], length * (1 - 1e-4) - 0.01)
     assert is_occluded.mean() < 0.002
 
 
@@ -194,7 +198,7 @@ def test_a_box_shows_its_faces_with_outward_normals(gl, floor, make_scene, tmp_p
     scene = make_scene(floor, meshes=meshes, views=eye_view((0, 0, 25), (20, 30, 3), size=(120, 90), fov=30.0))
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
-    box = buffer.kind == MESHES
+    box = buffer.surface_kind == MESHES
     assert box.mean() > 0.1
     point = buffer.position_frame_m[box] + buffer.frame.origin_earth_m - [*box_position, 4.0]
     normal = buffer.normal_frame[box]
@@ -235,7 +239,7 @@ def test_a_sheet_s_normal_faces_the_eye_from_either_side(gl, floor, make_scene, 
             floor, meshes=[{"source": "sheet.obj", "at": [0, 0]}], views=eye_view((0, -60 * south, 12), (0, 0, 12), fov=20.0)
         )
         buffer = geometry_buffer(scene, scene.view("eye"))
-        on_mesh = buffer.kind == MESHES
+        on_mesh = buffer.surface_kind == MESHES
         assert on_mesh.mean() > 0.5
         np.testing.assert_allclose(buffer.normal_frame[on_mesh], np.tile([0, -south, 0], (on_mesh.sum(), 1)), atol=1e-6)
         np.testing.assert_allclose(buffer.shading_normal_frame[on_mesh], buffer.normal_frame[on_mesh], atol=1e-6)
@@ -258,7 +262,7 @@ def test_depth_is_along_the_axis_and_position_in_the_map_s_crs(gl, hills, make_s
     np.testing.assert_allclose(depth[valid], camera_points[valid, 2], rtol=1e-6)
     x = (view.col0 + np.arange(view.cols)) / view.focal_px
     np.testing.assert_allclose(
-        (camera_points[..., 0] / depth)[valid], np.broadcast_to(x, depth.shape)[valid], atol=0.1 * view.pixel
+        (camera_points[..., 0] / depth)[valid], np.broadcast_to(x, depth.shape)[valid], atol=0.1 * view.pixel_tangent
     )
     assert np.isnan(depth[~valid]).all() and depth[valid].min() > 0.0
 
@@ -283,7 +287,7 @@ def test_a_view_of_the_sky_alone_runs_all_passes(gl, floor, make_scene, target):
     frame = render(scene, scene.view("eye"))
     assert not frame.valid.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
     assert frame.opaque_mask.all() and [record.name for record in frame.passes] == frame.plan.passes
-    between = srgb_encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
+    between = encode_srgb(np.array([ZENITH_COLOR, HORIZON_COLOR], np.float32)).astype(int)
     assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
 
 

@@ -108,9 +108,9 @@ def test_a_tree_shows_its_nearest_opaque_quad(gl, floor, make_wooded_scene, spec
         alpha = alpha_at(instances, np.zeros(len(uv), int), np.full(len(uv), part), uv).reshape(t.shape)
         is_hit = inside & (alpha >= ALPHA_THRESHOLD) & (t > 0) & (t < nearest)
         nearest[is_hit], expected[is_hit] = t[is_hit], part
-    tree = buffer.kind == FOREST
+    tree = buffer.surface_kind == FOREST
     first = len(visible.ground.triangles) + 1
-    quad_index = np.where(tree, (visible.id_buffer.number.astype(int) - first) // 2, -1)
+    quad_index = np.where(tree, (visible.id_buffer.triangle_number.astype(int) - first) // 2, -1)
     assert {0, 1, 2} <= set(quad_index[tree].tolist()) <= {0, 1, 2} and 0.05 < tree.mean() < 0.6
     assert (quad_index == expected).mean() > 0.994
     is_same_quad = tree & (quad_index == expected)
@@ -127,8 +127,8 @@ def test_points_of_trees_lie_on_opaque_parts_of_their_quads(gl, floor, make_wood
     buffer = resolve_buffer(scene, view, visible)
     instances = visible.tree_instances
     assert instances is not None
-    on_tree = buffer.kind == FOREST
-    number = visible.id_buffer.number[on_tree].astype(int) - 1 - len(visible.ground.triangles)
+    on_tree = buffer.surface_kind == FOREST
+    number = visible.id_buffer.triangle_number[on_tree].astype(int) - 1 - len(visible.ground.triangles)
     tree, part = number // 6, number % 6 // 2
     assert len(set(tree.tolist())) > 30 and set(part.tolist()) == {0, 1, 2}
     uv, quad_distance = quad_coordinates(buffer.position_frame_m[on_tree], instances.corners()[tree, part])
@@ -179,7 +179,7 @@ def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, make_wood
     top = instances.corners()[:, 0, 2:].mean(axis=1)
     earth = top @ frame.frame_from_earth + frame.origin_earth_m
     top_positions = np.stack(scene.world.map_position(scene.elevation.crs, earth), axis=-1)
-    expected = scene.objects.trees_in_crs(scene.elevation.crs)[instances.number]
+    expected = scene.objects.trees_in_crs(scene.elevation.crs)[instances.tree_number]
     origin_distance_m = np.hypot(*instances.base_frame_m[:, :2].T)
     near = origin_distance_m < 20_000
     assert near.sum() > 20 and origin_distance_m[near].max() > 12_000
@@ -222,18 +222,18 @@ def test_drawn_share_in_perspective_follows_the_distance(floor, make_wooded_scen
     trees, instances = scene.objects.trees, instances_of(scene, view)
     eye_distance_m = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
     share = np.clip((5.0 * view.focal_px / eye_distance_m / module.FULL_STAND_TREE_PX) ** 2, module.MIN_DRAWN_TREE_SHARE, 1.0)
-    np.testing.assert_array_equal(instances.number, np.flatnonzero(trees.rank < share))
+    np.testing.assert_array_equal(instances.tree_number, np.flatnonzero(trees.thinning_rank < share))
     assert share.max() == 1.0 and share.min() < 0.2
-    scale = 1 / np.sqrt(share[instances.number])
+    scale = 1 / np.sqrt(share[instances.tree_number])
     crown_quad_height = np.array([TREE_VARIANTS[k].crown_quad_height for k in instances.variant])
     expected = np.stack([1.5 * scale, 1.5 * scale, 5.0 * scale, 5.0 * scale * crown_quad_height], axis=1)
-    np.testing.assert_allclose(instances.shape, expected, rtol=1e-5)
+    np.testing.assert_allclose(instances.quad_sizes_m, expected, rtol=1e-5)
     for nearer, farther in ((30, 150), (150, 300), (300, 450), (450, 700)):
         ring = (eye_distance_m >= nearer) & (eye_distance_m < farther)
-        is_in_ring = ring[instances.number]
+        is_in_ring = ring[instances.tree_number]
         drawn_share, expected_share = is_in_ring.sum() / ring.sum(), share[ring].mean()
         assert drawn_share == pytest.approx(expected_share, abs=0.01)
-        area = (instances.shape[is_in_ring, 0].astype(float) ** 2).sum() / (1.5**2 * ring.sum())
+        area = (instances.quad_sizes_m[is_in_ring, 0].astype(float) ** 2).sum() / (1.5**2 * ring.sum())
         assert area == pytest.approx(1.0, abs=0.03)  # crown area, and so shade, is kept
 
 
@@ -245,7 +245,7 @@ def test_turning_the_camera_changes_no_tree(floor, make_wooded_scene):
     ]
     assert 0 < len(instance_sets[0]) < 3000
     for other in instance_sets[1:]:
-        np.testing.assert_array_equal(other.number, instance_sets[0].number)
+        np.testing.assert_array_equal(other.tree_number, instance_sets[0].tree_number)
         np.testing.assert_array_equal(other.corners(), instance_sets[0].corners())
 
 
@@ -256,7 +256,7 @@ def test_drawn_share_in_a_map_follows_the_pixel_size(floor, make_wooded_scene):
     for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.MIN_DRAWN_TREE_SHARE)):
         instances = tree_instances_in_map(scene.objects, frame, pixel_m)
         assert instances is not None and len(instances) / 8000 == pytest.approx(share, abs=0.002)
-        np.testing.assert_allclose(instances.shape[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
+        np.testing.assert_allclose(instances.quad_sizes_m[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
         x, y, _ = instances.base_frame_m.T
         for west in (-390, -130, 130):
             for south in (-390, -130, 130):
@@ -308,7 +308,7 @@ def test_tree_quads_do_not_turn_towards_the_viewer(floor, make_wooded_scene):
         eye = np.array([30.0, 40.0, 0.0]) + 42.0 * np.array([np.sin(bearing), np.cos(bearing), 0.4])
         view = camera_at(scene, eye, (30.0, 40.0, 0.0), 50.0, (60, 46))
         instances = instances_of(scene, view)
-        assert instances.shape[0, 2] > 5.5  # drawn larger
+        assert instances.quad_sizes_m[0, 2] > 5.5  # drawn larger
         corner_sets.append(instances.corners() + view.frame(scene.world).origin_earth_m)
     for other in corner_sets[1:]:
         np.testing.assert_allclose(other, corner_sets[0], atol=1e-5)

@@ -29,8 +29,8 @@ views = st.builds(
 
 def pixel_rays(view: PerspectiveView) -> np.ndarray:
     """Return the pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
-    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
-    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x = (view.col0 + np.arange(view.cols) * view.step_px) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step_px) / view.focal_px
     x, y = (v[..., None] for v in np.meshgrid(x, y))
     right, down, forward = view.earth_from_camera.T
     return x * right + y * down + forward
@@ -75,11 +75,11 @@ def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
     blocks = finer_rays.reshape(view.rows, side, view.cols, side, 3).mean(axis=(1, 3))
     scale = np.abs(finer_rays).max()
     np.testing.assert_allclose(blocks, pixel_rays(view), atol=1e-12 * scale)
-    assert finer_view.pixel == pytest.approx(view.pixel / side)
+    assert finer_view.pixel_tangent == pytest.approx(view.pixel_tangent / side)
     for axis in (0, 1):
         steps = np.diff(finer_rays, axis=axis)
         assert not steps.size or np.allclose(steps, np.take(steps, [0], axis=axis), atol=1e-12 * scale)
-    assert (finer_view.row0 - finer_view.step / 2, finer_view.col0 - finer_view.step / 2) == pytest.approx(
+    assert (finer_view.row0 - finer_view.step_px / 2, finer_view.col0 - finer_view.step_px / 2) == pytest.approx(
         (view.row0 - 0.5, view.col0 - 0.5)
     )
     part = view.part(1, 2, 3, 4).finer(side)

@@ -28,9 +28,9 @@ def world() -> World:
 @pytest.mark.parametrize(("day", "hours"), [("2024-03-31", 23), ("2024-10-27", 25), ("2024-03-21", 24)])
 def test_days_of_clock_changes_last_23_or_25_hours(world, day, hours):
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
-    assert window.minutes == hours * 60
+    assert window.length_min == hours * 60
     assert window.clock_time_min(0.0) == 0.0
-    assert window.clock_time_min(window.minutes) == 1440.0  # the clock has been put forward or back
+    assert window.clock_time_min(window.length_min) == 1440.0  # the clock has been put forward or back
 
 
 @pytest.mark.parametrize(("day", "before_min", "by"), [("2024-03-31", 120.0, 60.0), ("2024-10-27", 180.0, -60.0)])
@@ -42,9 +42,9 @@ def test_the_clock_jumps_when_it_is_put_forward_or_back(world, day, before_min, 
 
 def test_a_window_starts_at_its_zone_s_clock_time(world):
     window = daily_window(date(2024, 6, 21), 8 * 60.0, 16 * 60.0, OSLO, world)
-    assert (window.start, window.minutes, window.clock_min) == (datetime(2024, 6, 21, 6, tzinfo=UTC), 480.0, 480.0)
+    assert (window.start, window.length_min, window.start_clock_min) == (datetime(2024, 6, 21, 6, tzinfo=UTC), 480.0, 480.0)
     offset_zone_window = daily_window(date(2024, 6, 21), 0.0, 1440.0, timezone(timedelta(hours=9)), world)
-    assert (offset_zone_window.start, offset_zone_window.clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
+    assert (offset_zone_window.start, offset_zone_window.start_clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
 
 
 def test_windows_handle_skipped_and_repeated_clock_times(world):
@@ -52,14 +52,14 @@ def test_windows_handle_skipped_and_repeated_clock_times(world):
     assert skipped_window.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
     assert skipped_window.clock_time_min(0.0) == 210.0
     repeated_window = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
-    assert repeated_window.minutes == 61.0
+    assert repeated_window.length_min == 61.0
 
 
 @pytest.mark.parametrize(("day", "hours"), [("2024-11-02", 24), ("2024-11-03", 25), ("2024-03-10", 23)])
 def test_days_are_contiguous_where_midnight_repeats(world, day, hours):
     """In Havana clocks go back from 01:00 to 00:00, and forward from 00:00 to 01:00."""
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, ZoneInfo("America/Havana"), world)
-    assert window.minutes == hours * 60
+    assert window.length_min == hours * 60
 
 
 def test_a_date_that_a_calendar_omits_is_refused(world):
@@ -73,7 +73,7 @@ def test_dates_around_an_omitted_one_are_whole_days(world):
     """The calendar has three of four dates, so a mean over them includes no day without sun."""
     windows = windows_between(world, date(2011, 12, 28), date(2011, 12, 31), 1, (0.0, 1440.0), APIA)
     assert [window.date.day for window in windows] == [28, 29, 31]
-    assert [window.minutes for window in windows] == [1440.0] * 3
+    assert [window.length_min for window in windows] == [1440.0] * 3
     assert windows[1].start + timedelta(days=1) == windows[2].start
 
 
@@ -88,10 +88,10 @@ def test_a_window_of_skipped_times_is_refused_or_omitted(world, readings):
 @pytest.mark.parametrize("day", [date(2024, 2, 11), date(2024, 11, 3), date(2024, 6, 21)])
 def test_the_sun_stands_in_the_south_at_solar_noon(world, day):
     window = daily_window(day, 8 * 60.0, 16 * 60.0, SOLAR, world)
-    noon = window.start + timedelta(minutes=window.minutes / 2)
+    noon = window.start + timedelta(minutes=window.length_min / 2)
     path = sun_path([noon, window.start], LON, LAT)
     assert path.azimuth_deg[0] == pytest.approx(180.0, abs=0.05)
-    assert window.minutes == pytest.approx(480.0, abs=0.5)  # the equation of time changes by half a minute a day at most
+    assert window.length_min == pytest.approx(480.0, abs=0.5)  # the equation of time changes by half a minute a day at most
     assert solar_time_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
 
 
@@ -135,4 +135,4 @@ def test_windows_and_dates_that_run_backwards_are_refused(world):
 def test_a_pole_has_solar_time():
     pole = World(CRS.from_epsg(3413), False, 0.0, 0.0, -45.0, 90.0, 1.0)
     window = daily_window(date(2024, 6, 21), 0.0, 1440.0, SOLAR, pole)
-    assert np.isclose(window.minutes, 1440.0, atol=0.6)
+    assert np.isclose(window.length_min, 1440.0, atol=0.6)

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.light_space import light_space
-from skugga.terrain.geo.sun import apparent_position, direction_enu, position_at, sun_of
+from skugga.terrain.geo.sun import apparent_sun_position, azimuth_and_altitude, direction_enu, sun_of
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, geocentric
 from skugga.terrain.level.parts import SunSpec
 
@@ -27,7 +27,7 @@ def test_position_agrees_with_the_algorithm_s_published_example():
     Their azimuth is 194.34024 degrees; their zenith of 50.11162 holds at 1830.14 m and 820 hPa, where refraction is a
     fifth weaker than at sea level: 0.003 degrees.
     """
-    azimuth, altitude, _ = apparent_position(datetime.fromisoformat("2003-10-17T12:30:30-07:00"), -105.1786, 39.742476)
+    azimuth, altitude, _ = apparent_sun_position(datetime.fromisoformat("2003-10-17T12:30:30-07:00"), -105.1786, 39.742476)
     assert azimuth == pytest.approx(194.34024, abs=0.001)
     assert altitude == pytest.approx(90.0 - 50.11162, abs=0.005)
 
@@ -38,7 +38,7 @@ def test_refraction_raises_the_low_sun():
     from pvlib.solarposition import spa_python
 
     time = datetime.fromisoformat("2024-03-20T17:30:00+00:00")
-    _, apparent, lift = apparent_position(time, 0.0, 50.0)
+    _, apparent, lift = apparent_sun_position(time, 0.0, 50.0)
     true = float(spa_python(DatetimeIndex([time]), 50.0, 0.0)["elevation"].iloc[0])
     saemundsson = 1.02 / np.tan(np.radians(true + 10.3 / (true + 5.11))) / 60.0
     assert 1.0 < true < 12.0
@@ -51,7 +51,7 @@ def test_refraction_raises_the_low_sun():
 def test_sun_angles_survive_the_earth_fixed_direction(lon, lat, azimuth, altitude):
     world = world_at(lon, lat)
     sun = sun_of(SunSpec(azimuth=azimuth, altitude=altitude), world)
-    angles = position_at(sun.to_sun_earth, world.earth_from_anchor)
+    angles = azimuth_and_altitude(sun.to_sun_earth, world.earth_from_anchor)
     assert angles[1] == pytest.approx(altitude, abs=1e-6)
     assert (angles[0] - azimuth + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-6 / np.cos(np.radians(altitude)))
 
@@ -62,13 +62,13 @@ def test_one_direction_gives_the_sun_s_angles_at_every_place():
     sun = sun_of(SunSpec(azimuth=0, altitude=90), world)
     for lon, altitude in ((10.0, 90.0), (55.0, 45.0), (100.0, 0.0), (-80.0, 0.0), (190.0, -90.0)):
         rotation = world.earth_from_enu(*geocentric(np.float64(lon), np.float64(0.0)))
-        assert position_at(sun.to_sun_earth, rotation)[1] == pytest.approx(altitude, abs=1e-9)
+        assert azimuth_and_altitude(sun.to_sun_earth, rotation)[1] == pytest.approx(altitude, abs=1e-9)
 
 
 @pytest.mark.parametrize("year", [1, 1677, 2262, 9999])
 def test_years_out_of_range_are_refused_by_name(year):
     with pytest.raises(InputError, match="time.*1678 to 2261"):
-        apparent_position(datetime.fromisoformat(f"{year:04d}-06-01T12:00:00+00:00"), 0, 0)
+        apparent_sun_position(datetime.fromisoformat(f"{year:04d}-06-01T12:00:00+00:00"), 0, 0)
 
 
 def test_a_flat_world_has_no_time():
@@ -102,7 +102,7 @@ def test_towards_sun_m_is_measured_along_the_ground():
     sun = sun_of(SunSpec(azimuth=90, altitude=30), world)
     light = light_space(world, sun)
     east = world.anchor_earth_m + world.earth_from_anchor @ np.array([1000.0, 500.0, 0.0])
-    assert light.horizontal_sunward_m(light.from_earth(east)) == pytest.approx(1000.0, abs=1e-6)
+    assert light.horizontal_sunward_m(light.points_from_earth(east)) == pytest.approx(1000.0, abs=1e-6)
 
 
 def test_direction_enu_at_the_compass_points():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.sun import apparent_sun_position
 from skugga.terrain.geo.sun_path import as_utc, sun_path
 
 START = datetime(2024, 3, 21, 4, tzinfo=UTC)
@@ -17,7 +17,7 @@ START = datetime(2024, 3, 21, 4, tzinfo=UTC)
 def test_sun_path_agrees_with_single_positions():
     times = [START + timedelta(hours=n) for n in range(16)]
     path = sun_path(times, 10.0, 60.0)
-    single_positions = np.array([apparent_position(time, 10.0, 60.0) for time in times])
+    single_positions = np.array([apparent_sun_position(time, 10.0, 60.0) for time in times])
     np.testing.assert_allclose(
         np.stack([path.azimuth_deg, path.altitude_deg, path.refraction_deg], axis=1), single_positions, atol=1e-9
     )

@@ -12,7 +12,13 @@ import shapely
 from pyproj import CRS, Transformer
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.geo.vectors import MAX_EDGE_LENGTH, attribute_names, numeric_attribute, read_features, vector_layer
+from skugga.terrain.geo.vectors import (
+    MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC,
+    attribute_names,
+    numeric_attribute,
+    read_features,
+    vector_layer,
+)
 from skugga.terrain.ground.length_attributes import attribute_lengths
 from tests.rasters import ENGINEERING
 
@@ -74,7 +80,7 @@ def test_long_edges_follow_their_parallel(geojson):
     outline = read_features(geojson([long_edge_polygon]), UTM).geometry[0]
     on_edge = shapely.Point(Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(8.123, 47.0))
     assert outline.boundary.distance(on_edge) < 0.1
-    assert MAX_EDGE_LENGTH[True] < 2.0  # else the edge would have been a chord, 100 m off
+    assert MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC[True] < 2.0  # else the edge would have been a chord, 100 m off
 
 
 def test_engineering_coordinates_are_not_transformed(tmp_path):
@@ -326,5 +332,5 @@ def test_a_hole_inside_its_polygon_is_kept(geojson):
 
 def test_features_are_numbered_as_in_the_file(geojson):
     features = read_features(geojson([None, point(9, 47), None, point(9.1, 47)]), UTM)
-    assert features.number.tolist() == [2, 4] and features.label(1) == "feature 4 of 4" and features.omitted_count == 2
+    assert features.number_in_layer.tolist() == [2, 4] and features.label(1) == "feature 4 of 4" and features.omitted_count == 2
     assert features[np.array([1, 1])].omitted_count == 3

@@ -15,13 +15,13 @@ import pytest
 from skugga.terrain.errors import GraphicsError, InputError, NoOpenGLError
 from skugga.terrain.gl import egl_devices
 from skugga.terrain.gl.egl_devices import (
-    EGL_DEVICE,
+    EGL_DEVICE_VARIABLE,
     EglDevice,
     ProbedDevice,
     candidate_devices,
     open_context,
+    parse_device_setting,
     probe_device,
-    read_setting,
     set_process_number,
 )
 from tests.terrain.gl.egl_machines import duplicate_mesa_environment
@@ -52,14 +52,14 @@ def fail_on_probe(index: int) -> ProbedDevice:
     [("auto", "auto"), ("", "auto"), ("Software ", "software"), ("2", (2,)), ("0, 1,1", (0, 1, 1))],
 )
 def test_read_setting_parses_devices(text, meaning):
-    assert read_setting(text) == meaning
+    assert parse_device_setting(text) == meaning
 
 
 @pytest.mark.parametrize("text", ["gpu", "-1", "0;1", "0,", "1.0", "٣", "auto,0"])
 def test_read_setting_refuses_other_text(text):
     with pytest.raises(InputError) as error:
-        read_setting(text)
-    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}."
+        parse_device_setting(text)
+    assert str(error.value) == f"{EGL_DEVICE_VARIABLE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}."
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,9 @@ def test_processes_take_turns_with_devices_of_one_kind(setting, kinds, firsts):
 
 def test_a_setting_with_devices_of_two_kinds_is_refused():
     assert tried_device_numbers("0,1", [CARD, OTHER]) == [0]
-    with pytest.raises(GraphicsError, match=f"{EGL_DEVICE}: '0,1' names devices of two kinds.*0 is Card 9, 4.6; 1 is Card 7, 4.6"):
+    with pytest.raises(
+        GraphicsError, match=f"{EGL_DEVICE_VARIABLE}: '0,1' names devices of two kinds.*0 is Card 9, 4.6; 1 is Card 7, 4.6"
+    ):
         tried_device_numbers("0,1", [CARD, OTHER], process_number=1)
 
 
@@ -113,7 +115,9 @@ def test_a_device_that_does_not_exist_is_refused(setting, kinds):
     with pytest.raises(InputError) as error:
         tried_device_numbers(setting, kinds)
     message = str(error.value)
-    assert message.startswith(f"{EGL_DEVICE}: '{setting}' names a device that does not exist. Allowed: auto, software, or numbers")
+    assert message.startswith(
+        f"{EGL_DEVICE_VARIABLE}: '{setting}' names a device that does not exist. Allowed: auto, software, or numbers"
+    )
     assert message.endswith(
         ". Devices: 0 (without a name), 1 (software rasteriser)." if SOFTWARE_DEVICE in kinds else ". Devices: 0 (without a name)."
     )
@@ -134,7 +138,7 @@ def fake_machine(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(egl_devices, "create_egl_context", create_egl_context)
         monkeypatch.setattr(egl_devices, "probe_device", lambda index: kinds[index])
         monkeypatch.setattr(egl_devices, "_process_number", 0)
-        monkeypatch.setenv(EGL_DEVICE, setting)
+        monkeypatch.setenv(EGL_DEVICE_VARIABLE, setting)
 
     return make
 
@@ -154,7 +158,7 @@ def test_a_named_device_without_a_context_is_not_skipped(fake_machine):
     with pytest.raises(GraphicsError) as error:
         open_context()
     assert not isinstance(error.value, NoOpenGLError), "bare ground is not drawn by another way than was asked for"
-    assert f"{EGL_DEVICE}: '0' gives no OpenGL 4.3 context: device 0" in str(error.value)
+    assert f"{EGL_DEVICE_VARIABLE}: '0' gives no OpenGL 4.3 context: device 0" in str(error.value)
 
 
 def test_a_machine_without_any_context_has_no_opengl(fake_machine):
@@ -205,7 +209,7 @@ def test_the_setting_selects_the_second_of_two_devices(gl, tmp_path):
         "gl = device(); gl.texture([[1.0]]); gl.check('a call');"
         "print(json.dumps([len(egl_devices()), gl.egl_device.index, gl.renderer]))"
     )
-    environment = {**os.environ, **duplicate_mesa_environment(tmp_path), EGL_DEVICE: "1", "GLCONTEXT_DEVICE_INDEX": "0"}
+    environment = {**os.environ, **duplicate_mesa_environment(tmp_path), EGL_DEVICE_VARIABLE: "1", "GLCONTEXT_DEVICE_INDEX": "0"}
     process = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert process.returncode == 0, process.stderr
     count, index, renderer = json.loads(process.stdout)
@@ -218,7 +222,7 @@ def test_a_wrong_device_ends_a_command_with_one_line(tmp_path):
     for setting in ("7", "gpu"):
         process = subprocess.run(
             [sys.executable, "-c", code, "render", "thesis_street", "--size", "20x20", "-o", str(picture)],
-            cwd=ROOT, env={**os.environ, EGL_DEVICE: setting}, capture_output=True, text=True, timeout=120,
+            cwd=ROOT, env={**os.environ, EGL_DEVICE_VARIABLE: setting}, capture_output=True, text=True, timeout=120,
         )  # fmt: skip
         assert (process.returncode, process.stdout) == (2, "") and process.stderr.count("\n") == 1, process.stderr
-        assert f"skugga: {EGL_DEVICE}: '{setting}' " in process.stderr and not picture.exists()
+        assert f"skugga: {EGL_DEVICE_VARIABLE}: '{setting}' " in process.stderr and not picture.exists()

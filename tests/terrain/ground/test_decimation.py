@@ -169,7 +169,7 @@ def test_zero_tolerance_keeps_every_node_with_an_error(height, eye):
 def test_deviation_is_bounded_by_the_sum_of_omitted_errors(height, eye, tolerance):
     errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, UNLIMITED_TRIANGLES)
-    assert mesh.tolerance == tolerance
+    assert mesh.tolerance_rad == tolerance
     deviation, share = deviation_m(height, mesh), tolerance * distance_m(height, eye)
     used_nodes = set(map(tuple, mesh.nodes.tolist()))
     bound = {}
@@ -261,9 +261,9 @@ def test_max_triangles_selects_the_smallest_tolerance_that_fits(mountains, max_t
     mesh = decimate(mountains, eye, 1e-5, max_triangles)
     assert 0.99 * max_triangles <= len(mesh.triangles) <= max_triangles
     assert_conforming(mountains.height_m, mesh)
-    repeated_mesh = decimate(mountains, eye, mesh.tolerance, UNLIMITED_TRIANGLES)
+    repeated_mesh = decimate(mountains, eye, mesh.tolerance_rad, UNLIMITED_TRIANGLES)
     np.testing.assert_array_equal(repeated_mesh.triangles, mesh.triangles)
-    lower_tolerance = float(np.nextafter(np.float32(mesh.tolerance), np.float32(0.0)))
+    lower_tolerance = float(np.nextafter(np.float32(mesh.tolerance_rad), np.float32(0.0)))
     assert len(decimate(mountains, eye, lower_tolerance, UNLIMITED_TRIANGLES).triangles) > max_triangles
 
 
@@ -271,7 +271,7 @@ def test_outline_is_kept_even_beyond_max_triangles(mountains):
     mesh, outline_alone = (decimate(mountains, (0.0, 0.0, 100.0), t, m) for t, m in ((0.001, 1), (1e9, UNLIMITED_TRIANGLES)))
     np.testing.assert_array_equal(mesh.triangles, outline_alone.triangles)
     assert_conforming(mountains.height_m, mesh)
-    assert 0.001 < mesh.tolerance < 1e9
+    assert 0.001 < mesh.tolerance_rad < 1e9
 
 
 def test_triangles_are_reproducible_and_finer_near_the_eye(mountains):

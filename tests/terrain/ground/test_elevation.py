@@ -170,7 +170,7 @@ def test_overview_contains_the_highest_cell(write_raster):
     values = np.zeros((1100, 1300), np.float32)
     values[777, 555] = 3000.0
     elevation = Elevation(str(write_raster(values, UTM, 0, 11000, 10)))
-    assert elevation.overview.lod == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
+    assert elevation.overview.lod == 2 and np.nanmax(elevation.overview.max_heights_m) == 3000.0
 
 
 def test_ground_m_is_bilinear_and_nan_off_the_surface(write_raster):
@@ -196,7 +196,7 @@ def test_ground_m_does_not_depend_on_block_size(write_raster, monkeypatch, crs):
     x, y = rng.uniform(-190, 350, 500), rng.uniform(-46, 46, 500)
     expected = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
     assert np.isnan(expected[0]).sum() > np.isnan(expected[1]).sum() > 0
-    monkeypatch.setattr(module, "READ_BLOCK_CELLS", 7)
+    monkeypatch.setattr(module, "READ_BLOCK_SIDE_CELLS", 7)
     np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), expected)
 
 
@@ -283,9 +283,9 @@ REAL_RASTERS = {
 def test_real_rasters_have_their_heights(shared_data, name):
     share, low, high = REAL_RASTERS[name]
     overview = Elevation(str(shared_data / name)).overview
-    assert np.isfinite(overview.heights_m).mean() == pytest.approx(share, abs=0.02)
-    assert low - 1 <= np.nanmin(overview.heights_m) and np.nanmax(overview.high_m) <= high + 1
-    assert np.nanmax(overview.high_m) >= high * 0.9 - 10 if high > 0 else True
+    assert np.isfinite(overview.mean_heights_m).mean() == pytest.approx(share, abs=0.02)
+    assert low - 1 <= np.nanmin(overview.mean_heights_m) and np.nanmax(overview.max_heights_m) <= high + 1
+    assert np.nanmax(overview.max_heights_m) >= high * 0.9 - 10 if high > 0 else True
 
 
 def test_raster_that_reaches_the_pole_has_a_positive_cell_size(write_raster):
@@ -329,5 +329,5 @@ def test_undeclared_sentinel_is_not_averaged_into_heights(write_raster, nodata):
     for level in (1, 2, 3):
         read_heights, valid = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
         assert valid[0, 1] and np.allclose(read_heights[valid], 100.0)
-    lowest = np.nanmin(elevation.overview.heights_m)
-    assert lowest == np.nanmax(elevation.overview.high_m) == 100.0
+    lowest = np.nanmin(elevation.overview.mean_heights_m)
+    assert lowest == np.nanmax(elevation.overview.max_heights_m) == 100.0

@@ -12,7 +12,7 @@ from scipy.ndimage import label
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.erosion import drainage
 from skugga.terrain.ground.generated_ground import _generate, generated_ground
-from skugga.terrain.ground.noise import fractal
+from skugga.terrain.ground.noise import fractal_grid
 from skugga.terrain.level.parts import Terrain
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
@@ -65,21 +65,21 @@ def test_seed_determines_the_ground(kind):
 
 def test_values_are_equal_on_any_machine():
     x = np.arange(64) / 7.0
-    values = fractal(x, x, 4, 12345)
+    values = fractal_grid(x, x, 4, 12345)
     assert hashlib.sha256(values.tobytes()).hexdigest()[:16] == NOISE_DIGEST
     assert hashlib.sha256(generated_heights("ridges", seed=3).tobytes()).hexdigest()[:16] == RIDGES_DIGEST
 
 
 def test_noise_is_balanced_and_continuous():
     x = np.linspace(0, 40, 801)
-    values = fractal(x, x, 1, 5)
+    values = fractal_grid(x, x, 1, 5)
     assert abs(values.mean()) < 0.03 and 0.15 < values.std() < 0.35 and np.abs(values).max() < 1
     assert np.abs(np.diff(values, axis=0)).max() < 0.15
     np.testing.assert_allclose(values[::20, ::20], 0, atol=1e-12)  # whole coordinates
 
 
 def test_drainage_leads_downhill_to_the_rim_from_every_cell():
-    height = fractal(np.linspace(0, 5, 60), np.linspace(0, 4, 50), 4, 2)
+    height = fractal_grid(np.linspace(0, 5, 60), np.linspace(0, 4, 50), 4, 2)
     order, receiver = drainage(height)
     assert sorted(order) == list(range(height.size))
     rank = np.empty(height.size, int)

@@ -82,7 +82,7 @@ def test_perspective_view_shows_imagery_at_its_points(gl, hill, write_raster, ma
     data = random_colors(2)
     scene = make_draped_scene(write_raster, make_scene, hill, data, views=eye_view())
     buffer = geometry_buffer(scene, near_view(scene))
-    ground = buffer.kind == RELIEF
+    ground = buffer.surface_kind == RELIEF
     assert ground.mean() > 0.4
     earth = buffer.position_frame_m[ground] @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
     x, y, _ = scene.world.map_position(scene.elevation.crs, earth)
@@ -105,7 +105,7 @@ def test_imagery_in_another_crs_is_aligned(gl, hill, write_raster, make_scene, c
         (geometry_buffer(scene, view), pixel_xy(view)),
         (geometry_buffer(scene, near_view(scene)), (None, None)),
     ):
-        ground = buffer.kind == RELIEF
+        ground = buffer.surface_kind == RELIEF
         if x is None:
             earth = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
             x, y, _ = scene.world.map_position(scene.elevation.crs, earth)
@@ -184,7 +184,7 @@ def test_large_imagery_is_averaged_to_max_side(write_raster, monkeypatch):
     path = write_raster(data, UTM, X0, Y0, CELL / 4, name="large.tif")
     image = Imagery(str(path))
     row, col = (v.ravel() for v in np.mgrid[0:SIDE, 0:SIDE])
-    cells = image.cells(CRS.from_user_input(UTM), X0 + (col + 0.5) * CELL, Y0 - (row + 0.5) * CELL)
+    cells = image.cells_at(CRS.from_user_input(UTM), X0 + (col + 0.5) * CELL, Y0 - (row + 0.5) * CELL)
     np.testing.assert_allclose(cells, np.column_stack([row, col]), atol=1e-3)
     np.testing.assert_allclose(
         image.albedo(cells[:, None], 1.0)[:, 0], srgb_albedo(random_colors(5)[:, row, col].T / 255.0), atol=1e-5

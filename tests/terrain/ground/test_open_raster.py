@@ -46,8 +46,8 @@ def test_scale_and_unit_are_kept(tmp_path):
         dataset.scales, dataset.offsets, dataset.units = (0.5,), (20.0,), ("ft",)
     elevation = Elevation(str(path), nodata=-1)
     assert elevation.vertical.unit == "ft"
-    np.testing.assert_allclose(np.nanmax(elevation.overview.heights_m), 520.0 * 0.3048, rtol=1e-6)
-    assert np.isnan(elevation.overview.heights_m[0]).all()
+    np.testing.assert_allclose(np.nanmax(elevation.overview.mean_heights_m), 520.0 * 0.3048, rtol=1e-6)
+    assert np.isnan(elevation.overview.mean_heights_m[0]).all()
 
 
 def test_stated_nodata_is_not_averaged_into_heights(tmp_path):
@@ -56,9 +56,9 @@ def test_stated_nodata_is_not_averaged_into_heights(tmp_path):
     heights[:, :301] = 0.0
     path = write_geotiff(tmp_path / "wide.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0)
     overview = Elevation(str(path), nodata=0.0).overview
-    assert overview.lod == 1 and overview.lowest_m == 500.0
-    is_valid = np.isfinite(overview.heights_m)
-    np.testing.assert_array_equal(overview.heights_m[is_valid], 500.0)
+    assert overview.lod == 1 and overview.lowest_ground_m == 500.0
+    is_valid = np.isfinite(overview.mean_heights_m)
+    np.testing.assert_array_equal(overview.mean_heights_m[is_valid], 500.0)
     np.testing.assert_array_equal(is_valid.any(axis=0), np.arange(512) >= 150)
 
 
@@ -72,7 +72,7 @@ def test_stated_nodata_ignores_overviews_in_the_file(tmp_path):
     with rasterio.open(path, "r+") as dataset:
         dataset.build_overviews([2, 4, 8], rasterio.enums.Resampling.average)
     overview = Elevation(str(path), nodata=0.0).overview
-    assert np.nanmin(overview.heights_m) == 500.0
+    assert np.nanmin(overview.mean_heights_m) == 500.0
 
 
 @pytest.mark.parametrize("value", [-9999.0, 70000.0, 0.5])
@@ -82,5 +82,5 @@ def test_nodata_value_that_no_cell_can_have_is_rejected(tmp_path, value):
 
 
 def test_bundled_data_set_accepts_a_stated_nodata():
-    lowest = Elevation("jacksboro").overview.lowest_m
-    assert Elevation("jacksboro", nodata=lowest).overview.lowest_m > lowest
+    lowest = Elevation("jacksboro").overview.lowest_ground_m
+    assert Elevation("jacksboro", nodata=lowest).overview.lowest_ground_m > lowest

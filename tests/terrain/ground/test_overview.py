@@ -20,7 +20,7 @@ def big_raster(write_raster, monkeypatch) -> Elevation:
     """Return a plain of 500 m with a narrow peak, a narrow pit and a hole: too large for an exact read."""
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 128 * 128)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 128 * 128)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 32)
     row, col = np.mgrid[:SIDE, :SIDE]
 
     def bell(at_row: float, at_col: float) -> np.ndarray:
@@ -33,27 +33,29 @@ def big_raster(write_raster, monkeypatch) -> Elevation:
 
 def test_peak_is_estimated_from_means(big_raster):
     raster_overview = big_raster.overview
-    assert raster_overview.lod == 5 and raster_overview.high_m.shape == (32, 32)
+    assert raster_overview.lod == 5 and raster_overview.max_heights_m.shape == (32, 32)
     # The mean of the 32 x 32 cells around the peak is less than a quarter of its height.
-    assert np.nanmax(raster_overview.heights_m) < 500.0 + PEAK_M / 4
-    assert 500.0 + 0.8 * PEAK_M < np.nanmax(raster_overview.high_m) < 500.0 + 1.6 * PEAK_M
-    assert np.unravel_index(np.nanargmax(raster_overview.high_m), (32, 32))[1] in (20, 21)
-    assert raster_overview.lowest_m < 500.0 - 0.8 * 400.0
+    assert np.nanmax(raster_overview.mean_heights_m) < 500.0 + PEAK_M / 4
+    assert 500.0 + 0.8 * PEAK_M < np.nanmax(raster_overview.max_heights_m) < 500.0 + 1.6 * PEAK_M
+    assert np.unravel_index(np.nanargmax(raster_overview.max_heights_m), (32, 32))[1] in (20, 21)
+    assert raster_overview.lowest_ground_m < 500.0 - 0.8 * 400.0
 
 
-def test_high_m_is_at_least_the_mean_and_nan_in_holes(big_raster):
+def test_max_heights_are_at_least_the_mean_and_nan_in_holes(big_raster):
     raster_overview = big_raster.overview
-    valid = np.isfinite(raster_overview.heights_m)
-    assert (raster_overview.high_m[valid] >= raster_overview.heights_m[valid] - 1e-3).all()
-    assert np.isnan(raster_overview.high_m[26:29, 26:29]).all() and np.isnan(raster_overview.heights_m[25:30, 25:30]).all()
-    assert (raster_overview.high_m[2:8, 22:30] == 500.0).all()
+    valid = np.isfinite(raster_overview.mean_heights_m)
+    assert (raster_overview.max_heights_m[valid] >= raster_overview.mean_heights_m[valid] - 1e-3).all()
+    assert (
+        np.isnan(raster_overview.max_heights_m[26:29, 26:29]).all() and np.isnan(raster_overview.mean_heights_m[25:30, 25:30]).all()
+    )
+    assert (raster_overview.max_heights_m[2:8, 22:30] == 500.0).all()
 
 
 def test_overview_does_not_depend_on_strip_height(big_raster, monkeypatch):
     monkeypatch.setattr(overview, "MEAN_ROWS_PER_READ", 4)
     reopened = Elevation(big_raster.name)
-    np.testing.assert_array_equal(reopened.overview.high_m, big_raster.overview.high_m)
-    assert reopened.overview.lowest_m == big_raster.overview.lowest_m
+    np.testing.assert_array_equal(reopened.overview.max_heights_m, big_raster.overview.max_heights_m)
+    assert reopened.overview.lowest_ground_m == big_raster.overview.lowest_ground_m
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypat
     assert make_scene(path).warnings == ()
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 10_000)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)
-    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+    monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 64)
     (warning,) = make_scene(path).warnings
     assert f"'skugga overviews {path}'" in warning
     with skugga.open_heights(np.zeros((600, 700), np.float32), (30.0, 0.0, 5e5, 0.0, -30.0, 5.3e6), "EPSG:32633") as level:

@@ -158,11 +158,11 @@ def test_ridge_of_one_node_has_no_gaps(ridge_line):
         0.8 * cross_direction - 0.6 * ridge_direction,
     ):
         start = crest - 1.5 * direction
-        assert rays.blocked(start - 0.01 * up, direction).all()
-        assert not rays.blocked(start + 0.01 * up, direction).any()
-    assert rays.blocked(crest - 0.01 * up, up).all()  # from below
+        assert rays.is_blocked(start - 0.01 * up, direction).all()
+        assert not rays.is_blocked(start + 0.01 * up, direction).any()
+    assert rays.is_blocked(crest - 0.01 * up, up).all()  # from below
     inside = ends[0] + 0.05 * (ends[1] - ends[0]) - 0.01 * up
-    assert not rays.blocked(
+    assert not rays.is_blocked(
         inside[None], ridge_direction, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])
     ).any()  # along the ridge: no gap
 

@@ -128,7 +128,7 @@ def test_rim_extends_the_raster_by_one_node(write_raster, make_scene):
     heights = np.arange(20, dtype=np.float32).reshape(4, 5) ** 2
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 40.0, 10.0))
     surface = scene.surface(Grid(scene.map_crs, 5.0, 35.0, 10.0))
-    window = surface.height_window(-3, -3, 10, 11, rim=True)
+    window = surface.height_window(-3, -3, 10, 11, includes_rim=True)
     height, valid = window.height_m, window.valid
     np.testing.assert_array_equal(height[2:-2, 2:-2], np.pad(heights, 1, mode="edge"))
     np.testing.assert_array_equal(valid, np.pad(np.ones((4, 5), bool), 3))
@@ -143,7 +143,7 @@ def test_rim_casts_but_is_not_shown(write_raster, make_scene, finer):
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 40.0, 10.0))
     surface = scene.surface(Grid(scene.map_crs, 5.0, 35.0, 10.0).finer(finer))
     extent = -6, -6, 20, 21
-    visible_window, casting_window = surface.height_window(*extent), surface.height_window(*extent, rim=True)
+    visible_window, casting_window = surface.height_window(*extent), surface.height_window(*extent, includes_rim=True)
     np.testing.assert_array_equal(visible_window.valid, casting_window.valid)
     is_valid = np.isfinite(visible_window.height_m)
     assert (np.isfinite(casting_window.height_m) & ~is_valid).any()
@@ -167,7 +167,7 @@ def test_rim_nodes_are_neighbours_of_valid_nodes(cell_scene, row, col, step):
     """For any offset of nodes from cells, the heights are those of valid nodes and of their eight neighbours."""
     scene = cell_scene
     surface = scene.surface(Grid(scene.map_crs, 10.0 * col + 5.0, 395.0 - 10.0 * row, 10.0 * step))
-    window = surface.height_window(-5, -5, 120, 120, rim=True)
+    window = surface.height_window(-5, -5, 120, 120, includes_rim=True)
     height, valid = window.height_m, window.valid
     assert valid.any() and not valid[[0, 1, -2, -1]].any()
     np.testing.assert_array_equal(np.isfinite(height), binary_dilation(valid, np.ones((3, 3), bool)))
@@ -196,7 +196,7 @@ def test_rim_does_not_depend_on_the_window(scene):
 def test_rim_does_not_extend_beyond_a_pole(write_raster, make_scene):
     heights = np.zeros((18, 36), np.float32)
     scene = make_scene(write_raster(heights, "EPSG:4326", -180.0, 90.0, 10.0))
-    window = scene.surface(Grid(CRS.from_epsg(4326), -175.0, 85.0, 10.0)).height_window(-2, 0, 22, 36, rim=True)
+    window = scene.surface(Grid(CRS.from_epsg(4326), -175.0, 85.0, 10.0)).height_window(-2, 0, 22, 36, includes_rim=True)
     height, valid = window.height_m, window.valid
     assert valid[2:-2].all() and np.isnan(height[:2]).all() and np.isnan(height[-2:]).all()
 

@@ -61,8 +61,8 @@ def shadow_mask(path: Path, **options) -> np.ndarray:
 @pytest.mark.parametrize(("unit", "word"), [(unit, word) for unit, words in EXAMPLE_WORDS_OF_UNIT.items() for word in words])
 def test_unit_words_are_understood(tmp_path, unit, word):
     elevation = Elevation(str(write_with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)))
-    assert (elevation.vertical.unit, elevation.vertical.unit_from) == (unit, "by its band")
-    assert elevation.overview.lowest_m == pytest.approx(2.0 * METRES_PER_UNIT[unit], rel=1e-6)
+    assert (elevation.vertical.unit, elevation.vertical.unit_source) == (unit, "by its band")
+    assert elevation.overview.lowest_ground_m == pytest.approx(2.0 * METRES_PER_UNIT[unit], rel=1e-6)
 
 
 def test_every_unit_has_words():
@@ -80,13 +80,13 @@ def test_unknown_unit_is_rejected_with_the_known_ones(tmp_path, word):
             all(name in message for name in ("dem.tif", f"unit {word} of its band", "us-ft", "fathom", "units=UNIT"))
             and "\n" not in message
         )
-    assert Elevation(str(path), units="ft").overview.lowest_m == pytest.approx(0.6096), "the level takes precedence"
+    assert Elevation(str(path), units="ft").overview.lowest_ground_m == pytest.approx(0.6096), "the level takes precedence"
 
 
 @pytest.mark.parametrize("word", ["", "unknown", "1", "None"])
 def test_empty_unit_words_mean_metres(tmp_path, word):
     elevation = Elevation(str(write_with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)))
-    assert (elevation.vertical.unit, elevation.vertical.unit_from, elevation.overview.lowest_m) == ("m", None, 2.0)
+    assert (elevation.vertical.unit, elevation.vertical.unit_source, elevation.overview.lowest_ground_m) == ("m", None, 2.0)
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
@@ -107,8 +107,8 @@ def test_vertical_crs_gives_unit_and_direction(tmp_path, horizontal, vertical, u
     elevation = Elevation(str(path))
     assert (elevation.vertical.unit, elevation.vertical.positive) == (unit, positive)
     sign = -1.0 if positive == "down" else 1.0
-    assert elevation.overview.lowest_m == pytest.approx(sign * 2.0 * METRES_PER_UNIT[unit], rel=1e-6)
-    assert np.nanmax(elevation.overview.high_m) == elevation.overview.lowest_m
+    assert elevation.overview.lowest_ground_m == pytest.approx(sign * 2.0 * METRES_PER_UNIT[unit], rel=1e-6)
+    assert np.nanmax(elevation.overview.max_heights_m) == elevation.overview.lowest_ground_m
 
 
 @pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+5831"])
@@ -131,8 +131,8 @@ def test_written_heights_are_metres_upwards(tmp_path, crs):
             encode_geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan)
         )
     original, rewritten = Elevation(str(path)), Elevation(str(out))
-    assert rewritten.vertical.unit_from is None and rewritten.vertical.positive_from is None
-    assert rewritten.overview.lowest_m == pytest.approx(original.overview.lowest_m, abs=1e-3)
+    assert rewritten.vertical.unit_source is None and rewritten.vertical.positive_source is None
+    assert rewritten.overview.lowest_ground_m == pytest.approx(original.overview.lowest_ground_m, abs=1e-3)
 
 
 def test_depths_in_feet_with_a_hole_equal_those_in_metres(tmp_path):
@@ -161,7 +161,7 @@ def test_cf_attributes_declare_depths(tmp_path, tags, nodata):
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, **tags)
     elevation = Elevation(str(path), nodata=nodata)
-    assert elevation.vertical.positive_from == "by its band" and elevation.overview.lowest_m == -100.0
+    assert elevation.vertical.positive_source == "by its band" and elevation.overview.lowest_ground_m == -100.0
 
 
 @pytest.mark.parametrize("word", ["left", "upward", "1"])
@@ -171,7 +171,7 @@ def test_unknown_direction_is_rejected_with_the_remedy(tmp_path, word):
         dataset.update_tags(1, positive=word)
     with pytest.raises(SourceError, match=f"direction {word} of its band .*positive=up.*depths, down"):
         Elevation(str(path))
-    assert Elevation(str(path), positive="down").overview.lowest_m == -100.0, "the level takes precedence"
+    assert Elevation(str(path), positive="down").overview.lowest_ground_m == -100.0, "the level takes precedence"
     assert Canopy(str(path)).heights_m(0, 0, 1, 1) == 100.0, "canopies have one direction"
 
 
@@ -180,7 +180,7 @@ def test_direction_may_have_any_case(tmp_path, word):
     path = write_with_depth(tmp_path / "depths.tif", seamount_depths(), UTM)
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, positive=word)
-    assert Elevation(str(path)).overview.lowest_m == -100.0
+    assert Elevation(str(path)).overview.lowest_ground_m == -100.0
 
 
 def test_arrays_of_heights_are_metres_whatever_their_crs():

@@ -83,7 +83,7 @@ def test_model_may_not_refer_to_a_device(tmp_path):
 def test_virtual_rasters_of_files_are_read(folder):
     for name in ("good.vrt", "twice.vrt"):
         elevation = Elevation(str(folder / name))
-        assert (elevation.rows, elevation.cols, elevation.overview.high_m.max()) == (6, 8, 47.0)
+        assert (elevation.rows, elevation.cols, elevation.overview.max_heights_m.max()) == (6, 8, 47.0)
         elevation.close()
     assert linked_files(str(folder / "twice.vrt")) == (str(folder / "good.vrt"), str(folder / "dem.tif"))
 

@@ -57,7 +57,7 @@ def hill(write_raster) -> Path:
 def test_level_without_meshes_has_no_solids(scene_of):
     scene = scene_of(FLOOR_TERRAIN)
     assert scene.objects.solids is None and not len(assemble_solids(scene).triangles)
-    assert not scene.objects.solid_crease.size and scene.objects.tallest_m == 0
+    assert not scene.objects.solid_creases.size and scene.objects.tallest_object_m == 0
 
 
 def test_model_is_placed_turned_and_scaled(scene_of):
@@ -109,7 +109,7 @@ def test_model_on_a_path_follows_its_keys(scene_of):
         corners = assemble_solids(scene, seconds).vertices_earth_m - origin
         np.testing.assert_allclose(corners.min(axis=0), [-1, -6, 0], atol=1e-6)
         np.testing.assert_allclose(corners.max(axis=0), [1, 0, 4], atol=1e-6)
-    assert scene.at_second(4.0).objects.tallest_m == pytest.approx(6.5) and scene.loaded.level.moving_keys == ("meshes.0",)
+    assert scene.at_second(4.0).objects.tallest_object_m == pytest.approx(6.5) and scene.loaded.level.moving_keys == ("meshes.0",)
 
 
 def test_face_along_points_the_south_side_forward(scene_of):
@@ -121,7 +121,7 @@ def test_face_along_points_the_south_side_forward(scene_of):
         (make_path_scene(scene_of, face="along", spin=45), 2.0, np.array([-0.6, 0.8, 0.0])),
     ):
         result = assemble_solids(scene, seconds)
-        origin = scene.objects.placement.visible[0].motion.path.at_second(seconds).point_earth_m
+        origin = scene.objects.placement.visible_bodies[0].motion.path.at_second(seconds).point_earth_m
         along_m = (result.vertices_earth_m - origin) @ direction
         across_m = (result.vertices_earth_m - origin) @ np.cross([0, 0, 1], direction)
         assert (along_m.min(), along_m.max()) == pytest.approx((0, 6), abs=1e-4)
@@ -177,20 +177,20 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     np.testing.assert_array_equal(later_objects.solids.vertices_earth_m, assemble_solids(scene, 3.0).vertices_earth_m)
     assert abs(later_objects.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
     # The arrow has only edges. Facets of the shell, which is seen from inside, differ by some degrees.
-    assert later_objects.solid_crease is at_rest.solid_crease and (at_rest.solid_crease[:12] == 0).all()
-    assert 0.1 < at_rest.solid_crease[12:].min() and at_rest.solid_crease.max() < 0.5
+    assert later_objects.solid_creases is at_rest.solid_creases and (at_rest.solid_creases[:12] == 0).all()
+    assert 0.1 < at_rest.solid_creases[12:].min() and at_rest.solid_creases.max() < 0.5
 
 
 def test_meshes_without_motion_ignore_the_clock(scene_of):
     objects = scene_of(FLOOR_TERRAIN, {"source": "ball.ply", "scale": 4}).objects
     assert objects.at_second(9.0) is objects
-    assert objects.tallest_m == pytest.approx(8.0)
+    assert objects.tallest_object_m == pytest.approx(8.0)
 
 
 def test_several_positions_are_several_bodies(scene_of):
     result = assemble_solids(scene_of(FLOOR_TERRAIN, {"source": "arrow.ply", "at": [[0, 0], [50, 20]]}, {"source": "ball.ply"}))
     assert result.is_closed == (True, True, True)
-    assert np.bincount(result.body).tolist() == [12, 12, 320]
+    assert np.bincount(result.body_index).tolist() == [12, 12, 320]
     assert result.triangles.max() == len(result.vertices_earth_m) - 1
     shift = result.vertices_earth_m[8:16] - result.vertices_earth_m[:8]
     np.testing.assert_allclose(shift, np.tile([50, 20, 0], (8, 1)), atol=1e-9)
@@ -240,7 +240,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
     scene = scene_of({"source": str(dem)}, {"source": "ball.ply"})
     height = scene.world.map_position(scene.elevation.crs, assemble_solids(scene).vertices_earth_m)[2]
     assert height.min() == pytest.approx(80.0, abs=1e-3)
-    assert scene.objects.tallest_m == pytest.approx(2.0, abs=1e-3)
+    assert scene.objects.tallest_object_m == pytest.approx(2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -119,14 +119,14 @@ def test_outlines_that_circle_the_earth_are_rejected(geojson):
         read_features(geojson(zigzag, crs="OGC:1.3:CRS84"), CRS.from_user_input(UTM))
 
 
-@pytest.mark.parametrize("name", ["MAX_CORNERS", "MAX_TOTAL_CORNERS"])
+@pytest.mark.parametrize("name", ["MAX_FOOTPRINT_CORNERS", "MAX_FILE_CORNERS"])
 def test_footprints_with_too_many_corners_are_rejected(geojson, make_scene, write_raster, monkeypatch, name):
     scene = make_scene(write_raster(np.zeros((9, 9), np.float32), UTM, 500e3, 5200e3, 10.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     round_house = shapely.Polygon(np.column_stack([500040 + 20 * np.cos(angle), 5199950 + 20 * np.sin(angle)]))
     source = geojson(round_house, shapely.box(500010, 5199920, 500020, 5199930))
     scene = make_scene(scene.elevation.name, meshes=[{"source": source, "height": 5}])
-    assert len(scene.objects.placement.visible) == 2
+    assert len(scene.objects.placement.visible_bodies) == 2
     monkeypatch.setattr(buildings, name, 150)
     scene = make_scene(scene.elevation.name, meshes=[{"source": source, "height": 5}])
     with pytest.raises(SourceError, match=r"of 20\d corners, more than the limit of 150"):
@@ -224,5 +224,5 @@ def test_large_raster_needs_overviews(write_raster, monkeypatch):
     with rasterio.open(path, "r+") as dataset:
         dataset.build_overviews([2, 4])
     elevation = Elevation(str(path))
-    assert elevation.overview.heights_m.shape == (275, 275)
+    assert elevation.overview.mean_heights_m.shape == (275, 275)
     elevation.close()

@@ -20,7 +20,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes, solids
 from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles
 from skugga.terrain.meshes.body import Body, box, srgb_albedo, transformed
-from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.meshes.buildings import WALL_DEPTH_BELOW_GROUND_M
 from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 
@@ -51,7 +51,7 @@ def load_world(tmp_path: Path, terrain: dict, **mesh):
 def place_footprints(tmp_path: Path, dem: Path, **mesh):
     """Return the bodies of the only mesh of a level over a raster, and the level's world and elevation."""
     loaded, world, elevation = load_world(tmp_path, {"source": str(dem)}, **mesh)
-    return place_meshes(loaded, world, elevation).visible, world, elevation
+    return place_meshes(loaded, world, elevation).visible_bodies, world, elevation
 
 
 def heights(body, world, elevation) -> np.ndarray:
@@ -165,9 +165,11 @@ def test_building_stands_on_level_ground(tmp_path, level_ground):
     for body, footprint, height_m in zip(bodies, (SQUARE, COURTYARD_BLOCK), (8.0, 12.0), strict=True):
         assert body.body.is_closed
         # The UTM scale here is 0.9996: areas on the ground are larger by its inverse square.
-        assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (height_m + FOOTING_M), rel=1e-4)
+        assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (height_m + WALL_DEPTH_BELOW_GROUND_M), rel=1e-4)
         up = heights(body, world, elevation)
-        assert up.max() == pytest.approx(50 + height_m, abs=1e-3) and up.min() == pytest.approx(50 - FOOTING_M, abs=1e-3)
+        assert up.max() == pytest.approx(50 + height_m, abs=1e-3) and up.min() == pytest.approx(
+            50 - WALL_DEPTH_BELOW_GROUND_M, abs=1e-3
+        )
 
 
 def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
@@ -178,7 +180,7 @@ def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
     assert body.body.is_closed and body.body.volume_m3 > 0
     assert east - west == pytest.approx(4.0)
     assert up.max() == pytest.approx((west + east) / 2 + 8.0, abs=1e-3)
-    assert up.min() == pytest.approx(west - FOOTING_M, abs=1e-3)
+    assert up.min() == pytest.approx(west - WALL_DEPTH_BELOW_GROUND_M, abs=1e-3)
 
 
 def test_redundant_corners_and_orientation_do_not_matter(tmp_path, level_ground):
@@ -311,7 +313,7 @@ def test_building_in_a_flat_world(tmp_path):
     source = write_footprints(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
     loaded, world, elevation = load_world(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
     vertices = solids(place_meshes(loaded, world, elevation), 0.0).vertices_earth_m
-    np.testing.assert_allclose(vertices.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
+    np.testing.assert_allclose(vertices.min(axis=0), [-10, -5, -WALL_DEPTH_BELOW_GROUND_M], atol=1e-9)
     np.testing.assert_allclose(vertices.max(axis=0), [10, 5, 6], atol=1e-9)
 
 

@@ -14,7 +14,7 @@ from skugga.shadows.point.place import place_at
 from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes
-from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.meshes.buildings import WALL_DEPTH_BELOW_GROUND_M
 from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 from tests.terrain.meshes.test_buildings import write_footprints
@@ -32,7 +32,7 @@ def place_on_floor(tmp_path, geometry, mesh=None, **attributes):
 def place_source(tmp_path, source, **mesh):
     scene = scene_of(tmp_path, source, **mesh)
     placement = place_meshes(scene.loaded, scene.world, scene.elevation)
-    up = [body.origin_earth_m[2] + body.body.vertices_m[:, 2] for body in placement.visible]
+    up = [body.origin_earth_m[2] + body.body.vertices_m[:, 2] for body in placement.visible_bodies]
     return placement, np.array([(vertex_heights.min(), vertex_heights.max()) for vertex_heights in up])
 
 
@@ -56,7 +56,7 @@ def scene_of(tmp_path, source, **mesh):
 )  # fmt: skip
 def test_common_attributes_and_units_are_recognized(tmp_path, name, value, top_m):
     _, up = place_on_floor(tmp_path, FOOTPRINT_ROW[:1], **{name: [value]})
-    np.testing.assert_allclose(up, [[-FOOTING_M, top_m]], atol=1e-6)
+    np.testing.assert_allclose(up, [[-WALL_DEPTH_BELOW_GROUND_M, top_m]], atol=1e-6)
 
 
 def test_height_takes_precedence_and_storeys_fill_gaps(tmp_path):
@@ -118,8 +118,8 @@ def test_raised_footprint_is_a_closed_block(tmp_path, name, value, base_m):
         height=[9.0, 9.0],
         **{name: np.array([value, None], object) if isinstance(value, str) else [value, 0]},
     )
-    np.testing.assert_allclose(up, [[base_m, 9.0], [-FOOTING_M, 9.0]], atol=1e-6)
-    raised = placement.visible[0].body
+    np.testing.assert_allclose(up, [[base_m, 9.0], [-WALL_DEPTH_BELOW_GROUND_M, 9.0]], atol=1e-6)
+    raised = placement.visible_bodies[0].body
     assert raised.is_closed and raised.volume_m3 == pytest.approx(200.0 * (9.0 - base_m))
     assert any(f"base heights: 1 of 2 footprints from the attribute '{name}'" in note for note in placement.notes)
 
@@ -147,20 +147,22 @@ def test_pitched_roof_of_a_raised_house_leaves_walls(tmp_path):
     house = affinity.translate(shapely.box(0, 0, 8, 10), 0, 0)
     placement, up = place_on_floor(tmp_path, [house], mesh={"roof": "pitched"}, height=[9.0], min_height=[6.0])
     np.testing.assert_allclose(up, [[6.0, 9.0]], atol=1e-6)
-    eaves = np.unique(np.round(placement.visible[0].origin_earth_m[2] + placement.visible[0].body.vertices_m[:, 2], 6))
-    assert placement.visible[0].body.is_closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
+    eaves = np.unique(
+        np.round(placement.visible_bodies[0].origin_earth_m[2] + placement.visible_bodies[0].body.vertices_m[:, 2], 6)
+    )
+    assert placement.visible_bodies[0].body.is_closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
 
 
 def test_floor_above_its_roof_is_omitted_and_reported(tmp_path):
     placement, up = place_on_floor(tmp_path, FOOTPRINT_ROW, height=[9.0, 4.0, 9.0, 9.0], min_height=[0.0, 4.0, 3.0, 6.0])
-    np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
+    np.testing.assert_allclose(up, [[-WALL_DEPTH_BELOW_GROUND_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
     (warning,) = placement.warnings
     assert warning.endswith("b.gpkg: feature 2 of 4 left out: the floor is not below the roof")
 
 
 def test_floors_above_sea_level_are_ignored(tmp_path):
     placement, up = place_on_floor(tmp_path, FOOTPRINT_ROW, height=[9.0, 12.0, 60.0, 8.0], base_height=[52.0, 52.5, 53.0, np.nan])
-    np.testing.assert_allclose(up, [[-FOOTING_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
+    np.testing.assert_allclose(up, [[-WALL_DEPTH_BELOW_GROUND_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
     (warning,) = placement.warnings
     assert "2 of 3 floors are not below their roofs, such as that of feature 1 of 4. All heights of floors are ignored" in warning
 

@@ -161,10 +161,10 @@ def test_spatialace_has_ten_thousand_triangles():
 def test_spatialace_figure_flies_clear_of_trees():
     """The path starts at the position of the static figure, so that pictures of second 0 are unchanged."""
     scene = build_scene(load_level(LEVELS_FOLDER / "spatialace.yaml"))
-    path = scene.objects.placement.visible[-1].motion.path
+    path = scene.objects.placement.visible_bodies[-1].motion.path
     trees = scene.objects.trees_in_crs(scene.elevation.crs)[:, :2]
     start_earth_m = path.at_second(0.0).point_earth_m
-    np.testing.assert_array_equal(start_earth_m, scene.geolocator.above_ground((150, -22, 0), "here")[0])
+    np.testing.assert_array_equal(start_earth_m, scene.geolocator.point_above_ground((150, -22, 0), "here")[0])
     for seconds in np.arange(0.0, 40.0, 0.5):
         position_earth_m, _, above_m = path.at_second(float(seconds))
         assert np.linalg.norm(trees - position_earth_m[:2], axis=1).min() > 20.0 and 0.0 <= above_m <= 20.0

@@ -13,7 +13,7 @@ from shapely import affinity
 from skugga.terrain.errors import LevelError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes
-from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.meshes.buildings import WALL_DEPTH_BELOW_GROUND_M
 from skugga.terrain.meshes.roofs import MAX_RISE_SHARE, ROOF_SLOPE, roof_over
 from skugga.terrain.scene import build_scene
 
@@ -39,7 +39,7 @@ def house(write_raster, tmp_path):
         path = tmp_path / "level.yaml"
         path.write_text(json.dumps({"version": 1, "terrain": {"source": str(ground)}, "meshes": [mesh]}), encoding="utf-8")
         scene = build_scene(load_level(path))
-        (placed,) = place_meshes(scene.loaded, scene.world, scene.elevation).visible
+        (placed,) = place_meshes(scene.loaded, scene.world, scene.elevation).visible_bodies
         vertices = placed.origin_earth_m + placed.body.vertices_m @ placed.earth_from_body.T
         return placed.body, scene.world.map_position(scene.elevation.crs, vertices)[2] - GROUND_M
 
@@ -62,12 +62,12 @@ def test_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
     body, height = house(form, rectangle(turn=turn))
     assert body.is_closed
     levels = np.unique(height.round(4))
-    assert levels == pytest.approx([-FOOTING_M, HEIGHT_M - roof_rise_m(), HEIGHT_M], abs=2e-3)
+    assert levels == pytest.approx([-WALL_DEPTH_BELOW_GROUND_M, HEIGHT_M - roof_rise_m(), HEIGHT_M], abs=2e-3)
 
 
 @pytest.mark.parametrize("turn", [0.0, 57.0])
 def test_roof_volumes_are_those_of_prisms_and_pyramids(house, turn):
-    area, block = WIDTH_M * LENGTH_M, HEIGHT_M - roof_rise_m() + FOOTING_M
+    area, block = WIDTH_M * LENGTH_M, HEIGHT_M - roof_rise_m() + WALL_DEPTH_BELOW_GROUND_M
     pitched, _ = house("pitched", rectangle(turn=turn))
     assert pitched.volume_m3 == pytest.approx(area * (block + roof_rise_m() / 2.0), rel=1e-3)
     hipped, _ = house("hipped", rectangle(turn=turn))
@@ -75,7 +75,7 @@ def test_roof_volumes_are_those_of_prisms_and_pyramids(house, turn):
     tent, _ = house("hipped", rectangle(8.0, 8.0, turn))
     assert tent.is_closed and tent.volume_m3 == pytest.approx(64.0 * (block + roof_rise_m() / 3.0), rel=1e-3)
     flat, _ = house(None, rectangle(turn=turn))
-    assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + FOOTING_M), rel=1e-3)
+    assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + WALL_DEPTH_BELOW_GROUND_M), rel=1e-3)
 
 
 def test_roof_slopes_face_up_and_gables_have_wall_colour(house):

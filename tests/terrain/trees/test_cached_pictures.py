@@ -48,7 +48,7 @@ def test_changed_code_or_packages_repaint_and_replace(tmp_path, source, monkeypa
     source.write_text("green = 2", encoding="utf-8")
     cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 2
-    monkeypatch.setattr(module, "VERSIONS", ("0.1", "0.2", "0.3"))
+    monkeypatch.setattr(module, "PACKAGE_VERSIONS", ("0.1", "0.2", "0.3"))
     cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 3
     assert len(list((tmp_path / "kept").iterdir())) == 1

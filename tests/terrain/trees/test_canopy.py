@@ -12,8 +12,15 @@ from scipy.spatial import cKDTree
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.trees import canopy as module
-from skugga.terrain.trees.canopy import HEXAGONAL_PACKING, MIN_CROWN_CELLS, TREETOP_WINDOW_M, Canopy, CellWindow, growing_space_m
-from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
+from skugga.terrain.trees.canopy import (
+    HEXAGONAL_CROWNS_PER_SQUARE,
+    MIN_CROWN_CELLS,
+    TREETOP_WINDOW_RADIUS_LINES,
+    Canopy,
+    CellWindow,
+    growing_space_m,
+)
+from skugga.terrain.trees.canopy_sample import MAX_PLAUSIBLE_HEIGHT_M, MIN_TREE_HEIGHT_M
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)
@@ -29,7 +36,7 @@ def gaussian_crowns(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray
 
 def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
     window = canopy.window(crs, None)
-    pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, TREETOP_WINDOW_M[species], 0))
+    pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, TREETOP_WINDOW_RADIUS_LINES[species], 0))
     x, y = (np.concatenate([getattr(p.positions, axis) for p in pieces]) for axis in "xy")
     return x, y, np.concatenate([p.height_m for p in pieces])
 
@@ -74,7 +81,7 @@ def test_tops_are_the_maxima_of_their_windows(write_raster):
         assert raster[distance <= 0.8 + 0.05 * h].max() == np.float32(h)
     expected = {
         (r, c) for r, c in np.ndindex(80, 90)
-        if TREE_HEIGHT_M <= raster[r, c] <= MAX_HEIGHT_M and raster[r, c] == raster[
+        if MIN_TREE_HEIGHT_M <= raster[r, c] <= MAX_PLAUSIBLE_HEIGHT_M and raster[r, c] == raster[
             np.maximum(np.hypot(every_row - r, every_col - c) * CELL_M - 0.05 * raster[r, c], 0) <= 0.8].max()
     }  # fmt: skip
     assert set(zip(row.tolist(), col.tolist(), strict=True)) == expected
@@ -123,11 +130,11 @@ def test_coarse_canopy_is_scattered_with_closed_crowns(write_raster):
     assert set(height_m.tolist()) == {15.0}
     row, col = np.floor((5000000 - y) / 10).astype(int), np.floor((x - 500000) / 10).astype(int)
     assert (raster[row, col] == 15.0).all()
-    edges = module._height_classes(lambda h: 1.0 + 0.25 * h, TREE_HEIGHT_M)
+    edges = module._height_classes(lambda h: 1.0 + 0.25 * h, MIN_TREE_HEIGHT_M)
     number = np.searchsorted(edges, 15.0) - 1
     crown_m = 1.0 + 0.25 * np.sqrt(edges[number] * edges[number + 1])
     assert 0.8 < crown_m / (1.0 + 0.25 * 15.0) < 1.25
-    assert len(x) == pytest.approx(HEXAGONAL_PACKING * 230_000 / crown_m**2, rel=0.01)
+    assert len(x) == pytest.approx(HEXAGONAL_CROWNS_PER_SQUARE * 230_000 / crown_m**2, rel=0.01)
     assert cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1].min() > 0.4 * crown_m
 
 
@@ -139,7 +146,9 @@ def test_wide_cells_show_tall_trees_over_scattered_shrubs(write_raster):
     is_tall = height_m == 20.0
     assert is_tall.sum() == 400 and set(height_m.tolist()) == {3.0, 20.0}
     np.testing.assert_allclose((x[is_tall] - 500000) / 2.502 % 6, 3.5, atol=1e-6)
-    assert len(x) - 400 == pytest.approx(HEXAGONAL_PACKING * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2)
+    assert len(x) - 400 == pytest.approx(
+        HEXAGONAL_CROWNS_PER_SQUARE * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2
+    )
 
 
 def test_detection_limit_grows_with_cell_size():
@@ -147,11 +156,13 @@ def test_detection_limit_grows_with_cell_size():
         return 1.0 + 0.25 * height_m
 
     assert (
-        module._detection_limit_m(0.25, crown_of, TREE_HEIGHT_M) == module._detection_limit_m(1.0, crown_of, TREE_HEIGHT_M) == 0.0
+        module._detection_limit_m(0.25, crown_of, MIN_TREE_HEIGHT_M)
+        == module._detection_limit_m(1.0, crown_of, MIN_TREE_HEIGHT_M)
+        == 0.0
     )
-    assert crown_of(module._detection_limit_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(MIN_CROWN_CELLS * 2.5, rel=0.01)
-    assert np.isinf(module._detection_limit_m(3.01, crown_of, TREE_HEIGHT_M)) and np.isinf(
-        module._detection_limit_m(2.5, np.ones_like, TREE_HEIGHT_M)
+    assert crown_of(module._detection_limit_m(2.5, crown_of, MIN_TREE_HEIGHT_M)) == pytest.approx(MIN_CROWN_CELLS * 2.5, rel=0.01)
+    assert np.isinf(module._detection_limit_m(3.01, crown_of, MIN_TREE_HEIGHT_M)) and np.isinf(
+        module._detection_limit_m(2.5, np.ones_like, MIN_TREE_HEIGHT_M)
     )
 
 
@@ -164,9 +175,9 @@ def test_multi_peaked_crown_is_one_broadleaf_or_many_conifers(write_raster):
 
 def test_broadleaf_window_is_half_a_deciduous_crown():
     height_m = np.linspace(8.0, 25.0, 100)
-    base, slope = TREETOP_WINDOW_M["broadleaf"]
+    base, slope = TREETOP_WINDOW_RADIUS_LINES["broadleaf"]
     np.testing.assert_allclose(base + slope * height_m, (3.09632 + 0.00895 * height_m**2) / 2, atol=0.22)
-    conifer = TREETOP_WINDOW_M["conifer"]
+    conifer = TREETOP_WINDOW_RADIUS_LINES["conifer"]
     assert (base + slope * height_m > conifer[0] + conifer[1] * height_m).all()
 
 
@@ -182,10 +193,10 @@ def test_height_classes_cover_all_heights_in_root_two_steps():
     def crown_of(height_m):
         return 1.0 + 0.3 * height_m
 
-    edges = module._height_classes(crown_of, TREE_HEIGHT_M)
-    assert edges[0] == TREE_HEIGHT_M and edges[-1] > MAX_HEIGHT_M
+    edges = module._height_classes(crown_of, MIN_TREE_HEIGHT_M)
+    assert edges[0] == MIN_TREE_HEIGHT_M and edges[-1] > MAX_PLAUSIBLE_HEIGHT_M
     assert (crown_of(edges[1:]) / crown_of(edges[:-1])).max() < 1.45
-    assert module._height_classes(lambda h: np.full_like(h, 3.0), TREE_HEIGHT_M).size == 2
+    assert module._height_classes(lambda h: np.full_like(h, 3.0), MIN_TREE_HEIGHT_M).size == 2
 
 
 def test_room_is_the_mean_distance_to_three_neighbours():
@@ -213,7 +224,7 @@ def test_kootenay_inventory_is_reproduced(shared_data):
     canopy = Canopy(str(shared_data / "forest" / "kootenay_CHM_025m.tif"))
     x, y, found_m = trees_of(canopy, canopy.crs)
     tree_xy = np.column_stack([x, y])
-    is_tall = height_m >= TREE_HEIGHT_M
+    is_tall = height_m >= MIN_TREE_HEIGHT_M
     is_missed = cKDTree(tree_xy).query(inventory[is_tall])[0] > 1.5
     is_extra = cKDTree(inventory).query(tree_xy)[0] > 1.5
     assert is_missed.sum() <= 0.04 * is_tall.sum()

@@ -86,7 +86,7 @@ def test_hedges_and_vines_are_planted(plant_canopy, height_m):
     rows = np.zeros((100, 100))
     rows[::5] = height_m
     result = plant_canopy(rows)
-    assert 300 < len(result.trees.rank) < 3000
+    assert 300 < len(result.trees.thinning_rank) < 3000
     np.testing.assert_allclose(result.trees.height_m, height_m, rtol=1e-6)
     assert result.notes[0].endswith("left out: of its cells 80 % lower than 0.5 m")
 
@@ -122,7 +122,7 @@ def test_undergrowth_needs_a_least_height(plant_canopy):
     )
     assert (
         with_undergrowth.trees.height_m.min() == pytest.approx(1.2)
-        and len(with_undergrowth.trees.rank) > len(without_undergrowth.trees.rank) + 1000
+        and len(with_undergrowth.trees.thinning_rank) > len(without_undergrowth.trees.thinning_rank) + 1000
     )
     assert plant_canopy(wood, least_height=10.0).trees.height_m.min() == 15.0
 
@@ -134,7 +134,7 @@ def test_coarse_or_too_many_shrubs_are_omitted(plant_canopy, monkeypatch):
         .warnings[0]
         .endswith("no tree is planted: of its cells 100 % of 0.5 m to 2 m (set least_height to include them)")
     )
-    assert len(plant_canopy(scrub).trees.rank) > 500
+    assert len(plant_canopy(scrub).trees.thinning_rank) > 500
     monkeypatch.setattr(module, "MAX_SHRUBS", 100)
     assert plant_canopy(scrub).trees is None
 
@@ -148,7 +148,7 @@ def test_canopy_above_sea_level_is_rejected(plant_canopy):
         SourceError, match=r"canopy.tif: it has heights above the sea, 1 to 24 m above the terrain\. Use heights above ground"
     ):
         plant_canopy(ground + crowns)
-    assert len(plant_canopy(crowns).trees.rank) > 500
+    assert len(plant_canopy(crowns).trees.thinning_rank) > 500
 
 
 def test_heights_above_sea_level_differ_from_tall_trees():

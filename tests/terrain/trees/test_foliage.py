@@ -136,7 +136,7 @@ def test_tree_variants_cover_both_species() -> None:
 
 
 def test_tree_variants_have_the_proportions_of_their_models() -> None:
-    assert all(variant.crown_to_height == pytest.approx(2.0 * model.radius) for variant, model in module._VARIANT_MODELS)
+    assert all(variant.crown_to_height == pytest.approx(2.0 * model.crown_radius) for variant, model in module._VARIANT_MODELS)
 
 
 def test_foliage_has_a_full_mip_chain(pictures: Foliage) -> None:

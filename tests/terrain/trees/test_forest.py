@@ -15,9 +15,10 @@ from scipy.spatial import cKDTree
 
 from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.trees import forest as module
-from skugga.terrain.trees.crown_sizes import CROWN_SPREAD
+from skugga.terrain.trees.crown_sizes import MAX_CROWN_DEVIATION_SHARE
 from skugga.terrain.trees.foliage import TREE_VARIANTS
-from skugga.terrain.trees.forest import PlantingMap, plant_trees
+from skugga.terrain.trees.forest import plant_trees
+from skugga.terrain.trees.planting_map import PlantingMap
 from skugga.terrain.trees.scatter import MIN_SPACING_CELLS, join_positions, pair_keys, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
@@ -136,7 +137,9 @@ def test_stand_has_its_density_on_the_ground(hill, vectors, make_scene):
     scene = make_scene(hill, forest=[{"source": vectors([area]), "density": 300}])
     trees = planted_trees(scene)
     stretch = 0.9996**-2  # UTM on its central meridian: map lengths are smaller than ground lengths
-    assert len(trees.rank) == pytest.approx(area.area / 1e4 * 300 * stretch, abs=3 * np.sqrt(area.length / np.sqrt(1e4 / 300)))
+    assert len(trees.thinning_rank) == pytest.approx(
+        area.area / 1e4 * 300 * stretch, abs=3 * np.sqrt(area.length / np.sqrt(1e4 / 300))
+    )
     assert shapely.contains_xy(area, *(base_coordinates(scene, trees)[:, :2] - [X0, Y0 - SIDE_M]).T).all()
 
 
@@ -162,7 +165,7 @@ def test_multipolygons_and_holes(hill, vectors, make_scene):
     trees = planted_trees(scene)
     x, y, _ = (base_coordinates(scene, trees) - [X0, Y0 - SIDE_M, 0]).T
     assert not ((x > 300) & (x < 800) & (y > 300) & (y < 800)).any()
-    assert len(trees.rank) == pytest.approx(100 * (24 + 9), rel=0.05)
+    assert len(trees.thinning_rank) == pytest.approx(100 * (24 + 9), rel=0.05)
 
 
 def test_heights_of_polygons(hill, vectors, make_scene):
@@ -185,15 +188,19 @@ def test_variants_follow_species_and_crowns_follow_height(hill, vectors, make_sc
     for species in ("conifer", "broadleaf", "mixed"):
         trees = planted_trees(make_scene(hill, forest=[{"source": source, "density": 40, "species": species, "height": [5, 30]}]))
         shares_of[species] = np.isin(trees.variant, CONIFERS).mean()
-        base, slope = np.mean([module.CROWN_M[s] for s in (["conifer", "broadleaf"] if species == "mixed" else [species])], axis=0)
+        base, slope = np.mean(
+            [module.CROWN_DIAMETER_LINES[s] for s in (["conifer", "broadleaf"] if species == "mixed" else [species])], axis=0
+        )
         expected_crown_m = base + slope * trees.height_m
-        assert (trees.crown_m / expected_crown_m).mean() == pytest.approx(1.0, abs=0.02)
+        assert (trees.crown_diameter_m / expected_crown_m).mean() == pytest.approx(1.0, abs=0.02)
         assert ((trees.yaw_deg >= 0) & (trees.yaw_deg < 180)).all() and trees.yaw_deg.std() == pytest.approx(52, abs=1)
-        assert ((trees.rank >= 0) & (trees.rank < 1)).all() and trees.rank.mean() == pytest.approx(0.5, abs=0.01)
+        assert ((trees.thinning_rank >= 0) & (trees.thinning_rank < 1)).all() and trees.thinning_rank.mean() == pytest.approx(
+            0.5, abs=0.01
+        )
     assert shares_of["conifer"] == 1 and shares_of["broadleaf"] == 0
     assert shares_of["mixed"] == pytest.approx(0.5, abs=0.02)
-    assert 0 < CROWN_SPREAD < 1
-    crown = planted_trees(make_scene(hill, forest=[{"source": source, "density": 5, "crown": [2, 2.5]}])).crown_m
+    assert 0 < MAX_CROWN_DEVIATION_SHARE < 1
+    crown = planted_trees(make_scene(hill, forest=[{"source": source, "density": 5, "crown": [2, 2.5]}])).crown_diameter_m
     assert 2.0 <= crown.min() and crown.max() <= 2.5
 
 
@@ -208,7 +215,7 @@ def test_density_is_on_the_ground_in_any_crs(crs, write_raster, make_scene, vect
     east, north = to_utm.transform(x0 + 30 * cell, y0 - 30 * cell)
     source = vectors([shapely.box(0, 0, 800, 800)], origin=(east - 400, north - 400))
     trees = planted_trees(make_scene(dem, forest=[{"source": source, "density": 200}]))
-    assert len(trees.rank) == pytest.approx(64 * 200 * 0.9996**-2, rel=0.006)
+    assert len(trees.thinning_rank) == pytest.approx(64 * 200 * 0.9996**-2, rel=0.006)
 
 
 def test_flat_world_in_feet(write_raster, make_scene, vectors):
@@ -217,7 +224,7 @@ def test_flat_world_in_feet(write_raster, make_scene, vectors):
     source = vectors([shapely.box(0, 0, 800, 800)], crs=feet, origin=(7100, 8100))
     scene = make_scene(dem, forest=[{"source": source, "density": 400}])
     trees = planted_trees(scene)
-    assert len(trees.rank) == pytest.approx((800 * 0.3048) ** 2 / 1e4 * 400, rel=0.02)
+    assert len(trees.thinning_rank) == pytest.approx((800 * 0.3048) ** 2 / 1e4 * 400, rel=0.02)
     x, y, _ = base_coordinates(scene, trees).T
     assert 7100 <= x.min() and x.max() <= 7900 and 8100 <= y.min() and y.max() <= 8900
 
@@ -225,7 +232,7 @@ def test_flat_world_in_feet(write_raster, make_scene, vectors):
 def test_longitudes_wrap_around_the_earth(write_raster, make_scene, vectors):
     dem = write_raster(np.zeros((40, 40), np.float32), "EPSG:4326", 179.98, 0.02, 0.001)  # up to 180.02
     source = vectors([shapely.box(-179.995, -0.005, -179.99, 0.005)], crs="EPSG:4326", origin=(0, 0))
-    assert len(planted_trees(make_scene(dem, forest=[{"source": source, "density": 100}])).rank) == pytest.approx(
+    assert len(planted_trees(make_scene(dem, forest=[{"source": source, "density": 100}])).thinning_rank) == pytest.approx(
         0.55 * 1.11 * 100 * 100, rel=0.03
     )
 
@@ -235,7 +242,7 @@ def test_trees_off_the_terrain_and_over_holes_are_omitted(hill, vectors, make_sc
     scene = make_scene(hill, forest=[{"source": source, "density": 100}])
     trees = planted_trees(scene)
     assert base_coordinates(scene, trees)[:, 0].min() >= X0
-    assert len(trees.rank) == pytest.approx(100 * 100, rel=0.02)
+    assert len(trees.thinning_rank) == pytest.approx(100 * 100, rel=0.02)
     values = np.full((50, 50), 10, np.float32)
     values[:, 20:40] = np.nan
     scene = make_scene(write_raster(values, UTM, X0, Y0, 40, name="holes.tif"), forest=[{"source": source, "density": 10}])
@@ -261,7 +268,7 @@ def test_points_are_trees_with_their_heights(hill, vectors, make_scene):
     distance, row = cKDTree(place).query(tree_xy)
     assert len(np.unique(row)) == 200 and distance.max() < 1e-3
     np.testing.assert_allclose(trees.height_m, height_m[row], rtol=1e-6)
-    np.testing.assert_allclose(trees.crown_m, crown_m[row], rtol=1e-6)
+    np.testing.assert_allclose(trees.crown_diameter_m, crown_m[row], rtol=1e-6)
     replanted = planted_trees(make_scene(hill, forest=[{"source": shuffled_source, "crown": "w"}]))
     for name in Trees.__dataclass_fields__:
         np.testing.assert_allclose(getattr(replanted, name), getattr(trees, name), rtol=1e-6)
@@ -296,7 +303,7 @@ def test_named_attributes_of_trees_match_in_any_case(hill, vectors, make_scene):
         source = vectors([geometry], HEIGHT_FT=[50.0], Crown_dm=[45.0])
         trees = planted_trees(make_scene(hill, forest=[{"source": source, "height": "height_ft", "crown": "crown_dm", **keys}]))
         np.testing.assert_allclose(trees.height_m, 15.24, rtol=1e-6)
-        np.testing.assert_allclose(trees.crown_m, 4.5, rtol=1e-6)
+        np.testing.assert_allclose(trees.crown_diameter_m, 4.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize("attributes", [{}, {"kind": ["oak"]}, {"height": np.array([None], object)}])
@@ -347,7 +354,7 @@ def test_invalid_rows_are_omitted_and_duplicates_merged(hill, vectors, make_scen
     points = list(shapely.points([[100, 100], [200, 100], [300, 100], [400, 100], [500, 100], [500, 100], [99999, 0]]))
     source = vectors(points, tall=[10.0, -4.0, 0.0, np.nan, 151.0, 7.0, 9.0])
     assert planted_trees(make_scene(hill, forest=[{"source": source, "height": "tall"}])).height_m.tolist() == [10.0]
-    assert len(planted_trees(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).rank) == 5
+    assert len(planted_trees(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).thinning_rank) == 5
 
 
 def test_point_keys_distinguish_millimetres():
@@ -376,7 +383,7 @@ def test_canopy_in_another_crs_stands_on_the_terrain(hill, make_scene, write_ras
     lon, lat = to_degrees.transform(x, y)
     np.testing.assert_allclose(((lon - west) / 1.3e-5 - 20.5) / 40 % 1, 0.5, atol=0.5)
     np.testing.assert_allclose((((lon - west) / 1.3e-5 - 20.5) / 40 + 0.5) % 1, 0.5, atol=1e-3)
-    assert len(trees.rank) == pytest.approx(100 * 200 / (400 * 1.3e-5 * 75_900), abs=11)
+    assert len(trees.thinning_rank) == pytest.approx(100 * 200 / (400 * 1.3e-5 * 75_900), abs=11)
 
 
 def test_canopy_crowns_end_at_their_neighbours(hill, make_scene, write_raster):
@@ -384,13 +391,13 @@ def test_canopy_crowns_end_at_their_neighbours(hill, make_scene, write_raster):
     canopy[2:60:3, 2:60:3], canopy[90, 90] = 26.0, 26.0
     source = write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
     trees = planted_trees(make_scene(hill, forest=[{"source": str(source), "species": "conifer"}]))
-    assert np.sort(trees.crown_m)[-2] < 1.2 * (3 + 3 + 18**0.5) / 3 * 1.001 and np.median(trees.crown_m) == pytest.approx(
-        3.6, rel=1e-3
-    )
+    assert np.sort(trees.crown_diameter_m)[-2] < 1.2 * (3 + 3 + 18**0.5) / 3 * 1.001 and np.median(
+        trees.crown_diameter_m
+    ) == pytest.approx(3.6, rel=1e-3)
     trees_with_fixed_crowns = planted_trees(
         make_scene(hill, forest=[{"source": str(source), "species": "conifer", "crown": [6, 6]}])
     )
-    assert trees_with_fixed_crowns.crown_m.tolist() == [6.0] * 401
+    assert trees_with_fixed_crowns.crown_diameter_m.tolist() == [6.0] * 401
 
 
 def test_broadleaf_canopies_have_fewer_and_wider_crowns(hill, make_scene, write_raster):
@@ -401,16 +408,16 @@ def test_broadleaf_canopies_have_fewer_and_wider_crowns(hill, make_scene, write_
         species: planted_trees(make_scene(hill, forest=[{"source": source, "species": species}]))
         for species in ("conifer", "mixed", "broadleaf")
     }
-    conifer_count, mixed_count, broadleaf_count = (len(trees.rank) for trees in trees_by_species.values())
+    conifer_count, mixed_count, broadleaf_count = (len(trees.thinning_rank) for trees in trees_by_species.values())
     assert 1.3 * broadleaf_count < mixed_count < conifer_count / 1.3
-    assert np.median(trees_by_species["broadleaf"].crown_m) > 1.5 * np.median(trees_by_species["conifer"].crown_m)
+    assert np.median(trees_by_species["broadleaf"].crown_diameter_m) > 1.5 * np.median(trees_by_species["conifer"].crown_diameter_m)
 
 
 def test_real_canopy_on_its_own_terrain(shared_data, make_scene):
     folder = shared_data / "forest"
     scene = make_scene(folder / "quebec_DTM.tif", forest=[{"source": str(folder / "quebec_CHM.tif")}])
     trees = planted_trees(scene)
-    assert 3000 < len(trees.rank) < 6000 and 20 < trees.height_m.max() < 21
+    assert 3000 < len(trees.thinning_rank) < 6000 and 20 < trees.height_m.max() < 21
     x, y, height = base_coordinates(scene, trees).T
     np.testing.assert_allclose(height, scene.elevation.ground_m(x, y), atol=2e-3)
 
