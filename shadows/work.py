@@ -28,7 +28,7 @@ Work = dict[str, Counts]
 """Counts by part of an algorithm."""
 
 MAX_CASTER_OPACITY = 0.98
-"""Upper bound of the share of light that a wood, or bodies above a map, are assumed to block."""
+"""Upper bound of the share of light that a wood is assumed to block."""
 
 UNKNOWN_LIGHT_FACTS = LightFacts()
 """Facts assumed for a light that a descriptor does not describe."""
@@ -189,21 +189,6 @@ class Workload:
         if cast is not None and self.facts.facing_share > 0.0:
             return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_CASTER_OPACITY))
         return self.tree_count * self.tree_projected_m2 / self.level_ground_projected_m2
-
-    @property
-    def volume_layers(self) -> float:
-        """The mean number of sides of the meshes' shadow volumes between the eye and the visible surface; 0 without meshes.
-
-        The descriptor has it for cameras. Seen from above, a point in the shadow of a body lies below one side of its volume. If
-        shadows lie at random, their number over a point has a Poisson distribution, and a share e to the power of minus the mean is
-        lit.
-        """
-        if self.caster_facts("meshes") is None:
-            return 0.0
-        cast = self.facts.casts.get("meshes")
-        if not self.is_map_view or cast is None or self.facts.facing_share <= 0.0:
-            return self.facts.volume_layers
-        return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_CASTER_OPACITY))
 
     @property
     def tree_projected_m2(self) -> float:

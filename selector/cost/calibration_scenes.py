@@ -22,6 +22,9 @@ from skugga.terrain.scene import Scene, build_scene
 FLOOR_TERRAIN: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
 BALL_RADIUS_M = 5.0
 
+GLOBE_CRS, GLOBE_MIDDLE_M = "EPSG:32632", (500_000.0, 5_300_000.0)
+"""CRS of the scenes on a globe, and the coordinates of their middle."""
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
@@ -99,7 +102,11 @@ def calibration_levels(
     yield "lattice_far", _level(FLOOR_TERRAIN, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
     yield "few_balls_map", _level(FLOOR_TERRAIN, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "full"
     yield "many_balls_map", _level(FLOOR_TERRAIN, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
-    yield "low_sun_map", _level(FLOOR_TERRAIN, near, meshes=[several], sun=(60, 9)), "map", (512, 512), "sun", ("meshes",), "some"
+    for name, cell_m, size_px in (("globe_map", 0.5, 512), ("coarse_globe_map", 2.0, 320)):
+        level = _level(_plain_on_globe(folder, name, cell_m), near, meshes=[_moved(several)], sun=(60, 25))
+        x, y = GLOBE_MIDDLE_M
+        level["views"] = {"map": {"kind": "map", "bounds": [x - 56.0, y - 56.0, x + 56.0, y + 56.0]}}
+        yield name, level, "map", (size_px, size_px), "sun", ("meshes",), "some"
     for kind, lamp in (("spot", spot), ("omni", {"kind": "omni", "position": [8, -8, 30]})):
         level = _level(FLOOR_TERRAIN, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
         yield f"{kind}_balls", level, "main", (640, 512), "lamp", ("meshes",), "full"
@@ -142,9 +149,35 @@ def _level(
     terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **level_keys: Any
 ) -> dict[str, Any]:
     placed: Any = "none" if sun is None else {"azimuth": sun[0], "altitude": sun[1]}
-    half_m = 0.35 * (terrain.get("flat") or terrain["generate"])["size"][0]  # away from the rim, where the ground ends
+    size_m = (terrain.get("flat") or terrain.get("generate") or {"size": [160.0]})["size"]
+    half_m = 0.35 * size_m[0]  # away from the rim, where the ground ends
     plan = {"kind": "map", "bounds": [-half_m, -half_m, half_m, half_m]}
     return {"terrain": terrain, "views": {"main": main, "map": plan}, "sun": placed, **level_keys}
+
+
+def _plain_on_globe(folder: Path, name: str, cell_m: float) -> dict[str, Any]:
+    """Return a level's ``terrain``: a plain of 160 x 160 m with a CRS, so that the world is a globe."""
+    import rasterio
+
+    cells, (x, y) = round(160.0 / cell_m), GLOBE_MIDDLE_M
+    path = folder / f"{name}.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cells, height=cells, count=1, dtype="float32", crs=GLOBE_CRS,
+        transform=rasterio.transform.from_origin(x - 80.0, y + 80.0, cell_m, cell_m),
+    ) as raster:  # fmt: skip
+        raster.write(np.zeros((1, cells, cells), np.float32))
+    return {"source": path.name}
+
+
+def _moved(meshes: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry of a level's ``meshes`` with its positions moved from the origin to ``GLOBE_MIDDLE_M``, as longitudes and
+    latitudes.
+    """
+    from pyproj import Transformer
+
+    to_lon_lat = Transformer.from_crs(GLOBE_CRS, "OGC:CRS84", always_xy=True)
+    positions = [to_lon_lat.transform(GLOBE_MIDDLE_M[0] + x, GLOBE_MIDDLE_M[1] + y) for x, y in meshes["at"]]
+    return {**meshes, "at": [list(position) for position in positions]}
 
 
 def _camera(eye: list[float], target: list[float]) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: 
     rectangles = max(workload.pixel_count / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     faces_drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = sides * workload.volume_layers
+    layers = sides * workload.facts.volume_layers if workload.caster_facts("meshes") else 0.0
     counts = {"blocks": 1.0, "pixels": workload.pixel_count}
     if marked_share is None:
         counts |= {
@@ -91,7 +91,14 @@ def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: 
             "layers beside marks": workload.facing_pixel_count * layer_cost,
         }
     if workload.is_map_view:
-        parts = np.ceil(workload.descriptor.rows / AFFINE_PART_PX) * np.ceil(workload.descriptor.cols / AFFINE_PART_PX)
+        # On a globe a map is drawn in parts, and the ground that receives shadows is drawn into each (``affine_parts``).
+        is_curved = not workload.descriptor.flat_world
+        parts = (
+            np.ceil(workload.descriptor.rows / AFFINE_PART_PX) * np.ceil(workload.descriptor.cols / AFFINE_PART_PX)
+            if is_curved
+            else 1.0
+        )
+        counts["receiver nodes"] = workload.node_count if is_curved else 0.0
         relief = 1.0 + workload.outside_triangle_count / TRIANGLES_PER_PATCH if workload.caster_facts("relief") else 0.0
         counts["sheets"] = parts * (relief + (workload.caster_facts("meshes") is not None))
     return counts
