@@ -142,7 +142,15 @@ def plan_for(
     if not product.needs_of(view):
         return None
     device = calibration_for(scene.loaded.level.shadows, overrides, shows_times=has_time_limit)
-    return plan_of_view(scene, view, name, overrides, device=device)
+    return _plan_of_product(plan_of_view(scene, view, name, overrides, device=device), product)
+
+
+def _plan_of_product(plan: Plan, product: Product) -> Plan:
+    """Return a view's plan as a product needs it: data do not depend on what the air lets one see.
+
+    In the thick of haze, pictures do not compute shadows, since nobody sees them.
+    """
+    return plan if product.is_display else plan.without_effect("haze", "data do not depend on what the air lets one see")
 
 
 def draw_picture(
@@ -154,7 +162,7 @@ def draw_picture(
     on_block: ProgressCallback | None = None,
 ) -> Picture:
     """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
-    needed_parts = product.needs_of(view)
+    needed_parts, plan = product.needs_of(view), _plan_of_product(plan, product)
     if light is None and product.pass_layer is None:
         return draw(scene, view, plan, needed_parts, on_block)
     layers = frozenset() if product.pass_layer is None else frozenset({product.pass_layer})

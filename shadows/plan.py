@@ -126,6 +126,18 @@ class Plan(_FrozenModel):
         """Return the steps that fill a light's visibility, in order. Steps of the algorithm ``none`` are left out."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
+    def without_effect(self, name: str, reason: str) -> Plan:
+        """Return the plan without an effect that has a pass of its own, and with ``reason`` for leaving it out."""
+        if name not in self.effect_names:
+            return self
+        return self.model_copy(
+            update={
+                "effects": [effect for effect in self.effects if effect.name != name],
+                "left_out": [*self.left_out, NamedReason(name=name, reason=reason)],
+                "passes": [pass_name for pass_name in self.passes if pass_name != name],
+            }
+        )
+
     @property
     def algorithms_text(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""

@@ -68,7 +68,8 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
 def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
     """Return a buffer without the points whose visibility cannot be seen in the picture.
 
-    In a perspective view, haze hides at far points whether the sun shines on them.
+    In a perspective view, haze hides at far points whether the sun shines on them. Plans of data (masks, visibilities) are without
+    haze, so that they have all points.
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer
