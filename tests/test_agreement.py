@@ -5,7 +5,7 @@ Rays decide (``skugga.shadows.truth``). Tiles, maps and WMS have identical pixel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -45,13 +45,13 @@ QUICK = [("hills", "winter")]
 GROUNDS = (*MADE_GROUNDS, *DATA_GROUNDS)
 
 
-def cases(suns: Iterable[str]) -> list[Any]:
-    """Return the cases of all grounds under some suns, of which those that are not ``QUICK`` are long."""
-    long_cases = [(ground, sun) for sun in suns for ground in GROUNDS if (ground, sun) not in QUICK]
-    return [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in long_cases)]
+def cases(suns: Iterable[str], quick: Sequence[tuple[str, str]] = ()) -> list[Any]:
+    """Return the cases of all grounds under some suns, of which those that are not ``quick`` are long."""
+    long_cases = [(ground, sun) for sun in suns for ground in GROUNDS if (ground, sun) not in quick]
+    return [*quick, *(pytest.param(*case, marks=pytest.mark.long) for case in long_cases)]
 
 
-ALL_SUNS = cases(SUNS)
+ALL_SUNS = cases(SUNS, QUICK)
 TWO_SUNS = cases(["winter", "low morning"])
 
 
