@@ -73,11 +73,16 @@ def checked_light(light: np.ndarray) -> np.ndarray:
 
     Raises ``InputError`` for other values.
     """
-    light_frame = np.asarray(light, np.float64)
-    is_valid = light_frame.shape == (4,) and np.isfinite(light_frame).all() and light_frame[3] in (0.0, 1.0) and light_frame.any()
+    light_in_frame = np.asarray(light, np.float64)
+    is_valid = (
+        light_in_frame.shape == (4,)
+        and np.isfinite(light_in_frame).all()
+        and light_in_frame[3] in (0.0, 1.0)
+        and light_in_frame.any()
+    )
     if not is_valid:
         raise InputError("light", light, "(x, y, z, 0) with a direction that is not zero, or (x, y, z, 1) with a position")
-    return light_frame
+    return light_in_frame
 
 
 def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
