@@ -132,7 +132,7 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     is_valid = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
     is_facing = faces_light(position, triangles, light)
     if isinstance(sheet, ColumnMesh):  # triangles without area cast no shadow, so they count as facing the light
-        is_facing |= ~np.repeat(sheet.has_area.ravel(), 2)
+        is_facing |= ~np.repeat(sheet.is_quad_with_area.ravel(), 2)
     orientations = (orientations_of(is_facing, rule) * is_valid).reshape(*is_cut_nw_se.shape, 2)
     north, south = orientations[..., 0], orientations[..., 1]
     sums = np.zeros((4, rows, cols), np.int8)
