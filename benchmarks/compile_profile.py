@@ -33,7 +33,7 @@ SIDE_CELLS, CELL_M = 400, 30.0
 """Size of the raster that is written: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
 PROJECT_PACKAGES = "skugga", "benchmarks"
-REFERENCE_ROUNDS = 3
+BASELINE_REPEATS = 3
 
 
 @dataclass
@@ -110,7 +110,7 @@ class CompilationListener(event.Listener):
 def reference_compile_s() -> float:
     """Return the median CPU seconds to compile a fixed small loop, as a reference for the speed of the machine."""
     seconds = []
-    for number in range(REFERENCE_ROUNDS + 1):  # the first round imports numba's modules
+    for number in range(BASELINE_REPEATS + 1):  # the first round imports numba's modules
         source = _reference_loop(number)
         begin = time.process_time()
         source(np.zeros((4, 4)), 1.0)

@@ -39,7 +39,7 @@ class StyledPlace:
         Raster in the folder of sample rasters, or name of a bundled level.
     view
         Name of the view.
-    middle_share
+    kept_middle_share
         Side of the central square of a map that is drawn, as a share of the map's shorter side.
     keys
         Further keys of the level file.
@@ -47,17 +47,17 @@ class StyledPlace:
 
     source: str
     view: str = "map"
-    middle_share: float = 1.0
+    kept_middle_share: float = 1.0
     keys: dict[str, Any] = field(default_factory=dict)
 
 
 PLACES = {
-    "mountains": StyledPlace("mountain/grenoble_copernicus_4326.tif", middle_share=0.6),
+    "mountains": StyledPlace("mountain/grenoble_copernicus_4326.tif", kept_middle_share=0.6),
     "high mountains": StyledPlace("mountain/vinschgau_250m_utm32.tif"),
     "city": StyledPlace("urban/goteborg_1m/DSM.tif"),
     "plain": StyledPlace("odd/texas_flat_3arcsec_4326.tif", keys={"style": {"slope_exaggeration": 3}}),
     "forest": StyledPlace(
-        "forest/quebec_DTM.tif", middle_share=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
+        "forest/quebec_DTM.tif", kept_middle_share=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
     ),
     "valley, in perspective": StyledPlace("jacksboro_wooded", view="valley"),
     "village, in perspective": StyledPlace("jacksboro_wooded", view="village"),
@@ -83,7 +83,7 @@ def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, w
     view = scene.view(place.view)
     if place.view == "map":
         west, south, east, north = view.bounds
-        x, y, reach = (west + east) / 2, (south + north) / 2, place.middle_share * min(east - west, north - south) / 2
+        x, y, reach = (west + east) / 2, (south + north) / 2, place.kept_middle_share * min(east - west, north - south) / 2
         view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (width_px, width_px))
     else:
         view = scene.view(place.view, size=(width_px, round(width_px * view.rows / view.cols)))

@@ -171,7 +171,11 @@ def _anytime(all_splits: Sequence[Split]) -> str:
     rows = []
     for split in all_splits:
         decidable = [instance for instance in split.instances if instance.is_decidable]
-        for budget, choices in [*split.by_budget.items(), ("no limit (`measure`)", split.choices["measure"])]:
+        for budget, choices in [
+            ("none (`predict`)", split.choices["predict"]),
+            *split.by_budget.items(),
+            ("no limit (`measure`)", split.choices["measure"]),
+        ]:
             for kind, subset in (
                 ("all", decidable),
                 ("without dense wood", [instance for instance in decidable if instance.view["family"] != DENSE]),

@@ -87,7 +87,10 @@ def write_site(site: Site, folder: Path) -> dict[str, Any]:
 
 
 def _rectangle(east_m: float, north_m: float, length_m: float, width_m: float, angle_deg: float) -> list[tuple[float, float]]:
-    """Return the closed ring of a rectangle in degrees of longitude and latitude."""
+    """Return the closed ring of a rectangle in degrees of longitude and latitude.
+
+    Its centre is ``east_m`` and ``north_m`` from that of the site. Its length points ``angle_deg`` anticlockwise from east.
+    """
     to_lon_lat = Transformer.from_crs(CRS, "OGC:CRS84", always_xy=True)
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     ring = []
@@ -224,7 +227,8 @@ def _blocks(count: int, pitch_m: float, side_m: float, height_m: tuple[float, fl
     return houses
 
 
-def _woods(*woods: Wood) -> Callable[[np.random.Generator], list[Wood]]:
+def _woods_at(*woods: Wood) -> Callable[[np.random.Generator], list[Wood]]:
+    """Return a function that returns these woods, whatever its generator."""
     return lambda random: list(woods)
 
 
@@ -242,18 +246,20 @@ SITES: dict[str, Site] = {
     "quarry": Site(512, 1.0, (6, 45), _quarry),
     "glacial valley": Site(512, 20.0, (34, 18), _valley),
     "village on a plain": Site(300, 1.0, (14, 27), _plain, _scattered(60, 240.0, (4.0, 9.0))),
-    "village on a slope": Site(300, 1.0, (52, 9), _slope, _scattered(45, 240.0, (4.0, 11.0)), _woods((-90, 60, 60, 90, 120))),
+    "village on a slope": Site(300, 1.0, (52, 9), _slope, _scattered(45, 240.0, (4.0, 11.0)), _woods_at((-90, 60, 60, 90, 120))),
     "town": Site(400, 1.0, (22, 45), _plain, _blocks(9, 36.0, 22.0, (8.0, 22.0))),
     "high-rises": Site(400, 1.0, (6, 18), _plain, _blocks(5, 70.0, 26.0, (15.0, 90.0))),
     "hamlet in a wood": Site(
-        300, 1.0, (34, 27), _hollow, _scattered(14, 90.0, (4.0, 8.0)), _woods((0, 100, 260, 70, 160), (0, -100, 260, 70, 160))
+        300, 1.0, (34, 27), _hollow, _scattered(14, 90.0, (4.0, 8.0)), _woods_at((0, 100, 260, 70, 160), (0, -100, 260, 70, 160))
     ),
-    "suburb": Site(360, 1.0, (14, 9), _plain, _blocks(10, 30.0, 12.0, (5.0, 9.0)), _woods((0, 0, 300, 300, 30))),
-    "park": Site(300, 1.0, (52, 40), _hollow, None, _woods((-60, 40, 120, 120, 50), (80, -60, 90, 120, 25))),
+    "suburb": Site(360, 1.0, (14, 9), _plain, _blocks(10, 30.0, 12.0, (5.0, 9.0)), _woods_at((0, 0, 300, 300, 30))),
+    "park": Site(300, 1.0, (52, 40), _hollow, None, _woods_at((-60, 40, 120, 120, 50), (80, -60, 90, 120, 25))),
     "copses": Site(
-        400, 1.0, (22, 18), _slope, None, _woods((-110, 90, 70, 90, 200), (90, 60, 60, 60, 200), (20, -110, 140, 50, 200))
+        400, 1.0, (22, 18), _slope, None, _woods_at((-110, 90, 70, 90, 200), (90, 60, 60, 60, 200), (20, -110, 140, 50, 200))
     ),
-    "wooded hills": Site(400, 2.5, (14, 24), _fractal(2.2, 40.0), None, _woods((0, 0, 960, 960, 220)), is_seen_from_afar=True),
-    "wooded mountains": Site(400, 2.5, (20, 28), _fractal(2.0, 90.0), None, _woods((0, 0, 960, 960, 200)), is_seen_from_afar=True),
+    "wooded hills": Site(400, 2.5, (14, 24), _fractal(2.2, 40.0), None, _woods_at((0, 0, 960, 960, 220)), is_seen_from_afar=True),
+    "wooded mountains": Site(
+        400, 2.5, (20, 28), _fractal(2.0, 90.0), None, _woods_at((0, 0, 960, 960, 200)), is_seen_from_afar=True
+    ),
 }
 """Made terrains by name."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from skugga.selector.candidates import candidates, name_of
-from skugga.selector.measure.view_truth import TRUTH_SAMPLES, ErrorName, View, ViewTruth, truth_of_view
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES_PER_PIXEL, ErrorName, View, ViewTruth, truth_of_view
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import bands_of
@@ -39,7 +39,7 @@ TIMING_REPEATS = 5
 TIME_LIMIT_S, DRAWING_TIME_SHARE = 70.0, 0.85
 """Time limit of a comparison in seconds, and the share of it after which no further candidates are drawn."""
 
-FINE_TRUTH_SAMPLES = 16
+FINE_TRUTH_SAMPLES_PER_PIXEL = 16
 
 NO_CAST_SHADOW_REMARK = "no cast shadow in the view: only false shadow can be measured"
 """Remark on a view without cast shadow."""
@@ -216,7 +216,7 @@ def compare(
     step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.effect_names for plan in plans))
     scene = with_apparent_sun(scene, effects)
-    view_truth = truth_of_view(scene, view, light, FINE_TRUTH_SAMPLES if fine else TRUTH_SAMPLES, effects)
+    view_truth = truth_of_view(scene, view, light, FINE_TRUTH_SAMPLES_PER_PIXEL if fine else TRUTH_SAMPLES_PER_PIXEL, effects)
     pictures = picture_blocks(scene, view)
     step(1, total)
     first = view_truth.blocks[0]
@@ -260,7 +260,9 @@ def measure_plan(
     includes compilation.
     """
     scene, light = with_apparent_sun(scene, plan.effect_names), _check_light(scene, light)
-    view_truth = truth_of_view(scene, view, light, FINE_TRUTH_SAMPLES if fine else TRUTH_SAMPLES, plan.effect_names)
+    view_truth = truth_of_view(
+        scene, view, light, FINE_TRUTH_SAMPLES_PER_PIXEL if fine else TRUTH_SAMPLES_PER_PIXEL, plan.effect_names
+    )
     pictures = picture_blocks(scene, view)
     trial = _first_run(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
     trial.repeat_times.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
@@ -305,10 +307,10 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     for ground in view_truth.blocks:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_CASTER_KINDS)
         count = np.zeros(ground.buffer.valid.shape, np.float32)
-        for sub_view in truth_module.jittered_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
+        for sub_view in truth_module.jittered_views(ground.buffer.view, TRUTH_SAMPLES_PER_PIXEL, seed=1):
             sample = geometry_buffer(scene, sub_view, ground.buffer.frame)
             count += truth_module.lit_mask(sample, scene, light, rays)
-        votes.append(np.where(ground.buffer.valid, count / TRUTH_SAMPLES, np.nan))
+        votes.append(np.where(ground.buffer.valid, count / TRUTH_SAMPLES_PER_PIXEL, np.nan))
     if view_truth.error_name == "coverage":
         return view_truth.coverage(votes)
     return error_metrics(view_truth.assemble(votes, np.nan), view_truth.full_truth, 1.0).wrong_cast

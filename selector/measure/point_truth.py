@@ -17,7 +17,7 @@ import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.probing import INTERVAL_Z
-from skugga.selector.measure.view_truth import TRUTH_SAMPLES
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES_PER_PIXEL
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MIN_INTERIOR_DISTANCE_PX, edge_test_region, is_far_from_edges
@@ -150,7 +150,7 @@ class PictureTruth:
         """Compute truth at the points of the lattice with index ``number``."""
         first_pixel = lattice_offsets(self.spacing_px)[number]
         full = subsampled_points(self.picture, self.spacing_px, first_pixel)
-        truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
+        truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES_PER_PIXEL, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
             truth = replace(truth, decidable=truth.decidable & buffer.valid, valid=truth.valid & buffer.valid)
@@ -165,7 +165,7 @@ class PictureTruth:
     @cached_property
     def nodes(self) -> MapNodes | None:
         """The ground nodes that the sub-samples of all lattices of a map share; ``None`` if they share none."""
-        return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES)
+        return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES_PER_PIXEL)
 
     def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
         """Compare a picture with truth at the points of a lattice, and return the numbers of points.

@@ -32,7 +32,7 @@ View = MapView | PerspectiveView
 
 ErrorName = Literal["wrong_cast", "coverage"]
 
-TRUTH_SAMPLES = 4
+TRUTH_SAMPLES_PER_PIXEL = 4
 """Number of sub-samples of a pixel. Truth decides between shadow and light only if all of them agree."""
 
 AREA_LIGHT_PIXELS = 40_000
@@ -147,7 +147,7 @@ class ViewTruth:
 
 
 def truth_of_view(
-    scene: Scene, view: View, light: str, samples: int = TRUTH_SAMPLES, effects: Collection[str] = frozenset()
+    scene: Scene, view: View, light: str, samples: int = TRUTH_SAMPLES_PER_PIXEL, effects: Collection[str] = frozenset()
 ) -> ViewTruth:
     """Compute the ground truth of a view under a light, block by block (map) or band by band of rows (perspective view).
 
@@ -165,7 +165,7 @@ def truth_of_parts(
     view: View,
     parts: Sequence[tuple[View, int, int]],
     light: str,
-    samples: int = TRUTH_SAMPLES,
+    samples: int = TRUTH_SAMPLES_PER_PIXEL,
     effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
     """Compute the ground truth of a view from parts, each with the row and column of its first pixel in the view.

@@ -163,7 +163,7 @@ def _needs_exact_shadows_reason(case: RuleInput) -> str | None:
     )
 
 
-def _needs_foliage_map_reason(case: RuleInput) -> str | None:
+def _reason_for_foliage_map(case: RuleInput) -> str | None:
     if case.kind == "forest":
         return "alpha-tested foliage needs a shadow map; a perspective shadow map has no finer texels on trees"
     if "forest" in case.descriptor.casters:
@@ -281,7 +281,7 @@ RULES: tuple[Rule, ...] = (
         "docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where perspective views draw fewer triangles",
     ),
     Rule("perfect shadows", "shadow_volume", _needs_exact_shadows_reason, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
-    Rule("foliage needs a map", "shadow_map", _needs_foliage_map_reason, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule("foliage needs a map", "shadow_map", _reason_for_foliage_map, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
     Rule(
         "few polygons",
         "shadow_volume",

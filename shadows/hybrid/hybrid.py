@@ -58,9 +58,9 @@ def fill_visibility(
     The value is undefined off the surface and in attached shadow. Raises ``GraphicsError``.
     """
     passes = log.pass_names(light, kinds, PASSES)
-    light_frame = np.array(scene.light_position(light, buffer.frame))
+    light_in_frame = np.array(scene.light_position(light, buffer.frame))
     with log.record_pass(passes[0]) as record:
-        volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
+        volumes = volumes_of(buffer, scene, light_in_frame, kinds, casters, record)
     receiver_mask = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if settings.mask == "original":
         classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
@@ -74,7 +74,7 @@ def fill_visibility(
         row, col = np.nonzero(is_masked[: buffer.view.rows])
         record.marked += len(row)
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
-        counts = count_volumes(buffer, scene, light_frame, volumes, settings, is_masked, True, record)
+        counts = count_volumes(buffer, scene, light_in_frame, volumes, settings, is_masked, True, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(np.where(is_masked, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
 

@@ -51,15 +51,15 @@ def look_up(
     depth_map: DepthMap,
     target: Framebuffer,
     buffer: GeometryBuffer,
-    light_frame: LightPosition,
+    light_in_frame: LightPosition,
     settings: MapSettings,
     visibility: np.ndarray,
     record: PassRecord,
 ) -> None:
     """Write the visibility of the points that a depth map serves to ``visibility`` (rows, cols) float32.
 
-    ``target`` is the framebuffer of the drawn map. ``light_frame`` is the position of the map's light in the buffer's frame. Other
-    points of the buffer keep their visibility.
+    ``target`` is the framebuffer of the drawn map. ``light_in_frame`` is the position of the map's light in the buffer's frame.
+    Other points of the buffer keep their visibility.
     """
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _bind_min_depths(gl, depth_map, target, settings):
@@ -71,7 +71,7 @@ def look_up(
             set_uniforms(program, {"corner_frame_m": 2})
             visibility[:] = _run_lookup(gl, program, arrays, target, depth_map, record)
             return
-        facets = facing_normals(buffer, light_frame)
+        facets = facing_normals(buffer, light_in_frame)
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.valid.shape
             # a lifted point lies on none of the triangles around its node; a negative crease marks it

@@ -3,9 +3,9 @@
 The sun is sampled in even time steps, and at its rise and set. If no step is requested, each block's ground determines it
 (``skugga.shadows.sun_hours.steps``). For ground without objects the line sweep (``skugga.shadows.sweep``) gives the clearance, the
 margin by which each cell sees the sun. The times at which clearances change their signs are derived from it
-(``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_WALK_STEP_MINUTES``, walks along lines of sight refine these
-times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it
-is visible.
+(``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_REFINED_TIME_STEP_MINUTES``, walks along lines of sight refine
+these times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half
+of it is visible.
 
 The sweep uses a sun-aligned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the
 sun-aligned grid from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis
@@ -66,7 +66,7 @@ is wide.
 RENDERED_STEP_MINUTES = 2.0
 """Default minutes between two samples if objects stand on the ground. Each sample is a rendered picture of the shadows."""
 
-MIN_WALK_STEP_MINUTES = 3.0
+MIN_REFINED_TIME_STEP_MINUTES = 3.0
 """Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
 
 RIM_TOLERANCE_PX = 1e-6
@@ -299,7 +299,7 @@ class _TerrainBlock:
         ``time_range_minutes`` holds the moments, minutes after the window's start. ``orientation`` is that of the cells'
         sun-aligned grid.
         """
-        if time_range_minutes[1] - time_range_minutes[0] <= MIN_WALK_STEP_MINUTES:
+        if time_range_minutes[1] - time_range_minutes[0] <= MIN_REFINED_TIME_STEP_MINUTES:
             return None
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:

@@ -81,8 +81,9 @@ def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, s
     """Raise the maxima of adjacent lines that cross two quads each to the ground on the quads' edges and diagonals.
 
     A line crosses the upper side of the first quad, its rising diagonal, the side between the quads, and the rising diagonal of the
-    second quad. ``row``, ``rising``, ``side`` and ``far`` are the shares of the way along these at which the first and the last
-    line cross them.
+    second quad. Quads lie between the ground rows ``above`` and ``below``, from ``column`` on. ``line_max`` holds the maxima, from
+    ``cell`` on for ``count`` lines. ``row``, ``rising``, ``side`` and ``far`` are the shares of the way along these at which the
+    first and the last line cross them.
     """
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)

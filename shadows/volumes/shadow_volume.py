@@ -43,14 +43,14 @@ def fill_visibility(
     if settings.filter == "sun":
         return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
     silhouettes_pass, stencil_pass = log.pass_names(light, kinds, PASSES)
-    light_frame = np.array(scene.light_position(light, buffer.frame))
+    light_in_frame = np.array(scene.light_position(light, buffer.frame))
     with log.record_pass(silhouettes_pass) as record:
-        volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
+        volumes = volumes_of(buffer, scene, light_in_frame, kinds, casters, record)
     log.keep_layer("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
     log.keep_layer("volumes", light, count_faces_in_front, buffer, scene, volumes)
     with log.record_pass(stencil_pass) as record:
         receiver_mask = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
-        counts = count_volumes(buffer, scene, light_frame, volumes, settings, receiver_mask, False, record)
+        counts = count_volumes(buffer, scene, light_in_frame, volumes, settings, receiver_mask, False, record)
     log.keep_layer("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 

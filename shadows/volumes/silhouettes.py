@@ -73,11 +73,16 @@ def checked_light(light: np.ndarray) -> np.ndarray:
 
     Raises ``InputError`` for other values.
     """
-    light_frame = np.asarray(light, np.float64)
-    is_valid = light_frame.shape == (4,) and np.isfinite(light_frame).all() and light_frame[3] in (0.0, 1.0) and light_frame.any()
+    light_in_frame = np.asarray(light, np.float64)
+    is_valid = (
+        light_in_frame.shape == (4,)
+        and np.isfinite(light_in_frame).all()
+        and light_in_frame[3] in (0.0, 1.0)
+        and light_in_frame.any()
+    )
     if not is_valid:
         raise InputError("light", light, "(x, y, z, 0) with a direction that is not zero, or (x, y, z, 1) with a position")
-    return light_frame
+    return light_in_frame
 
 
 def faces_light(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -127,7 +132,7 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     is_valid = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
     is_facing = faces_light(position, triangles, light)
     if isinstance(sheet, ColumnMesh):  # triangles without area cast no shadow, so they count as facing the light
-        is_facing |= ~np.repeat(sheet.has_area.ravel(), 2)
+        is_facing |= ~np.repeat(sheet.is_quad_with_area.ravel(), 2)
     orientations = (orientations_of(is_facing, rule) * is_valid).reshape(*is_cut_nw_se.shape, 2)
     north, south = orientations[..., 0], orientations[..., 1]
     sums = np.zeros((4, rows, cols), np.int8)

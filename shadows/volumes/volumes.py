@@ -97,7 +97,7 @@ _volume_cache: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "l
 def volumes_of(
     buffer: GeometryBuffer,
     scene: Scene,
-    light_frame: np.ndarray,
+    light_in_frame: np.ndarray,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
     record: PassRecord,
@@ -109,7 +109,7 @@ def volumes_of(
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
-        volume_sets += _sheet_volumes(sheet, light_frame)
+        volume_sets += _sheet_volumes(sheet, light_in_frame)
     meshes: list[tuple[VerticesAndTriangles, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
         ground_rule = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
@@ -117,10 +117,10 @@ def volumes_of(
     if "meshes" in kinds and scene.objects.solids is not None:
         meshes.append((caster_solids(scene.objects, buffer.frame), None))
     for mesh, rule in meshes:
-        key = (*mesh, tuple(light_frame), rule)
+        key = (*mesh, tuple(light_in_frame), rule)
         mesh_volumes = _volume_cache.get(*key)
         if isinstance(mesh_volumes, Missing):
-            mesh_volumes = _mesh_volumes(*mesh, light_frame, rule)
+            mesh_volumes = _mesh_volumes(*mesh, light_in_frame, rule)
             _volume_cache.put(*key, value=mesh_volumes)
         else:
             record.kept += len(mesh_volumes)

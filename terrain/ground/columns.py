@@ -54,12 +54,12 @@ class ColumnMesh(Sheet):
 
         These are in walls between cells of equal height, and where the corners of four cells meet.
         """
-        return sheet_triangles(self.is_cut_nw_se)[np.repeat(self.has_area.ravel(), 2)]
+        return sheet_triangles(self.is_cut_nw_se)[np.repeat(self.is_quad_with_area.ravel(), 2)]
 
     @cached_property
-    def has_area(self) -> np.ndarray:
+    def is_quad_with_area(self) -> np.ndarray:
         """Whether a quad is a top, or a wall between cells of different heights: bool (2 rows - 1, 2 cols - 1)."""
-        return _has_area(self.height_m)
+        return _quad_with_area_mask(self.height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +322,7 @@ def _corners(ground, height):
 
 
 @compiled
-def _has_area(height):
+def _quad_with_area_mask(height):
     rows, cols = height.shape
     out = np.zeros((2 * rows - 1, 2 * cols - 1), np.bool_)
     for i in range(2 * rows - 1):

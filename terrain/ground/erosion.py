@@ -20,7 +20,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import cell_interval, lerp_corners
 
-STEPS_PER_REFINEMENT = (40, 20, 12, 8, 6)
+STEPS_BY_GRID = (40, 20, 12, 8, 6)
 """Time steps on the coarsest grid and on each finer one; the last number holds for all further grids."""
 
 TIME_STEP = 0.25
@@ -51,7 +51,7 @@ def erode(start_height: np.ndarray, uplift_rate: np.ndarray, halvings: int, seed
         if refinement:
             height, uplift_rate = _refine(height, DISPLACEMENT_CELLS, seed + 2 * refinement), _refine(uplift_rate, 0.0, 0)
             side *= 2.0
-        for _ in range(STEPS_PER_REFINEMENT[min(refinement, len(STEPS_PER_REFINEMENT) - 1)]):
+        for _ in range(STEPS_BY_GRID[min(refinement, len(STEPS_BY_GRID) - 1)]):
             order, receiver = drainage(height)
             _incise(height, uplift_rate, order, receiver, 1.0 / side)
             _creep(height)

@@ -313,6 +313,11 @@ def write_node_points(first, last, exact, first_row, first_col, stride, row, col
 
 @internal
 def _interpolate_node(exact, m, p, w, v, k):
+    """Interpolate the coordinate ``k`` between exact nodes, with cubics.
+
+    The exact nodes about it are rows ``m - 1`` to ``m + 2`` with the weights ``w``, and columns ``p - 1`` to ``p + 2`` with the
+    weights ``v``.
+    """
     if v[1] == 1.0:
         return _interpolate_column(exact, m, p, w, k)
     return (

@@ -17,7 +17,7 @@ REMOTE_DRIVERS = (
 
 PYTHON_CODE_BLOCK_SETTINGS = {"GDAL_VRT_ENABLE_PYTHON": "NO"}
 
-REMOTE_READ_BLOCK_SETTINGS = {
+SETTINGS_AGAINST_REMOTE_READS = {
     "GDAL_SKIP": ",".join(REMOTE_DRIVERS),
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",  # the only file that GDAL's network file systems may request
     "GDAL_HTTP_PROXY": "127.0.0.1:9",  # the discard port: requests that drivers send by themselves fail
@@ -52,6 +52,6 @@ def forbid_python_code() -> None:
 
 def forbid_remote_reads() -> None:
     """Block network reads of GDAL and PROJ. Call this before the first file is opened."""
-    os.environ.update(REMOTE_READ_BLOCK_SETTINGS)
+    os.environ.update(SETTINGS_AGAINST_REMOTE_READS)
     # GDAL logs the drivers in GDAL_SKIP that it does not have. Errors of reads are raised, not logged there.
     os.environ.setdefault("CPL_LOG", os.devnull)

@@ -15,7 +15,7 @@ import pytest
 import rasterio
 from PIL import Image
 
-from skugga.terrain.level.gdal_guard import REMOTE_READ_BLOCK_SETTINGS
+from skugga.terrain.level.gdal_guard import SETTINGS_AGAINST_REMOTE_READS
 from tests.api.conftest import Client
 from tests.clients.conftest import LEVEL, MATRIX_SET
 
@@ -32,7 +32,7 @@ def tools() -> None:
 
 def run_gdal_translate(folder: Path, source: str, *options: str) -> np.ndarray:
     """Return what ``gdal_translate`` writes for a source, (rows, cols, bands)."""
-    environment = {name: value for name, value in os.environ.items() if name not in REMOTE_READ_BLOCK_SETTINGS}
+    environment = {name: value for name, value in os.environ.items() if name not in SETTINGS_AGAINST_REMOTE_READS}
     path = folder / "translated.tif"
     process = subprocess.run(
         ["gdal_translate", "-q", *options, source, path],

@@ -87,7 +87,7 @@ def _offset_height(height_m: float, offset: str | float) -> float:
     "a beam whose shadow begins at the upper edge of the near plane, off by 0, 1 ulp of float32, 1 micrometre to 1 mm, and 30 cm",
     {"pixels that differ": 0, "interior": 0},
 )
-def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
+def test_near_plane_touches_a_shadow_volume(trial: Trial) -> dict[str, float]:
     """The eye looks level to the north, the sun stands behind it at 45 degrees.
 
     The near plane's upper edge lies n before and h above the eye. A beam whose southern lower edge lies at (y, z) casts its shadow

@@ -205,7 +205,7 @@ class SentDescriptor(Descriptor):
             raise PydanticCustomError("haze", "visibility_m, farthest_m and shows_from_m in facts.haze of a perspective view")
         sunny = self.highest_sun_deg is not None and refraction is not None
         if sunny and not {"lift_deg", "moves_m"} <= refraction.model_fields_set:  # type: ignore[union-attr]
-            raise PydanticCustomError("refraction", "lift_deg and moves_m in facts.refraction under a sun")
+            raise PydanticCustomError("refraction", "both lift_deg and moves_m in facts.refraction, as the descriptor has a sun")
         return self
 
     def as_descriptor_json(self) -> str:

@@ -19,7 +19,7 @@ from morecantile import tms
 from PIL import Image
 
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
-from skugga.terrain.level.gdal_guard import REMOTE_READ_BLOCK_SETTINGS
+from skugga.terrain.level.gdal_guard import SETTINGS_AGAINST_REMOTE_READS
 from tests.api.conftest import CORNER, ZOOM, Client
 
 MATRIX_SET = tms.get(DEFAULT_MATRIX_SET)
@@ -64,7 +64,7 @@ def read_with_gdal(
 ) -> GdalDataset:
     """Read a data set, or its part within ``bounds`` in its CRS; where ``side`` is given, as ``side`` x ``side`` pixels."""
     path = folder / "read.npy"
-    environment = {name: value for name, value in os.environ.items() if name not in REMOTE_READ_BLOCK_SETTINGS}
+    environment = {name: value for name, value in os.environ.items() if name not in SETTINGS_AGAINST_REMOTE_READS}
     process = subprocess.run(
         [sys.executable, "-c", READ_SCRIPT, json.dumps([driver, source, bounds, side, str(path)])],
         env={**environment, "GDAL_ENABLE_WMS_CACHE": "NO"}, capture_output=True, text=True, timeout=300,

@@ -134,4 +134,8 @@ def test_qlr_lists_the_layers_for_qgis(client: Client):
     assert client.get(color["url"][0]).status_code == 200
     tile = heights["url"][0].format(z=ZOOM, x=X, y=Y)
     assert heights["interpretation"] == ["terrariumterrain"] and client.get(tile).status_code == 200
-    assert client.get("/levels/site.qlr").status_code == 422 and client.get("/levels/nowhere.qlr").status_code == 404
+
+
+def test_qlr_of_a_level_without_a_crs_or_of_no_level_is_refused(client: Client):
+    assert client.get("/levels/site.qlr").status_code == 422
+    assert client.get("/levels/nowhere.qlr").status_code == 404

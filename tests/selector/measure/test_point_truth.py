@@ -9,7 +9,7 @@ import pytest
 
 from skugga.api.catalogue import find_level
 from skugga.selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, wilson_interval
-from skugga.selector.measure.view_truth import TRUTH_SAMPLES
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES_PER_PIXEL
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.truth.truth import ALL_CASTER_KINDS, ray_scene, trace_truth
@@ -63,7 +63,7 @@ def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     scene = request.getfixturevalue(level)
     view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
     truth = picture_truth(scene, view)
-    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES_PER_PIXEL)
     assert truth.spacing_px == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
@@ -99,7 +99,7 @@ def test_lattice_of_a_map_walks_rays_to_the_same_truth(gl, request, tmp_path, le
     for number in (0, 3):
         lattice_truth = truth.lattice(number).truth
         points = subsampled_points(truth.picture, truth.spacing_px, lattice_offsets(truth.spacing_px)[number])
-        expected = trace_truth(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
+        expected = trace_truth(points, scene, truth.casters, TRUTH_SAMPLES_PER_PIXEL, rays=embree)
         decidable = lattice_truth.decidable & expected.decidable
         assert np.array_equal(lattice_truth.lit[decidable], expected.lit[decidable])
         assert (lattice_truth.decidable != expected.decidable).mean() < 1e-3
@@ -111,7 +111,7 @@ def test_sum_of_all_lattices_equals_the_error_metrics(gl, scene, name):
     view = scene.view(name)
     truth = picture_truth(scene, view)
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=128, filter=1)
-    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    full_truth = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES_PER_PIXEL)
     visibility = render_frame(scene, view, plan).visibility
     expected = error_metrics(visibility, full_truth, 1.0)
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5

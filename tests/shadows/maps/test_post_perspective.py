@@ -256,7 +256,7 @@ def test_post_perspectives_of_a_lamp_amid_receivers_are_uniform():
         assert (horizon_distance(post_map.clip_from_frame, points) > 0).all()
 
 
-def test_post_perspectives_are_continuous_across_the_axis():
+def test_post_perspectives_are_continuous_as_the_sun_crosses_the_camera_plane():
     """The sun moves from before the camera across it to behind it. The kinds follow one another, and texels hardly change."""
     rng = np.random.default_rng(7)
     camera = make_camera([0, 0, 12], 0, -15)

@@ -124,6 +124,6 @@ def test_walked_crossings_in_15_minute_steps_match_rays(open_scene, monkeypatch)
         return float(60.0 * np.abs(result.hours[row, col] - hours).mean())
 
     walked_error_min = mean_error_min()
-    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_WALK_STEP_MINUTES", np.inf)
+    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_REFINED_TIME_STEP_MINUTES", np.inf)
     unwalked_error_min = mean_error_min()
     assert walked_error_min < 1.0 and walked_error_min < 0.5 * unwalked_error_min

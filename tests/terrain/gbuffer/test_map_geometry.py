@@ -17,7 +17,7 @@ from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.subsampled import subsampled_view
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, shared_nodes, view_frame
 from skugga.terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
-from skugga.terrain.geo.world import World
+from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.sheet import sheet_triangles
 from skugga.terrain.level.level import load_level
 from skugga.terrain.lights import light_position
@@ -171,16 +171,21 @@ def test_frames_are_true_to_north_and_scale_in_web_mercator():
     assert up == pytest.approx(-(1000.0**2) / 2 / 6.38e6, abs=1e-3)  # the earth falls away
 
 
-def test_neighbouring_frames_place_the_same_ground_alike():
-    world = World(CRS.from_epsg(4326), False, 10.0, 45.0, 10.0, 45.0)
+def test_neighbouring_frames_have_the_same_distances_and_azimuths():
+    """East and north of a frame are those of the ground near it: a step on the ground has its geodesic's length and azimuth."""
     crs = CRS.from_epsg(4326)
-    west_frame, east_frame = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
-    assert west_frame.key != east_frame.key
-    point, _ = world.points_at_zero_height(crs, np.array(10.2), np.array(45.1))
-    for frame in (west_frame, east_frame):
-        local = frame.frame_from_earth @ (point - frame.origin_earth_m)
+    world = World(crs, False, 10.0, 45.0, 10.0, 45.0)
+    frames = [world.frame_near(crs, lon_deg, 45.0) for lon_deg in (10.1, 10.3)]
+    assert frames[0].key != frames[1].key
+    (lon_deg, lat_deg), (other_lon_deg, other_lat_deg) = (10.2, 45.05), (10.21, 45.06)
+    azimuth_deg, _, distance_m = Geod(a=EARTH_RADIUS_M, f=0.0).inv(lon_deg, lat_deg, other_lon_deg, other_lat_deg)
+    points, _ = world.points_at_zero_height(crs, np.array([lon_deg, other_lon_deg]), np.array([lat_deg, other_lat_deg]))
+    for frame in frames:
+        local = (points - frame.origin_earth_m) @ frame.frame_from_earth.T
         assert np.abs(local).max() < 25_000
-        np.testing.assert_allclose(frame.frame_from_earth.T @ local + frame.origin_earth_m, point, atol=1e-8)
+        step = local[1] - local[0]
+        assert np.hypot(*step[:2]) == pytest.approx(distance_m, rel=0.005)
+        assert np.degrees(np.arctan2(step[0], step[1])) == pytest.approx(azimuth_deg, abs=0.3)
 
 
 def test_sub_samples_with_shared_nodes_are_identical():

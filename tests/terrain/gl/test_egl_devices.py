@@ -51,7 +51,7 @@ def fail_on_probe(index: int) -> ProbedDevice:
     ("text", "meaning"),
     [("auto", "auto"), ("", "auto"), ("Software ", "software"), ("2", (2,)), ("0, 1,1", (0, 1, 1))],
 )
-def test_read_setting_parses_devices(text, meaning):
+def test_device_setting_is_parsed(text, meaning):
     assert parse_device_setting(text) == meaning
 
 

@@ -30,7 +30,7 @@ def test_noise_along_equals_noise_at_bit_for_bit(places, seed):
     np.testing.assert_array_equal(out, [noise_at(*place, seed) for place in places])
 
 
-def test_noise_is_zero_and_smooth_at_whole_coordinates():
+def test_noise_is_zero_with_a_slope_of_a_half_to_one_at_whole_coordinates():
     x, y = (axis.ravel() for axis in np.mgrid[-6:7, -6:7].astype(float))
     node_noise, nearby_noise = np.empty(x.size), np.empty(x.size)
     noise_along(x, y, 9, node_noise)
