@@ -1,5 +1,7 @@
 """Interfaces agree on which points of a raster are lit. Every allowed difference is listed in ``ALLOWED`` with its reason.
 
+A few cases run with the quick tests; all of them by ``make test-thorough ARGS=tests/test_agreement.py``.
+
 Rays decide (``skugga.shadows.truth``). Tiles, maps and WMS have identical pixels, and so have ``shade`` and the accessor.
 """
 
@@ -48,7 +50,7 @@ GROUNDS = (*MADE_GROUNDS, *DATA_GROUNDS)
 def cases(suns: Iterable[str], quick: Sequence[tuple[str, str]] = ()) -> list[Any]:
     """Return the cases of all grounds under some suns, of which those that are not ``quick`` are long."""
     long_cases = [(ground, sun) for sun in suns for ground in GROUNDS if (ground, sun) not in quick]
-    return [*quick, *(pytest.param(*case, marks=pytest.mark.long) for case in long_cases)]
+    return [*quick, *(pytest.param(*case, marks=pytest.mark.thorough) for case in long_cases)]
 
 
 ALL_SUNS = cases(SUNS, QUICK)
