@@ -48,9 +48,9 @@ GROUNDS = (*MADE_GROUNDS, *DATA_GROUNDS)
 
 
 def cases(suns: Iterable[str], quick: Sequence[tuple[str, str]] = ()) -> list[Any]:
-    """Return the cases of all grounds under some suns, of which those that are not ``quick`` are long."""
-    long_cases = [(ground, sun) for sun in suns for ground in GROUNDS if (ground, sun) not in quick]
-    return [*quick, *(pytest.param(*case, marks=pytest.mark.thorough) for case in long_cases)]
+    """Return the cases of all grounds under some suns, of which those that are not ``quick`` are thorough."""
+    thorough_cases = [(ground, sun) for sun in suns for ground in GROUNDS if (ground, sun) not in quick]
+    return [*quick, *(pytest.param(*case, marks=pytest.mark.thorough) for case in thorough_cases)]
 
 
 ALL_SUNS = cases(SUNS, QUICK)
