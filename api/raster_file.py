@@ -73,7 +73,7 @@ class RasterMetadata:
             TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.description,
             **{name.upper(): text for name, text in self.tags.items() if text},
         )  # fmt: skip
-        dataset.band_descriptions = self.band_descriptions
+        dataset.descriptions = self.band_descriptions
         dataset.units = [self.unit] * dataset.count
         dataset.colorinterp = (
             RGBA_INTERPRETATION if dataset.count == len(RGBA_INTERPRETATION) else [ColorInterp.gray] * dataset.count

@@ -64,7 +64,7 @@ def test_a_part_equals_the_whole(scene, tmp_path):
 
 def test_blocks_of_sun_hours_join(scene, tmp_path, monkeypatch):
     full_hours, _ = write_and_read(scene, tmp_path)
-    monkeypatch.setattr(module, "BLOCK_NODES", 64)
+    monkeypatch.setattr(module, "BARE_BLOCK_SIDE_NODES", 64)
     assert len(sun_blocks(scene, raster_view(scene).view)) == 9
     block_hours, _ = write_and_read(scene, tmp_path)
     difference_min = 60.0 * np.abs(block_hours - full_hours)

@@ -54,7 +54,7 @@ def test_village_has_casters_of_all_kinds(gl, village, buffer):
     assert village.objects.caster_kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.surface_kind))
     for kind in KINDS:
         kind_truth = truth(village, buffer, (kind,))
-        assert 0.01 < (~kind_truth.lit & ~kind_truth.attached & kind_truth.valid).sum() / kind_truth.valid.sum() < 0.5
+        assert 0.01 < (~kind_truth.lit & ~kind_truth.attached_shadow_mask & kind_truth.valid).sum() / kind_truth.valid.sum() < 0.5
 
 
 def test_truths_of_kinds_multiply(gl, village, buffer):

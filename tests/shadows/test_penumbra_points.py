@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.shadows import algorithm, penumbra
+from skugga.shadows import algorithm_settings, penumbra, requirements
 from skugga.shadows.penumbra import MAX_LIGHT_POINTS, light_point_count, penumbra_px
 from skugga.shadows.requirements import is_area_light
 from skugga.terrain.describe import describe
@@ -48,7 +48,7 @@ def test_light_points_suffice_for_the_picture(gl, tmp_path, monkeypatch, pixels,
     view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(pixels, pixels))
     few_points_visibility = rendered_visibility(scene, view, "spot", algorithm="shadow_map", map_size=512)
     assert light_point_count(describe(scene, view, "map"), "spot") == points
-    for module in (algorithm, penumbra):
+    for module in (algorithm_settings, requirements, penumbra):
         monkeypatch.setattr(module, "light_point_count", lambda descriptor, light: MAX_LIGHT_POINTS)
     max_points_visibility = rendered_visibility(scene, view, "spot", algorithm="shadow_map", map_size=512)
     assert np.nanmean(np.abs(few_points_visibility - max_points_visibility)) <= MAX_SOFT_ERROR

@@ -183,7 +183,7 @@ def test_planar_samples_match_rays_from_their_points(gl, build, light):
     view = scene.view("back")
     buffer = multisampled(scene, view).buffer
     assert len(buffer.valid) > view.rows
-    kinds = scene.objects.kinds
+    kinds = scene.objects.caster_kinds
     visibility = planar.fill_visibility(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
     reference = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
     samples = (buffer.surface_kind == RELIEF) & ~attached_shadow_mask(buffer, scene, light)
@@ -222,7 +222,7 @@ def test_planar_casters_receive_no_shadow(gl, build):
     scene = build(180.0, 20.0, meshes=[{"source": "box.obj", "at": [[0, 0], [0, 9]]}])
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
-    kinds = scene.objects.kinds
+    kinds = scene.objects.caster_kinds
     visibility = planar.fill_visibility(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
     on_mesh = buffer.surface_kind == MESHES
     assert (visibility[on_mesh] == 1.0).all()

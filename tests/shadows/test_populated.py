@@ -138,7 +138,7 @@ def test_each_caster_kind_casts_its_own_shadow(gl, build):
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    all_kinds = scene.objects.kinds
+    all_kinds = scene.objects.caster_kinds
     assert all_kinds == ("relief", "meshes", "forest")
     reference = {kind: fill_visibility(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
     combined = fill_visibility(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())

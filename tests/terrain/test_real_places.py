@@ -131,7 +131,7 @@ def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
     vertex_m = scene.objects.solids_in_crs(scene.elevation.crs)
     roof_errors = []
     for body in range(len(solids.is_closed)):
-        corners = vertex_m[np.unique(solids.triangles[solids.body == body])]
+        corners = vertex_m[np.unique(solids.triangles[solids.body_index == body])]
         (footprint_index,) = np.flatnonzero(
             shapely.distance(footprints, shapely.points(corners[:, :2])[:, None]).max(axis=0) < 0.01
         )

@@ -81,7 +81,7 @@ def test_dashboard_names_existing_metrics_only(serve_with):
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
     assert len(queries) >= 10
     named = {name for query in queries for name in re.findall(r"skugga_[a-z_]+", query)}
-    assert named <= metrics.names(), named - metrics.names()
+    assert named <= metrics.series_names(), named - metrics.series_names()
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,7 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
         (lambda level: skugga.shadow(GROUND[:0], 30.0, 250.0, 12.0), ("height_m", "(0, 7)", "1 x 1")),
         (lambda level: skugga.horizon(GROUND[:1], 30.0, 250.0), ("height_m", "(1, 7)", "2 x 2")),
         (lambda level: skugga.open_heights(np.full((3, 3), NAN), TRANSFORM, "EPSG:32633"), ("the array", "no height")),
-        (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 x 7")),
+        (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 rows and 7 columns")),
         (lambda level: level.shade(cells=np.s_[:2, :2], crs=3857, **SUN), ("crs", "cannot be combined with cells")),
         (lambda level: level.shade(resolution=1e-9, **SUN), ("resolution: '1e-09'", "2^40")),
         (lambda level: level.sun_hours("2024-03-21", step_min=0), ("step_min: '0'", "0.5")),

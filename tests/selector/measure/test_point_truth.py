@@ -133,7 +133,7 @@ def test_subsampled_view_keeps_the_pixel_width(scene):
         assert subsampled.pixel_share == 0.25
         assert subsampled.shifted(0.5, -0.5).row0 == pytest.approx(view.shifted(0.5, -0.5).row0)
         assert subsampled.part(1, 2, 3, 3).col0 == pytest.approx(view.part(4, 8, 3, 3).col0)
-    assert subsampled_view(scene.view("eye"), 4).pixel_tangent == scene.view("eye").pixel
+    assert subsampled_view(scene.view("eye"), 4).pixel_tangent == scene.view("eye").pixel_tangent
 
 
 @pytest.mark.parametrize(

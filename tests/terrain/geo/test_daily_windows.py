@@ -63,7 +63,9 @@ def test_days_are_contiguous_where_midnight_repeats(world, day, hours):
 
 
 def test_a_date_that_a_calendar_omits_is_refused(world):
-    with pytest.raises(InputError, match=r"date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
+    with pytest.raises(
+        InputError, match=r"date: '2011-12-30' is not allowed. Allowed: a day that the calendar of Pacific/Apia does not skip"
+    ):
         daily_window(date(2011, 12, 30), 0.0, 1440.0, APIA, world)
     with pytest.raises(InputError, match=r"to: '2011-12-30'"):
         windows_between(world, date(2011, 12, 28), date(2011, 12, 30), 1, (0.0, 1440.0), APIA)
@@ -79,7 +81,7 @@ def test_dates_around_an_omitted_one_are_whole_days(world):
 
 @pytest.mark.parametrize("readings", [(120.0, 180.0), (150.0, 180.0)])
 def test_a_window_of_skipped_times_is_refused_or_omitted(world, readings):
-    with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* times that occur in Europe/Oslo on 2024-03-31"):
+    with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* times that Europe/Oslo does not skip on 2024-03-31"):
         daily_window(date(2024, 3, 31), *readings, OSLO, world)
     windows = windows_between(world, date(2024, 3, 30), date(2024, 4, 1), 1, readings, OSLO)
     assert [window.date.day for window in windows] == [30, 1]
