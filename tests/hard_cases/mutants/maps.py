@@ -106,4 +106,10 @@ MUTANTS = {
         ),
         cases("test_repeatable", "test_the_same_again", "shadow_map"),
     ),
+    "stale_maps": Mutant(
+        "a map of before is used again, wherever it lay",
+        edited("shadows.maps.drawing:_map_cache_key", (" tuple(depth_map.uniforms.items()),", "")),
+        cases("test_steady", "test_shimmer_of_a_perspective_map", "perspective_shadow_map")
+        + cases("test_steady", "test_steady_under_yaw", "shadow_map"),
+    ),
 }

@@ -17,14 +17,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from hypothesis import Phase, settings
+
 from skugga.terrain.compiling.loop_cache import loop_store
 from tests.hard_cases.cases import Case
 from tests.hard_cases.mutants import MUTANTS
 from tests.hard_cases.mutants.mutant import CaseName, Mutant
 
+# The situations of the suite. A failure is enough here: the simplest one would take minutes to find.
+settings.register_profile("mutants", deadline=None, derandomize=True, phases=(Phase.generate,))
+
 
 def records_of_module(module: str) -> dict[str, list[dict[str, Any]] | None]:
     """Return the records of all mutants of a test module by name; ``None`` for a mutant that could not be applied or run."""
+    settings.load_profile("mutants")
     os.environ.setdefault("NUMBA_CACHE_DIR", str(loop_store().folder))  # compiled loops are shared: their keys contain their code
     mutants = {name: mutant for name, mutant in MUTANTS.items() if mutant.module == module}
     for mutant in mutants.values():

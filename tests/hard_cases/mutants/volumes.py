@@ -24,7 +24,8 @@ MUTANTS = {
             ("far = np.append(-light[:3], 0.0)[None]", "far = np.append(points.mean(axis=0) - 30.0 * light[:3], 1.0)[None]"),
         ),
         cases("test_volumes", "test_caster_without_end", "shadow_volume", "hybrid")
-        + cases("test_far_shadows", "test_a_beam_outside_of_the_view", "shadow_volume"),
+        + cases("test_far_shadows", "test_a_beam_outside_of_the_view", "shadow_volume")
+        + cases("test_properties", "test_random_situations", "shadow_volume"),
     ),
     "one_side_per_edge": Mutant(
         "an edge has one side, however many casters end there",

@@ -185,7 +185,9 @@ MUTANTS = {
          ("test_perspective_maps", "test_grazing_and_upright_suns", "shadow_map"),
          ("test_perspective_maps", "test_grazing_and_upright_suns", "perspective_shadow_map"),
          ("test_perspective_maps", "test_sun_across_the_view", "perspective_shadow_map"),
-         ("test_views", "test_sizes_and_angles", "shadow_map"), ("test_views", "test_places_of_the_eye", "shadow_map")),
+         ("test_views", "test_sizes_and_angles", "shadow_map"), ("test_views", "test_places_of_the_eye", "shadow_map"),
+         ("test_properties", "test_random_situations", "shadow_map"),
+         ("test_properties", "test_random_situations", "perspective_shadow_map")),
     ),
     "near_plane": Mutant(
         "a perspective map's near plane lies a thousandth of a millimetre before the eye, and no texels are compared", _near_plane,
