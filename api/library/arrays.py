@@ -124,7 +124,7 @@ def horizon(
     Returns
     -------
     numpy.ndarray
-        Degrees (rows, cols); -90 if no ground lies towards the sun, NaN without ground.
+        Degrees (rows, cols); -90 if only nodes without ground lie towards the sun, NaN without ground.
 
     Raises
     ------

@@ -135,12 +135,13 @@ class PagedRelief:
     def nodes(self, level: int, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
         """Return the heights (rows, cols) in metres of a window of nodes, or of columns, at a level of detail.
 
+        The nodes include the rim nodes beyond the raster, which cast shadows in maps (``Elevation.heights_with_rim``).
         ``row0`` and ``col0`` are the first row and column, counted at this level of detail.
         """
         if self.has_columns:
             return Columns(self.world, self.elevation, level).heights(row0, col0, rows, cols)[0]
         surface = Surface(self.world, self.elevation, self.grid.coarser(level))
-        return surface.height_window(row0, col0, rows, cols).height_m
+        return surface.height_window(row0, col0, rows, cols, includes_rim=True).height_m
 
     def node_of(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Convert coordinates in the grid's CRS to fractional rows and columns of the grid.

@@ -78,7 +78,8 @@ class HorizonQuery(NamedTuple):
 def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
     """Return the horizon angle towards an azimuth at the nodes of a heightfield in a flat world.
 
-    The sun is visible from a node above this altitude.
+    The sun is visible from a node above this altitude. The ground extends beyond the outermost nodes by one cell, as in
+    ``skugga.shadows.sweep.grid.sunlit_nodes``.
 
     Parameters
     ----------
@@ -98,6 +99,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     np.ndarray
         float64 (rows, cols), degrees: -90 if no ground lies in this direction; NaN at nodes without ground.
     """
+    height_m = np.pad(height_m, 1, mode="edge")
     orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
     ray_height = sun_aligned_linear_values(height_m, orientation, 1.0, 0.0, 0.0, cores)
@@ -110,7 +112,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
         i, j, t = _nodes_between(column_of_t, t_of_column, start, start + max(STRIP_NODES // n, 1), m)
         out[i, j] = horizon_tangents(section, lines, i.astype(float), t, ray_height[i, j], sunward_m[i, j], cores)
     out[~np.isfinite(ray_height)] = np.nan
-    return orientation.grid_order_view(np.degrees(np.arctan(out[:, 1:-1])))
+    return orientation.grid_order_view(np.degrees(np.arctan(out[:, 1:-1])))[1:-1, 1:-1]
 
 
 def horizon_tangents(

@@ -19,7 +19,7 @@ FIGURES = Path(seeds.__file__).parent / "seeds.json"
 
 
 def device(renderer: str, software: bool) -> Any:
-    return SimpleNamespace(renderer=renderer, egl_device=SimpleNamespace(software=software))
+    return SimpleNamespace(renderer=renderer, egl_device=SimpleNamespace(is_software=software))
 
 
 CPU, CARD = device("a rasteriser", True), device("a card", False)

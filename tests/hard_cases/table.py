@@ -24,6 +24,9 @@ COLUMNS = {
 TABLE = "table"
 """The name of the table's marks in the document."""
 
+FIND_PROPERTY = "hard_case_find"
+"""The key under which a test reports a new situation over its bounds."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hard-cases-table", metavar="FILE", help="put the table of the thorough hard cases into a Markdown file")
@@ -44,10 +47,12 @@ class _Table:
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.records: list[dict[str, Any]] = []
+        self.finds: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call":
             self.records += [json.loads(str(value)) for key, value in report.user_properties if key == RECORD_PROPERTY]
+            self.finds += [str(value) for key, value in report.user_properties if key == FIND_PROPERTY]
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         for thorough in (False, True):
@@ -56,6 +61,10 @@ class _Table:
                 terminalreporter.section(f"hard cases, {'thorough' if thorough else 'quick'}: figure per algorithm")
                 for line in as_text(records):
                     terminalreporter.write_line(line)
+        if self.finds:
+            terminalreporter.section("new situations over their bounds, as lines for COUNTEREXAMPLES of test_properties.py")
+            for line in self.finds:
+                terminalreporter.write_line(line)
         target = self.config.getoption("--hard-cases-table")
         if target and not hasattr(self.config, "workerinput"):
             replace_section(Path(target), TABLE, as_markdown([record for record in self.records if record["thorough"]]))

@@ -33,7 +33,7 @@ def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0):
         altitude = np.radians(altitude_deg)
         sun = SimpleNamespace(altitude_deg=altitude_deg, to_sun_earth=np.array([np.cos(altitude), 0.0, np.sin(altitude)]))
     level = SimpleNamespace(weather=SimpleNamespace(cloud_cover=cloud_cover))
-    return SimpleNamespace(sun=sun, loaded=SimpleNamespace(level=level), world=SimpleNamespace(flat=True))
+    return SimpleNamespace(sun=sun, loaded=SimpleNamespace(level=level), world=SimpleNamespace(is_flat=True))
 
 
 def color_at(scene, altitude_deg: float, azimuth_deg: float) -> np.ndarray:
