@@ -21,10 +21,11 @@ COLUMNS = {
 }  # fmt: skip
 """Algorithms as the table's columns."""
 
+TABLE = "table"
+"""The name of the table's marks in the document."""
+
 FIND_PROPERTY = "hard_case_find"
 """The key under which a test reports a new situation over its bounds."""
-
-START, END = "<!-- table: start -->", "<!-- table: end -->"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -66,11 +67,11 @@ class _Table:
                 terminalreporter.write_line(line)
         target = self.config.getoption("--hard-cases-table")
         if target and not hasattr(self.config, "workerinput"):
-            replace_table(Path(target), as_markdown([record for record in self.records if record["thorough"]]))
+            replace_section(Path(target), TABLE, as_markdown([record for record in self.records if record["thorough"]]))
             terminalreporter.write_line(f"the table lies in {target}")
 
 
-def _order(case: str) -> tuple[int, str, int]:
+def case_order(case: str) -> tuple[int, str, int]:
     """Return the sort key of a case: H1, H2, ... H34, then G1, ..., then the rest by letter."""
     letters, number = re.fullmatch(r"([A-Z]+)(\d+)", case).groups()  # type: ignore[union-attr]
     return ("HG".find(letters) if letters in "HG" else 2), letters, int(number)
@@ -85,7 +86,7 @@ def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, d
     for record in records:
         by_case.setdefault(record["id"], []).append(record)
     result = []
-    for case in sorted(by_case, key=_order):
+    for case in sorted(by_case, key=case_order):
         case_records = by_case[case]
         for name in case_records[0]["bounds"]:
             cells = {}
@@ -133,7 +134,7 @@ def as_markdown(records: Iterable[dict[str, Any]]) -> str:
         lines.append(f"| {head[0]} | {head[1]} | {name} | {case['bounds'][name]:.2g} | {figures} |")
         last = case["id"]
     refusals: dict[tuple[str, str], list[str]] = {}
-    for record in sorted(records, key=lambda record: _order(record["id"])):
+    for record in sorted(records, key=lambda record: case_order(record["id"])):
         if "refusal" in record:
             refusals.setdefault((record["algorithm"], record["refusal"]), []).append(record["id"])
     if refusals:
@@ -144,11 +145,22 @@ def as_markdown(records: Iterable[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def replace_table(path: Path, table: str) -> None:
-    """Replace the text between a document's marks. Raises ``ValueError`` if a mark is absent."""
-    text = path.read_text(encoding="utf-8")
-    head, start, rest = text.partition(START)
-    _, end, tail = rest.partition(END)
-    if not (start and end):
-        raise ValueError(f"{path} has no {START} and {END}")
-    path.write_text(f"{head}{START}\n{table}\n{END}{tail}", encoding="utf-8")
+def section_of(path: Path, name: str) -> str:
+    """Return the text between a document's marks of a name. Raises ``ValueError`` if a mark is absent."""
+    return _split_at_marks(path, name)[1].strip("\n")
+
+
+def replace_section(path: Path, name: str, text: str) -> None:
+    """Replace the text between a document's marks of a name. Raises ``ValueError`` if a mark is absent."""
+    head, _, tail = _split_at_marks(path, name)
+    path.write_text(f"{head}\n{text}\n{tail}", encoding="utf-8")
+
+
+def _split_at_marks(path: Path, name: str) -> tuple[str, str, str]:
+    """Return the parts of a document up to a mark, between both marks, and from the other mark on."""
+    start, end = f"<!-- {name}: start -->", f"<!-- {name}: end -->"
+    head, found_start, rest = path.read_text(encoding="utf-8").partition(start)
+    middle, found_end, tail = rest.partition(end)
+    if not (found_start and found_end):
+        raise ValueError(f"{path} has no {start} and {end}")
+    return head + start, middle, end + tail

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from skugga.shadows.truth.metrics import block_shadow_shares, coverage_error, error_metrics, soft_error
 from skugga.shadows.truth.truth import Truth
-from tests.hard_cases.table import replace_table
+from tests.hard_cases.table import TABLE, replace_section
 from tests.metrics import flicker
 
 SIDE_PX = 192
@@ -188,7 +188,7 @@ def main() -> None:
     if file is None:
         print(table())
     else:
-        replace_table(file, table())
+        replace_section(file, TABLE, table())
 
 
 if __name__ == "__main__":
