@@ -44,30 +44,27 @@ Figures = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Price:
-    """The price of a goal over some views.
+class PriceRatios:
+    """Prices over some views.
 
     Attributes
     ----------
-    goal
-        The goal.
     ratios
-        Time of the cheapest plan for the goal divided by that for the loosest goal, of each view where these are two plans.
+        Time of the cheapest plan for the finer goal divided by that for the loosest goal, of each view where these are two plans.
     same_plan_views
         Number of views where the same plan is the cheapest for both goals, so that accuracy costs nothing.
     view_count
         Number of all views.
     """
 
-    goal: Goal
     ratios: np.ndarray
     same_plan_views: int
     view_count: int
 
     @property
-    def comparable_views(self) -> int:
-        """Number of views where some plan meets both goals."""
-        return len(self.ratios) + self.same_plan_views
+    def omitted_views(self) -> int:
+        """Number of views without a plan for both goals, or whose truth is too noisy to tell."""
+        return self.view_count - len(self.ratios) - self.same_plan_views
 
     @property
     def median(self) -> float:
@@ -76,6 +73,19 @@ class Price:
     @property
     def p90(self) -> float:
         return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
+
+
+@dataclass(frozen=True)
+class Price(PriceRatios):
+    """The price of a goal over some views.
+
+    Attributes
+    ----------
+    goal
+        The goal.
+    """
+
+    goal: Goal
 
 
 def device_name(profile: DeviceProfile) -> str:
@@ -103,43 +113,21 @@ def prices(views: Sequence[Figures]) -> list[Price]:
     for goal in FINER_GOALS:
         pairs = [(rows[LOOSEST_GOAL.name], rows[goal.name]) for rows in cheapest if LOOSEST_GOAL.name in rows and goal.name in rows]
         ratios = [fine_ms / loose_ms for (loose, loose_ms), (fine, fine_ms) in pairs if fine != loose]
-        result.append(Price(goal, np.array(sorted(ratios)), len(pairs) - len(ratios), len(views)))
+        result.append(Price(np.array(sorted(ratios)), len(pairs) - len(ratios), len(views), goal))
     return result
 
 
 @dataclass(frozen=True)
-class FinestPrice:
+class FinestPrice(PriceRatios):
     """The price, over some views, of each view's finest goal: the finest that truth can tell and that some plan meets.
 
     Attributes
     ----------
-    ratios
-        Time of the cheapest plan for the finest goal divided by that for the loosest goal, of each view where these are two plans.
-    same_plan_views
-        Number of views where the same plan is the cheapest for both goals, so that accuracy costs nothing.
     views_by_goal
         Number of compared views by the name of their finest goal.
-    view_count
-        Number of all views.
     """
 
-    ratios: np.ndarray
-    same_plan_views: int
     views_by_goal: dict[str, int]
-    view_count: int
-
-    @property
-    def omitted_views(self) -> int:
-        """Number of views without two goals that can be told and met."""
-        return self.view_count - len(self.ratios) - self.same_plan_views
-
-    @property
-    def median(self) -> float:
-        return float(np.median(self.ratios)) if self.ratios.size else np.nan
-
-    @property
-    def p90(self) -> float:
-        return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
 
 
 def finest_price(views: Sequence[Figures]) -> FinestPrice:
@@ -155,7 +143,7 @@ def finest_price(views: Sequence[Figures]) -> FinestPrice:
             same_plan_views += 1
         else:
             ratios.append(fine_ms / loose_ms)
-    return FinestPrice(np.array(sorted(ratios)), same_plan_views, views_by_goal, len(views))
+    return FinestPrice(np.array(sorted(ratios)), same_plan_views, len(views), views_by_goal)
 
 
 def views_by_family(views: Sequence[Figures]) -> dict[str, list[Figures]]:

@@ -53,7 +53,7 @@ def test_views_with_the_same_plan_for_both_goals_have_no_price():
     """Such views are counted, but the median of the prices omits them."""
     views = [view("a", (10.0, 0.001), (20.0, 0.0))] * 3 + [view("a", (10.0, 0.09), (40.0, 0.001)), view("a", (5.0, 0.2))]
     finest = prices(views)[-1]
-    assert (finest.ratios.tolist(), finest.same_plan_views, finest.comparable_views, finest.view_count) == ([4.0], 3, 4, 5)
+    assert (finest.ratios.tolist(), finest.same_plan_views, finest.omitted_views, finest.view_count) == ([4.0], 3, 1, 5)
     text = format_sentence(views, "a device")
     assert "in 3 of 5 measured views nothing" in text and "In 1 views it has a price" in text
     assert "The other 1 are left out" in text and "no plan reaches 3 % (a: 1)" in text
