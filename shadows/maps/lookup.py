@@ -18,7 +18,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
 from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.map_columns import column_top_corners
-from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device
 from skugga.terrain.ground.sheet import Sheet
@@ -116,10 +116,11 @@ def look_up(
         flat_arrays = [
             a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
         ]
+        surface_kind = buffer.surface_kind.reshape(-1)
         if settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform:
             depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.face_size, reuse_memory=True)
             record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
-            points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], flat_arrays[3])
+            points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], flat_arrays[3], surface_kind)
             for part, filter in parts:
                 look_up_points(
                     sun_map(depth_map, depths), _depth_comparison(settings, int(filter)), points, part, visibility.reshape(-1)
@@ -133,7 +134,7 @@ def look_up(
                 set_uniforms(program, {"corner_frame_m": 2})
                 rows = -(-len(chosen) // LOOKUP_COLS)
                 gathered = [np.zeros((rows * LOOKUP_COLS, width), np.float32) for width in (3, 4, 9)]
-                _gather_points(chosen, *flat_arrays, *gathered)
+                _gather_points(chosen, *flat_arrays, surface_kind, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
 
@@ -256,8 +257,11 @@ def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
 
 
 @compiled
-def _gather_points(point_indices, position, normal, crease, corners, points, normals_and_creases, triangles):
-    """Copy a buffer's points at the indices ``point_indices`` to float32 arrays: positions, normals with creases, and triangles."""
+def _gather_points(point_indices, position, normal, crease, corners, surface_kind, points, normals_and_creases, triangles):
+    """Copy a buffer's points at the indices ``point_indices`` to float32 arrays: positions, normals with creases, and triangles.
+
+    The three corners of a tree's triangle are the point itself. Shaders take this as an unknown triangle.
+    """
     for n in range(len(point_indices)):
         i = point_indices[n]
         for k in range(3):
@@ -265,4 +269,4 @@ def _gather_points(point_indices, position, normal, crease, corners, points, nor
             normals_and_creases[n, k] = normal[i, k]
         normals_and_creases[n, 3] = crease[i, 0]
         for k in range(9):
-            triangles[n, k] = corners[i, k]
+            triangles[n, k] = position[i, k % 3] if surface_kind[i] == FOREST else corners[i, k]

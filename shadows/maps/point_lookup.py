@@ -15,6 +15,7 @@ import numpy as np
 
 from skugga.shadows.maps.windows import DepthMap
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
+from skugga.terrain.gbuffer.resolve import FOREST
 
 
 class SunMap(NamedTuple):
@@ -56,7 +57,7 @@ class DepthComparison(NamedTuple):
     Attributes
     ----------
     uses_triangles
-        Whether a point's depth is compared on the plane of its own triangle, where that is known.
+        Whether a point's depth is compared on the plane of its own triangle, where that is known and not a tree's.
     uses_offset
         Whether points without a known triangle are moved along their normals.
     bias_scale
@@ -87,12 +88,15 @@ class LookupPoints(NamedTuple):
         (n,): creases (``GeometryBuffer.crease``).
     corners
         (n, 9): corners of their triangles in the frame, metres.
+    surface_kind
+        (n,): kinds of their surfaces (``GeometryBuffer.surface_kind``).
     """
 
     position: np.ndarray
     normal: np.ndarray
     crease: np.ndarray
     corners: np.ndarray
+    surface_kind: np.ndarray
 
 
 def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
@@ -120,12 +124,13 @@ def look_up_points(
 @compiled
 def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, visibility):
     """Write the lit share of the points ``point_indices[first:last]`` to ``visibility``."""
-    uses_triangles, _, _, taps, taps_without_triangle = comparison
+    _, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
         i = point_indices[m]
+        uses_triangle = comparison.uses_triangles and points.surface_kind[i] != FOREST
         p = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, points.position, i, 0))
-        is_empty = uses_triangles and _is_free_of_casters(drawn_map, p, taps)
-        if uses_triangles and not is_empty:
+        is_empty = uses_triangle and _is_free_of_casters(drawn_map, p, taps)
+        if uses_triangle and not is_empty:
             lit, total_weight = _weights_on_triangle(drawn_map, comparison, p, points.corners, i)
             if total_weight > np.float32(0.0):
                 visibility[i] = lit / total_weight

@@ -11,7 +11,7 @@ uniform float depth_step;            // resolution of the map's depths in [0, 1]
 uniform int taps;                    // taps along a side of the square around a point
 uniform int taps_without_triangle;             // the same where no triangle is known
 
-const bool lamp = false, on_nodes = false, own = true, in_the_open = false;
+const bool lamp = false, on_nodes = false, in_the_open = false;
 const int triangles = 1;
 const float ROUNDING = 2.4e-7;       // error of a division, as a share of the whole depth
 
@@ -27,6 +27,8 @@ vec3 share, share_right, share_up;   // barycentric weights of the triangle's co
 vec2 slope;                          // derivatives of the triangle's depth by texels
 float depth_at, slack;               // its depth at the point, and the amount subtracted from it
 vec2 range_;                         // bounds of its corners' depths, which limit the depth at grazing light
+
+bool own;                            // whether the triangle is known
 
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 
@@ -53,6 +55,7 @@ bool receive(ivec2 pixel) {
     ivec2 first = ivec2(pixel.x * 3, pixel.y);
     vec3 a = texelFetch(corner_frame_m, first, 0).xyz, b = texelFetch(corner_frame_m, first + ivec2(1, 0), 0).xyz;
     vec3 c = texelFetch(corner_frame_m, first + ivec2(2, 0), 0).xyz;
+    own = a != b;
     mat3 sides = transpose(mat3(a - seen, b - seen, c - seen));
     vec3 more = sides * map_rows[3].xyz, ahead = w + more;
     vec3 x = sides * map_rows[0].xyz - point.x * more, y = sides * map_rows[1].xyz - point.y * more;

@@ -13,7 +13,11 @@ from skugga.shadows.maps import lookup as lookup_module
 from skugga.shadows.maps.relevant_trees import relevant_trees
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.render import Frame
+from skugga.shadows.truth.truth import trace_truth
 from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import find_casters
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -28,12 +32,17 @@ def landscape() -> Scene:
     return build_scene(load_level(find_level("spatialace"))).with_sun(SUN)
 
 
-def render_close_view(scene: Scene, **overrides: Any) -> Frame:
-    """Return a view of ground, meshes and trees, all by shadow maps, with empty caches."""
-    clear_caches("light")
+def close_view(scene: Scene) -> PerspectiveView:
+    """Return a view of ground, meshes and trees."""
     view = scene.view("close")
     assert isinstance(view, PerspectiveView)
-    return render(scene, view.part(100, 100, 300, 400), **{"algorithm": "shadow_map", "map_size": 512, **overrides})
+    return view.part(100, 100, 300, 400)
+
+
+def render_close_view(scene: Scene, **overrides: Any) -> Frame:
+    """Return the close view, all by shadow maps, with empty caches."""
+    clear_caches("light")
+    return render(scene, close_view(scene), **{"algorithm": "shadow_map", "map_size": 512, **overrides})
 
 
 @pytest.mark.parametrize(
@@ -70,6 +79,40 @@ def test_point_lookup_compares_on_the_points_own_triangle(gl, landscape, monkeyp
         )
         uncompared_frame = render_close_view(landscape, map_size=256)
     assert np.nanmean(uncompared_frame.visibility) < np.nanmean(compared_frame.visibility) - 0.01
+
+
+def test_points_of_trees_get_the_normal_offset(gl, landscape):
+    by_bias = {bias: render_close_view(landscape, filter=1, bias=bias) for bias in ("receiver_plane", "normal_offset")}
+    kind = geometry_buffer(landscape, close_view(landscape)).surface_kind
+    plane, offset = (by_bias[bias].visibility for bias in ("receiver_plane", "normal_offset"))
+    assert (kind == FOREST).sum() > 1000
+    np.testing.assert_array_equal(plane[kind == FOREST], offset[kind == FOREST])
+    assert (plane[kind == RELIEF] != offset[kind == RELIEF]).mean() > 0.001
+
+
+@pytest.mark.parametrize("algorithm, taps", [("shadow_map", 1), ("shadow_map", "sun"), ("perspective_shadow_map", 1)])
+def test_shaders_judge_trees_better_without_their_planes(gl, landscape, monkeypatch, algorithm, taps):
+    """Compare wrong points of trees with those by shaders that know the trees' triangles."""
+    overrides = {"algorithm": algorithm, "filter": taps, "map_size": 1024}
+    gather, is_loop_left_out = lookup_module._gather_points, property(lambda depth_map: False)
+    with monkeypatch.context() as patch:
+        patch.setattr(DepthMap, "is_uniform", is_loop_left_out)
+        without_planes = render_close_view(landscape, **overrides)
+        patch.setattr(
+            lookup_module,
+            "_gather_points",
+            lambda indices, position, normal, crease, corners, kind, *out: gather(
+                indices, position, normal, crease, corners, np.zeros_like(kind), *out
+            ),
+        )
+        with_planes = render_close_view(landscape, **overrides)
+    buffer = geometry_buffer(landscape, close_view(landscape))
+    truth = trace_truth(buffer, landscape, find_casters(landscape, buffer))
+    trees = truth.decidable & (buffer.surface_kind == FOREST)
+    wrong, wrong_by_planes = (
+        int((trees & ((frame.visibility >= 0.5) != truth.lit)).sum()) for frame in (without_planes, with_planes)
+    )
+    assert 0 < wrong < 0.9 * wrong_by_planes
 
 
 @pytest.mark.parametrize("taps", [3, "sun"])
