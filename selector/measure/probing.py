@@ -171,6 +171,9 @@ def probe_options(
     none remains in the result.
     """
     drawn_ms: dict[int, float] = {}
+    measurements: dict[int, ErrorMeasurement] = {}
+    measured_stage: dict[int, int] = {}
+    stage = 0  # how often points were added
     least_gain = MIN_SAVING if budget_s is not None else MIN_SAVING_UNLIMITED
     initial_leader = leader_of(prior, max_error, max_ms)
 
@@ -178,7 +181,6 @@ def probe_options(
         return budget_s is None or not drawn_ms or prober.elapsed_s() + seconds <= budget_s
 
     while True:
-        measurements = {option_index: prober.measurement(option_index) for option_index in drawn_ms}
         posterior = prior.with_observations(
             measurement.to_observation(prior.options[option_index].choice.name, drawn_ms[option_index])
             for option_index, measurement in measurements.items()
@@ -188,7 +190,7 @@ def probe_options(
         undecided = {
             option_index
             for option_index, measurement in measurements.items()
-            if add_points_s is not None and not measurement.decides(max_error)
+            if (add_points_s is not None or measured_stage[option_index] < stage) and not measurement.decides(max_error)
         }
         if leader in measurements:
             gains = _gains(posterior, leader, (set(posterior.numbers) - set(drawn_ms)) | undecided, max_error, max_ms)
@@ -206,20 +208,23 @@ def probe_options(
             next_option = _fastest_likely(posterior, leader, max_error, max_ms)
         step_s = 0.0 if next_option is None else prober.draw_s(next_option, posterior.figures(next_option).ms)
         if next_option is not None and next_option in drawn_ms:
-            assert add_points_s is not None
-            step_s = add_points_s
+            step_s = (add_points_s or 0.0) if measured_stage[next_option] == stage else 0.0
         if next_option is None or not has_time(step_s):
             drawn = {option_index: (ms, measurements[option_index]) for option_index, ms in drawn_ms.items()}
             return LightProbe(posterior, drawn, initial_leader, prober.elapsed_s(), leader in measurements and next_option is None)
         if next_option in drawn_ms:
-            prober.add_points()
-            continue
-        ms = prober.draw(next_option)
-        if ms is None:
-            prior = replace(prior, refused=prior.refused | {next_option})
+            if measured_stage[next_option] == stage:
+                prober.add_points()
+                stage += 1
         else:
+            ms = prober.draw(next_option)
+            if ms is None:
+                prior = replace(prior, refused=prior.refused | {next_option})
+                continue
             drawn_ms[next_option] = ms
             on_step(len(drawn_ms))
+        # Other drawn options keep what fewer points have shown: to compare all of them again would take time from the next step.
+        measurements[next_option], measured_stage[next_option] = prober.measurement(next_option), stage
 
 
 def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> int:

@@ -47,6 +47,7 @@ class FakeProber:
     seconds: float = 0.0
     drawn: list[int] = field(default_factory=list)
     step: int = 0
+    measured: list[tuple[int, int]] = field(default_factory=list)
 
     def elapsed_s(self) -> float:
         return self.seconds
@@ -60,6 +61,7 @@ class FakeProber:
         return None if self.candidates[index].refused else self.candidates[index].ms
 
     def measurement(self, index: int) -> ErrorMeasurement:
+        self.measured.append((index, self.step))
         candidate, count = self.candidates[index], self.points * 2**self.step
         if self.step == self.steps:
             return ErrorMeasurement(
@@ -146,6 +148,20 @@ def test_probe_adds_points_until_the_interval_decides():
         [Candidate(10.0, 0.005, 10.0, 0.028), Candidate(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15
     )
     assert prober.step == 1 and not short_outcome.confirmed
+
+
+def test_probe_compares_only_the_undecided_candidate_at_more_points():
+    """The first one meets 3 % at a thousand points. The second, which saves half of its time, needs more; all points decide it."""
+    winner, _, prober = probe([Candidate(100.0, 0.002, 100.0, 0.002), Candidate(40.0, 0.05, 50.0, 0.0285)], 0.03)
+    assert winner == 1 and prober.drawn == [0, 1]
+    assert prober.measured == [(0, 0), (1, 0), (1, 1), (1, 2), (1, 3), (1, 4)]
+
+
+def test_probe_compares_an_undecided_candidate_at_points_that_were_added_for_another():
+    """The second candidate needed all points. The first one, undecided at a thousand, is compared at them without adding any."""
+    winner, _, prober = probe([Candidate(50.0, 0.02, 50.0, 0.033), Candidate(60.0, 0.02, 60.0, 0.028)], 0.03)
+    assert winner == 1
+    assert prober.measured == [(0, 0), (1, 0), (1, 1), (1, 2), (1, 3), (1, 4), (0, 4)]
 
 
 def test_probe_draws_one_candidate_then_respects_the_budget():
