@@ -59,6 +59,9 @@ class VisiblePoints:
     uses_drawn_depth
         bool (n,): whether the depth comes from drawing the surface, if this covers the pixel: on meshes, on ground that bends in a
         map, and on ground with gaps.
+    lift_depth
+        float64 (n,): what a point above the drawn ground has in depth more than the ground; 0 elsewhere. In a map that bends, points
+        on the smooth ground lie above the drawn ground (``skugga.terrain.gbuffer.smooth_ground``).
     ground
         The ground to draw in a map that bends or has gaps; ``None`` otherwise.
     clip_from_frame, origin_frame_m
@@ -73,6 +76,7 @@ class VisiblePoints:
     buffer_indices: np.ndarray
     depth: np.ndarray
     uses_drawn_depth: np.ndarray
+    lift_depth: np.ndarray
     ground: Sheet | None
     clip_from_frame: np.ndarray
     origin_frame_m: np.ndarray
@@ -143,7 +147,7 @@ def receiver_stencil(
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
-    is_drawn = points.uses_drawn_depth
+    is_drawn, depth = points.uses_drawn_depth, points.depth
     if is_drawn.any():
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
@@ -152,8 +156,11 @@ def receiver_stencil(
                 gl.draw_grid_mesh(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-        is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]
-    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, part_rectangles, rows, cols))
+        drawn_depth = _drawn_depth(target)[points.row, points.col]
+        is_lifted = is_drawn & (drawn_depth > 0.0) & (points.lift_depth > 0.0)
+        depth = np.where(is_lifted, drawn_depth + points.lift_depth, depth)
+        is_drawn = is_drawn & (drawn_depth > 0.0) & ~is_lifted
+    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, depth, part_rectangles, rows, cols))
     texture.use(0)
     for marking in (False, True) if marks_pixels else (False,):
         depth_program = gl.program(
@@ -169,10 +176,10 @@ def receiver_stencil(
     yield target, program
 
 
-def _covered_mask(target: Framebuffer) -> np.ndarray:
-    """Return where something was drawn into a framebuffer at a finite distance, bool (rows, cols)."""
+def _drawn_depth(target: Framebuffer) -> np.ndarray:
+    """Return the depth of what was drawn into a framebuffer, float32 (rows, cols); 0 where there is nothing."""
     cols, rows = target.size
-    return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
+    return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols)
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
@@ -217,9 +224,14 @@ def _visible_points(
     is_drawn = buffer.surface_kind.ravel()[indices] == MESHES
     if draws_ground:
         is_drawn |= buffer.surface_kind.ravel()[indices] == RELIEF
+    lift_depth = np.zeros(len(indices))
     if buffer.is_lifted is not None:
-        is_drawn &= ~buffer.is_lifted.ravel()[indices]
-    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
+        is_lifted = buffer.is_lifted.ravel()[indices]
+        if bends and buffer.lift_m is not None:
+            lift_depth = np.where(is_lifted, buffer.lift_m.ravel()[indices] * clip[2, 2], 0.0)
+        else:
+            is_drawn &= ~is_lifted
+    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, lift_depth, ground, clip, origin, near)
 
 
 @compiled
