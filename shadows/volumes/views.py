@@ -60,8 +60,8 @@ class VisiblePoints:
         bool (n,): whether the depth comes from drawing the surface, if this covers the pixel: on meshes, on ground that bends in a
         map, and on ground with gaps.
     lift_depth
-        float64 (n,): what a point above the drawn ground has in depth more than the ground; 0 elsewhere. In a map that bends, points
-        on the smooth ground lie above the drawn ground (``skugga.terrain.gbuffer.smooth_ground``).
+        float64 (n,): the depth of a point less that of the drawn ground below it; 0 for points on the ground. In a map that bends,
+        points on the smooth ground lie above the drawn ground (``skugga.terrain.gbuffer.smooth_ground``).
     ground
         The ground to draw in a map that bends or has gaps; ``None`` otherwise.
     clip_from_frame, origin_frame_m
