@@ -34,7 +34,7 @@ _FIELD_OF_KEY = {"lit": "lit", "attached": "attached_shadow_mask", "decidable": 
 """Keys of the arrays in a file, in the order of the fields of ``Truth``, each with its field."""
 
 
-DEFINITION_VERSION = 3
+DEFINITION_VERSION = 4
 """Version of the definition of truth (part of the cache key)."""
 
 

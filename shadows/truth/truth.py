@@ -4,7 +4,9 @@
   ray starts off the triangle by the offset that ``skugga.terrain.casters.rays`` derives.
 - A pixel is *decidable* if the results at one, two and four times this offset, and at S stratified sub-samples of the pixel, all
   agree. Otherwise it is boundary, where no error counts.
-- If several triangles share a point, the one that faces the light most counts (``skugga.terrain.gbuffer.light_facing``).
+- If several triangles share a point, the one that faces the light most counts (``skugga.terrain.gbuffer.light_facing``). Another of
+  them may rise above the ray to the light. The ray's offset hides it if it rises by less, at all three offsets. So these triangles
+  are tested without an offset. A pixel where this test and the ray disagree is dark and boundary.
 """
 
 from __future__ import annotations
@@ -146,10 +148,11 @@ def trace_truth(
     if (light == SUN and not scene.sun_is_up) or not buffer.valid.any():
         return Truth(dark, is_attached, buffer.valid.copy(), buffer.valid)
     rays = rays or ray_scene(buffer, scene, casters, kinds)
-    lit = lit_mask(buffer, scene, light, rays)
-    decidable = buffer.valid.copy()
+    has_free_ray = _free_ray_mask(buffer, scene, light, rays)
+    lit = has_free_ray & ~_own_facet_mask(buffer, scene, light)
+    decidable = buffer.valid & (lit == has_free_ray)
     for offset_factor in (2.0, 4.0):
-        decidable &= lit_mask(buffer, scene, light, rays, offset_factor) == lit
+        decidable &= _free_ray_mask(buffer, scene, light, rays, offset_factor) == lit
     nodes = nodes or sample_nodes(buffer, scene, sample_count)
     for view in jittered_views(buffer.view, sample_count):
         sample = geometry_buffer(scene, view, buffer.frame, nodes=nodes)
@@ -328,8 +331,27 @@ def lit_mask(
 ) -> np.ndarray:
     """Return which points of a buffer see a light, bool (rows, cols); False off the surface and outside of ``receiver_mask``.
 
-    Rays start off their triangles by ``offset_factor`` times the offset of ``rays``.
+    Rays start off their triangles by ``offset_factor`` times the offset of ``rays``. The triangles that share a point are tested
+    without an offset as well.
     """
+    return _free_ray_mask(buffer, scene, light, rays, offset_factor, receiver_mask) & ~_own_facet_mask(buffer, scene, light)
+
+
+def _own_facet_mask(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
+    """Return where one of the triangles that share a point blocks a light, bool (rows, cols)."""
+    source = scene.light_position(light, buffer.frame)
+    return facing_normals(move_to_smooth_ground(buffer, source), source).is_blocked
+
+
+def _free_ray_mask(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    rays: RayScene,
+    offset_factor: float = 1.0,
+    receiver_mask: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return which points have a triangle that faces a light and a ray to it that meets nothing, bool (rows, cols)."""
     if light == SUN:
         assert scene.sun is not None
         return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)

@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer, Program
 
 
+NOTHING_DRAWN = np.zeros((0, 0), np.float32)
+"""The drawn depth where no point needs one."""
+
+
 @dataclass(frozen=True, eq=False)
 class VisiblePoints:
     """Some of a buffer's points, in the view in which they are drawn.
@@ -59,6 +63,9 @@ class VisiblePoints:
     uses_drawn_depth
         bool (n,): whether the depth comes from drawing the surface, if this covers the pixel: on meshes, on ground that bends in a
         map, and on ground with gaps.
+    lift_depth
+        float64 (n,): the depth of a point less that of the drawn ground below it; 0 for points on the ground. In a map that bends,
+        points on the smooth ground lie above the drawn ground (``skugga.terrain.gbuffer.smooth_ground``).
     ground
         The ground to draw in a map that bends or has gaps; ``None`` otherwise.
     clip_from_frame, origin_frame_m
@@ -73,6 +80,7 @@ class VisiblePoints:
     buffer_indices: np.ndarray
     depth: np.ndarray
     uses_drawn_depth: np.ndarray
+    lift_depth: np.ndarray
     ground: Sheet | None
     clip_from_frame: np.ndarray
     origin_frame_m: np.ndarray
@@ -143,8 +151,8 @@ def receiver_stencil(
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
-    is_drawn = points.uses_drawn_depth
-    if is_drawn.any():
+    drawn_depth = NOTHING_DRAWN
+    if points.uses_drawn_depth.any():
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
@@ -152,8 +160,20 @@ def receiver_stencil(
                 gl.draw_grid_mesh(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-        is_drawn = is_drawn & _covered_mask(target)[points.row, points.col]
-    texture = gl.texture(_depth_image(points.row, points.col, is_drawn, points.depth, part_rectangles, rows, cols))
+        drawn_depth = _drawn_depth(target)
+    texture = gl.texture(
+        _depth_image(
+            points.row,
+            points.col,
+            points.uses_drawn_depth,
+            points.depth,
+            points.lift_depth,
+            drawn_depth,
+            part_rectangles,
+            rows,
+            cols,
+        )
+    )
     texture.use(0)
     for marking in (False, True) if marks_pixels else (False,):
         depth_program = gl.program(
@@ -169,10 +189,10 @@ def receiver_stencil(
     yield target, program
 
 
-def _covered_mask(target: Framebuffer) -> np.ndarray:
-    """Return where something was drawn into a framebuffer at a finite distance, bool (rows, cols)."""
+def _drawn_depth(target: Framebuffer) -> np.ndarray:
+    """Return the depth of what was drawn into a framebuffer, float32 (rows, cols); 0 where there is nothing."""
     cols, rows = target.size
-    return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
+    return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols)
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
@@ -217,9 +237,15 @@ def _visible_points(
     is_drawn = buffer.surface_kind.ravel()[indices] == MESHES
     if draws_ground:
         is_drawn |= buffer.surface_kind.ravel()[indices] == RELIEF
+    lift_depth = np.zeros(len(indices))
     if buffer.is_lifted is not None:
-        is_drawn &= ~buffer.is_lifted.ravel()[indices]
-    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, ground, clip, origin, near)
+        is_lifted = buffer.is_lifted.ravel()[indices]
+        if bends and buffer.lift_m is not None:
+            lifted = np.flatnonzero(is_lifted)
+            lift_depth[lifted] = buffer.lift_m.ravel()[indices[lifted]] * clip[2, 2]
+        else:
+            is_drawn &= ~is_lifted
+    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, is_drawn, lift_depth, ground, clip, origin, near)
 
 
 @compiled
@@ -242,18 +268,22 @@ def _depths(points, buffer_indices, clip_rows, origin):
 
 
 @compiled
-def _depth_image(row, col, uses_drawn_depth, depth, part_rectangles, rows, cols):
+def _depth_image(row, col, uses_drawn_depth, depth, lift_depth, drawn_depth, part_rectangles, rows, cols):
     """Return the points' depths at their pixels, float32 (rows, cols).
 
-    The value is -1 where drawing the surface gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside
-    of the parts.
+    The value is -1 where drawing the surface gives the depth, and ``lift_depth`` more than ``drawn_depth`` (rows, cols) at points
+    above it. It is NaN at other pixels of the parts (k, 4), and undefined outside of the parts.
     """
     out = np.empty((rows, cols), np.float32)
     for k in range(len(part_rectangles)):
         left, top = part_rectangles[k, 0], part_rectangles[k, 1]
         out[top : top + part_rectangles[k, 3], left : left + part_rectangles[k, 2]] = np.nan
     for n in range(len(row)):
-        out[row[n], col[n]] = -1.0 if uses_drawn_depth[n] else depth[n]
+        i, j = row[n], col[n]
+        if uses_drawn_depth[n] and drawn_depth[i, j] > 0.0:
+            out[i, j] = drawn_depth[i, j] + lift_depth[n] if lift_depth[n] > 0.0 else -1.0
+        else:
+            out[i, j] = depth[n]
     return out
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
+from tests.hard_cases.regressions import FLOOR_PX, RECORD_OPTION, read_records, regressions
 from tests.rasters import write_geotiff
 
 SHADOW_ALGORITHMS = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
@@ -226,19 +227,22 @@ class Case:
 def coverage_summary(coverages: list[MetricCoverage]) -> dict[str, float]:
     """Summarise coverages: ``wrong_cast`` of the worst picture, ``covered_share`` of all.
 
-    If no picture has much cast shadow, ``wrong_cast`` is that of all pictures together. Without any cast shadow the result is
-    empty.
+    ``wrong_cast_beyond_floor`` is the largest value that remains if ``FLOOR_PX`` wrong pixels of each picture do not count. If no
+    picture has much cast shadow, both are those of all pictures together. Without any cast shadow the result is empty.
     """
     counts = zip(
         *((coverage.cast_px, coverage.covered_px, coverage.wrong_px, coverage.union_px) for coverage in coverages), strict=True
     )
     total = MetricCoverage(*(sum(coverage) for coverage in counts)) if coverages else MetricCoverage(0, 0, 0, 0)
     large_pictures = [coverage for coverage in coverages if coverage.cast_px >= MIN_CAST_SHADOW_PX] or [total]
-    return (
-        {"wrong_cast": max(coverage.wrong_cast for coverage in large_pictures), "sees": total.covered_share}
-        if total.cast_px
-        else {}
-    )
+    if not total.cast_px:
+        return {}
+    beyond_floor = [replace(coverage, wrong_px=max(coverage.wrong_px - FLOOR_PX, 0)).wrong_cast for coverage in large_pictures]
+    return {
+        "wrong_cast": max(coverage.wrong_cast for coverage in large_pictures),
+        "wrong_cast_beyond_floor": max(beyond_floor),
+        "sees": total.covered_share,
+    }
 
 
 def untested_figures(record: Mapping[str, Any]) -> list[str]:
@@ -256,12 +260,6 @@ def failures(record: Mapping[str, Any]) -> str:
     return "; ".join(f"{name} {record['figures'][name]:.6g} over {record['bounds'][name]:g}" for name in exceeded_bounds(record))
 
 
-def is_known_shortfall(record: Mapping[str, Any], known_figures: Mapping[str, float]) -> bool:
-    """Return whether a trial exceeds its bounds only by figures that are at most as large as ``known_figures`` says."""
-    names = exceeded_bounds(record)
-    return bool(names) and all(name in known_figures and record["figures"][name] <= known_figures[name] for name in names)
-
-
 def hard_case(
     id: str,
     title: str,
@@ -269,14 +267,13 @@ def hard_case(
     bounds: Mapping[str, float],
     algorithms: tuple[str, ...] = SHADOW_ALGORITHMS,
     thorough: bool = True,
-    known_shortfalls: Mapping[tuple[str, str], float] | None = None,
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
     Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build. Therefore the long tests contain
     one thorough run of each case, of an algorithm that the case's id decides; all thorough runs have the mark ``thorough``. With
-    ``thorough`` false only the quick run exists. ``known_shortfalls`` gives, by algorithm and figure, the measured value of figures
-    that are known to exceed their bounds. Such a trial is an expected failure, and a failure if the figure grows.
+    ``thorough`` false only the quick run exists. A run fails if a figure exceeds its bound, or ``wrong_cast`` its regression bound
+    (``tests.hard_cases.regressions``).
     """
 
     def register(measure: Measure) -> Callable[..., None]:
@@ -290,16 +287,21 @@ def hard_case(
             runs += [pytest.param("thorough", algorithm, marks=marks[algorithm]) for algorithm in algorithms]
 
         @pytest.mark.parametrize(("way", "algorithm"), runs)
-        def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+        def test(
+            algorithm: str,
+            way: str,
+            gl: Any,
+            tmp_path: Path,
+            record_property: Callable[[str, object], None],
+            pytestconfig: pytest.Config,
+        ) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
             record_property(RECORD_PROPERTY, json.dumps(record))
             assert not untested_figures(record), f"{id} by {algorithm} does not test {untested_figures(record)}: {record['sights']}"
-            known_figures = {
-                name: value for (case_algorithm, name), value in (known_shortfalls or {}).items() if case_algorithm == algorithm
-            }
-            if is_known_shortfall(record, known_figures):
-                pytest.xfail(f"{id} by {algorithm} is known to fall short: {failures(record)}")
             assert not failures(record), f"{id} ({title}) by {algorithm}: {failures(record)}"
+            if not pytestconfig.getoption(RECORD_OPTION):
+                problems = regressions(record, read_records())
+                assert not problems, f"{id} ({title}) by {algorithm}: {problems}"
 
         test.case = case  # type: ignore[attr-defined]
         test.__doc__ = title

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.hard_cases.cases import ENGINE, RECORD_PROPERTY, SHADOW_ALGORITHMS, exceeded_bounds, untested_figures
+from tests.hard_cases.regressions import RECORD_OPTION, RECORDS_FILE, read_records, updated_records, write_records
 
 COLUMNS = {
     "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
@@ -29,6 +30,11 @@ FIND_PROPERTY = "hard_case_find"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        RECORD_OPTION,
+        action="store_true",
+        help="record wrong_cast of the hard cases that run, instead of testing against its record",
+    )
     parser.addoption("--hard-cases-table", metavar="FILE", help="put the table of the thorough hard cases into a Markdown file")
 
 
@@ -65,6 +71,9 @@ class _Table:
             terminalreporter.section("new situations over their bounds, as lines for COUNTEREXAMPLES of test_properties.py")
             for line in self.finds:
                 terminalreporter.write_line(line)
+        if self.config.getoption(RECORD_OPTION) and not hasattr(self.config, "workerinput"):
+            write_records(updated_records(read_records(), self.records))
+            terminalreporter.write_line(f"wrong_cast of {len(self.records)} trials is recorded in {RECORDS_FILE}")
         target = self.config.getoption("--hard-cases-table")
         if target and not hasattr(self.config, "workerinput"):
             replace_section(Path(target), TABLE, as_markdown([record for record in self.records if record["thorough"]]))

@@ -23,15 +23,13 @@ LON, LAT, ZOOM = -84.27, 36.2933, 12
     "Neighbouring tiles join, and zooming in moves no shadow",
     "real mountains: tiles of one frame, tiles of two frames, and zoom 12 against 13",
     {"same frame": 0.0, "across frames": 1e-4, "edge_p95_px": 3.0},
-    known_shortfalls={(algorithm, "same frame"): 9.77e-5 for algorithm in ("shadow_volume", "hybrid")},
 )
 def test_tiles_join(trial: Trial) -> dict[str, float]:
     """Half of a tile is drawn a second time with its neighbour.
 
     Volumes, which are drawn in the tile's own camera, and lines, which run through its middle, are compared at decidable pixels. A
     tile's pixels are exactly the ground's nodes, where edges of volumes begin and which lines graze: rounding decides on which side
-    of its own edge a node lies. The same holds for nodes on edges as the sun sees them. That excludes most of the tile, but not
-    all: 5 of 51,200 pixels.
+    of its own edge a node lies. The same holds for nodes on edges as the sun sees them.
     """
     px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skugga.shadows.truth.metrics import interior_region
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.camera import PerspectiveView
 from tests.hard_cases.bodies import FLOOR, errors, eye, interior_coverage, invalid_pixel_count, join_meshes
 from tests.hard_cases.cases import ENGINE, SHADOW_ALGORITHMS, RenderedView, Trial, hard_case
+from tests.hard_cases.reach_of_error import unexplained_errors
 from tests.render import render
 from tests.shadows.boxes import box
 
@@ -53,11 +55,14 @@ def worst_figures(trial: Trial, pictures: dict[str, RenderedView]) -> dict[str, 
     "G8",
     "Whatever the size, the field of view and the height of the eye, the picture is finite and right",
     "1 x 1 and 4096 x 1 pixels, 0.01 and 179 degrees, an eye 0.1 m and 500 km up; maps of 4096 x 1 and 1 x 1 pixels",
-    {"interior": 0, "pixels that are no number": 0},
-    # From 500 km one pixel of the ground, within a texel of the foot of a lit wall: the texel's middle is on the wall.
-    known_shortfalls={("shadow_map", "interior"): 2.8e-5},
+    {"interior": 0, "pixels at a hidden outline": 1, "pixels that are no number": 0},
 )
 def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
+    """The house hides a part of its shadow's outline: ground inside it lies in shadow, ground before its lit wall does not.
+
+    At full size, from 500 km, one pixel of the ground lies 4 cm before that wall. The centre of its texel, of 26 cm, lies inside
+    the house. Such a pixel is within a texel of the outline, which no pixel shows. It counts as a pixel at a hidden outline.
+    """
     line_px = 16384 if trial.thorough else 512
     views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
         "one": (eye((12, 25, 6), (0, 9, 0)), (1, 1)),
@@ -82,7 +87,21 @@ def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
         pictures |= render_views(trial, lines, (2.0 * half_m + 60.0, 80.0)) | render_views(
             trial, column, (80.0, 2.0 * half_m + 60.0)
         )
-    return worst_figures(trial, pictures)
+    hidden_outline_px = {name: _hidden_outline_px(picture) for name, picture in pictures.items()}
+    interior = max(
+        errors(picture).interior - hidden_outline_px[name] / max(np.count_nonzero(picture.truth.decidable), 1)
+        for name, picture in pictures.items()
+    )
+    return {**worst_figures(trial, pictures), "interior": interior, "pixels at a hidden outline": sum(hidden_outline_px.values())}
+
+
+def _hidden_outline_px(rendered: RenderedView) -> int:
+    """Return the number of interior errors of a map at whose texels' centres, on the plane of the visible surface, truth agrees."""
+    truth, texels_px = rendered.truth, rendered.texels_px
+    interior = truth.decidable & (rendered.dark == truth.lit) & interior_region(truth, texels_px)
+    if not (texels_px > 0.0).any() or not interior.any():
+        return 0
+    return int(np.count_nonzero(interior & ~unexplained_errors(rendered)))
 
 
 @hard_case(
