@@ -161,9 +161,7 @@ def test_a_lamp_that_shines_all_round(trial: Trial) -> dict[str, float]:
         face_shadow_px += np.bincount(faces[true_dark], minlength=len(CUBE_FACES))
         trial.record_coverage(
             "wrong beyond its reach",
-            MetricCoverage(
-                int(true_dark.sum()), int(always.sum()), int((dark != true_dark).sum()), int((dark | true_dark).sum())
-            ),
+            MetricCoverage(int(true_dark.sum()), int(always.sum()), int((dark != true_dark).sum()), int((dark | true_dark).sum())),
         )
     faces_in_question = face_shadow_px[:1] if trial.algorithm == "planar" else face_shadow_px
     assert faces_in_question.min() >= MIN_FACE_SHADOW_PX, f"shadow by map: {face_shadow_px}"
