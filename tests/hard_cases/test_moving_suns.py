@@ -98,7 +98,7 @@ def test_edges_follow_the_sun(trial: Trial) -> dict[str, float]:
     for frame in range(60 if trial.thorough else 8):
         azimuth, altitude = 200.0 + SUN_STEP_DEG * frame, 40.0 - 0.1 * frame
         sunlit_scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-        rendered = trial.render_view(sunlit_scene, view, map_size=1024 if trial.thorough else 512, cascades=1, filter=1)
+        rendered = trial.render_view(sunlit_scene, view, map_size=2048 if trial.thorough else 1024, cascades=1, filter=1)
         outline = shadow_outline(corners, direction_to_sun(azimuth, altitude))
         points = (rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m).astype(np.float64)
         ground = rendered.buffer.valid & (rendered.buffer.surface_kind == RELIEF) & (np.abs(points[..., 2]) < 1e-6)

@@ -47,7 +47,8 @@ def room_with(boxes: list[np.ndarray]) -> trimesh.Trimesh:
     """Return four walls, a ceiling and the boxes as one body, which stands on the floor."""
     side, top = HALF_SIDE_M, CEILING_M
     walls = [
-        [[-side - 1.0, -side - 1.0, 0.0], [side + 1.0, -side, top + 1.0]], [[-side - 1.0, side, 0.0], [side + 1.0, side + 1.0, top + 1.0]],
+        [[-side - 1.0, -side - 1.0, 0.0], [side + 1.0, -side, top + 1.0]],
+        [[-side - 1.0, side, 0.0], [side + 1.0, side + 1.0, top + 1.0]],
         [[-side - 1.0, -side, 0.0], [-side, side, top + 1.0]], [[side, -side, 0.0], [side + 1.0, side, top + 1.0]],
         [[-side, -side, top], [side, side, top + 1.0]],
     ]  # fmt: skip
