@@ -17,6 +17,22 @@ MUTANTS = {
         edited("shadows.maps.windows:lamp_map", ("half = 1.0 if", "half = 0.95 if")),
         cases("test_omni_lamps", "test_a_lamp_that_shines_all_round", "shadow_map"),
     ),
+    "short_volumes_of_lamps": Mutant(
+        "volumes under a lamp end behind their casters, after a third of the way from the lamp",
+        edited(
+            "shadows.volumes.volumes:_build_volumes",
+            (
+                "far = np.column_stack([points - light[:3], np.zeros(count)])",
+                "far = np.column_stack([points + (points - light[:3]) / 3.0, np.ones(count)])",
+            ),
+        ),
+        cases("test_omni_lamps", "test_a_lamp_that_shines_all_round", "shadow_volume", "hybrid"),
+    ),
+    "parallel_rays_of_lamps": Mutant(
+        "on a plane a lamp's rays are parallel",
+        edited("shadows.planar:_make_projection", ("position_frame_m - origin, 1.0)", "position_frame_m - origin, 0.0)")),
+        cases("test_omni_lamps", "test_a_lamp_that_shines_all_round", "planar"),
+    ),
     "wide_sun": Mutant(
         "the sun's disc is half as wide again",
         _wide_sun,
