@@ -30,6 +30,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.camera_path import camera_path
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
+from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
@@ -162,6 +163,12 @@ def _size(request: FilmRequest) -> tuple[int, int]:
     return width, height
 
 
+def describe_frame(scene: Scene, request: FilmRequest, moment: FrameMoment) -> Descriptor:
+    """Return the facts of one frame of a film, which tell whether the camera moves. ``scene`` is the scene at its moment."""
+    descriptor = describe(scene, moment.view, request.view_name)
+    return descriptor.model_copy(update={"camera_moves": request.camera_moves})
+
+
 def film_frames(
     scene: Scene,
     request: FilmRequest,
@@ -203,7 +210,7 @@ def _frame_makers(
     before = None if replanner.state is None else replanner.state.plan
     for moment in moments:
         frame_scene = moment.scene(scene)
-        plan = replanner.plan(describe(frame_scene, moment.view, request.view_name), level, overrides)
+        plan = replanner.plan(describe_frame(frame_scene, request, moment), level, overrides)
         switch = None if before is None else _switch(moment, before, plan, replanner.reason)
         if switch is not None:
             log.info("%s: %s instead of %s: %s", moment.label, switch.after, switch.before, switch.reason)

@@ -78,6 +78,11 @@ class FilmRequest:
     overrides: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def camera_moves(self) -> bool:
+        """Whether the camera moves from frame to frame."""
+        return self.path is not None and self.span.frames > 1
+
+    @property
     def view_name(self) -> str:
         """Name of the view in plans."""
         return self.view if self.path is None else PATH_VIEW_NAME

@@ -21,12 +21,11 @@ from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
-from skugga.selector.film import FilmFrame, FrameMoment, film_frames, frame_moments
+from skugga.selector.film import FilmFrame, FrameMoment, describe_frame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.compiled import CORES
-from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError, Problem, printable
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.camera_file import load_camera_path
@@ -146,7 +145,7 @@ def _check_costs(
     """
     for number in sorted({0, len(moments) // 2, len(moments) - 1}):
         moment = moments[number]
-        descriptor = describe(moment.scene(scene), moment.view, request.view_name)
+        descriptor = describe_frame(moment.scene(scene), request, moment)
         plan = Replanner(device=device).plan(descriptor, scene.loaded.level, dict(request.overrides))
         subject = f"a block of {moment.label}" if isinstance(moment.view, MapView) else moment.label
         check_cost(

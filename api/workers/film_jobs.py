@@ -8,10 +8,9 @@ from __future__ import annotations
 from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FilmPlanState, FrameJob
 from skugga.api.workers.map_plans import view_plan_selector
 from skugga.api.workers.plan_measurements import PlanMeasurements
-from skugga.selector.film import FrameMoment, film_frames, frame_moments
+from skugga.selector.film import FrameMoment, describe_frame, film_frames, frame_moments
 from skugga.selector.replanning import Replanner
 from skugga.shadows.plan import Plan
-from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
 
 
@@ -22,7 +21,7 @@ def plan_first_frame(job: FilmCheckJob, scene: Scene, measurements: PlanMeasurem
     """
     moment = frame_moments(scene, job.film_request())[0]
     return _replanner(job, moment, scene, measurements).plan(
-        describe(moment.scene(scene), moment.view, job.film_request().view_name),
+        describe_frame(moment.scene(scene), job.film_request(), moment),
         scene.loaded.level,
         job.request.overrides.for_selector(),
     ), moment

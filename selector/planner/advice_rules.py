@@ -228,6 +228,8 @@ def _complex_near_shadows_reason(case: RuleInput) -> str | None:
 
 def _small_visible_lit_area_reason(case: RuleInput) -> str | None:
     light_facts = case.light_facts
+    if case.descriptor.camera_moves:
+        return None  # its texels follow the camera, so edges would crawl
     if light_facts is None or light_facts.area_share > MAX_VISIBLE_LIT_SHARE:
         return None
     bands = _visible_bands(case)

@@ -347,6 +347,8 @@ ALGORITHM = Algorithm(
     cache_names=("skugga.terrain.gl.depth_targets",),
     search=SettingsSearch(
         search_space={"map_size": TUNED_MAP_SIZES},
+        is_excluded=lambda descriptor, kind: descriptor.camera_moves,
+        exclusion_reason="its texels follow the camera, so edges would crawl while the camera moves; it is for stills",
         resolution_variants=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
     ),
     cost=CostInputs(perspective_map_work, calibration_settings=_calibration_settings),

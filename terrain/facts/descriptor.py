@@ -71,6 +71,7 @@ class Descriptor(Facts):
       (``skugga.terrain.facts.row_widths``). It is large near a pole of a map in degrees.
     - ``tallest_m``: maximum height of any object above its ground, metres.
     - ``moves``: whether casters, lamps or clouds move with time.
+    - ``camera_moves``: whether the view is a frame of a film whose camera moves.
     - ``weather``: visibility, cloud cover and snow.
     - ``facts``: further facts of effects, by effect. JSON has no infinity, so an infinite number is written as text there.
     """
@@ -108,6 +109,7 @@ class Descriptor(Facts):
     row_width_ratio: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0
     tallest_m: AtLeastZero = 0.0
     moves: bool = False
+    camera_moves: bool = False
     weather: Weather = Weather()
     facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_parse_infinity), AfterValidator(_reject_nan)]]] = {}
 

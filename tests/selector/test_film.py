@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 
 from skugga.selector import film
+from skugga.selector.cost.typical_device import typical_device
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.planner.planner import make_plan
+from skugga.selector.portfolio import portfolio
 from skugga.selector.replanning import INITIAL_PATIENCE_FRAMES, MAX_CHANGED_SHARE, Replanner
+from skugga.selector.select import select
 from skugga.shadows.draw import draw
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -189,6 +193,47 @@ def test_frame_moments_take_size_from_request_or_path(figure):
 def low_camera_path(height: float) -> CameraPathSpec:
     keys = [{"at": at, "eye": [x, 0, z], "target": [0, 9, 0]} for at, x, z in (("0s", 0, 5), ("4s", 50, height))]
     return CameraPathSpec.model_validate({"keys": keys})
+
+
+def chosen_names(plan: Plan) -> set[str]:
+    return {name for kinds in plan.algorithm.values() for name in kinds.values()}
+
+
+def test_film_of_a_moving_camera_avoids_perspective_maps():
+    """Their texels follow the camera, so edges crawl over the ground. The hard cases T1 to T4 bound by how much."""
+    scene = build_scene(load_level("configs/thesis_rocks_sun.yaml"))
+    still = describe(scene, scene.view("main"), "main")
+    moving = still.model_copy(update={"camera_moves": True})
+    level, device = scene.loaded.level, typical_device()
+    plans = {
+        (policy, descriptor.camera_moves): select(descriptor, level, policy=policy, device=device)
+        for policy in ("rules", "predict")
+        for descriptor in (still, moving)
+    }
+    assert "perspective_shadow_map" in chosen_names(plans["rules", False]), "otherwise the test says nothing"
+    assert not any("perspective_shadow_map" in chosen_names(plans[policy, True]) for policy in ("rules", "predict"))
+    (reason,) = (r.reason for r in plans["predict", True].rejected if r.name == "perspective_shadow_map")
+    assert "follow the camera" in reason
+    offered = [{name for choice in portfolio(d, "sun", d.casters) for name in choice.algorithm.values()} for d in (still, moving)]
+    assert offered[0] - offered[1] == {"perspective_shadow_map"}
+    named = make_plan(moving, level, {"algorithm": "perspective_shadow_map"})
+    assert chosen_names(named) == {"perspective_shadow_map"}, "whoever names it gets it"
+
+
+def test_film_frames_tell_whether_the_camera_moves(gl, figure):
+    told = []
+
+    def plans(descriptor, plan_request, overrides) -> Plan:
+        told.append(descriptor.camera_moves)
+        return make_plan(descriptor, plan_request, overrides)
+
+    for request in (
+        FilmRequest(FilmSpan(2, 0.5), path=CAMERA_PATH),
+        FilmRequest(FilmSpan(1, 0.5), path=CAMERA_PATH),
+        FilmRequest(FilmSpan(2, 0.5), "eye", size=SIZE),
+    ):
+        list(frames_of(figure, request, Replanner(plans=plans)))
+    assert told == [True, True, False, False, False]
 
 
 INVALID_REQUESTS = {
