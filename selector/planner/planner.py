@@ -386,7 +386,9 @@ def _hard_edges_text(algorithm: dict[CasterKind, AlgorithmName], settings: dict[
     casting = {kind: name for kind, name in algorithm.items() if name != NO_SHADOWS}
     if not casting:
         return "no caster has a shadow algorithm under the sun"
-    parts = [f"{name} for {' and '.join(kind for kind in casting if casting[kind] == name)}" for name in dict.fromkeys(casting.values())]
+    parts = [
+        f"{name} for {' and '.join(kind for kind in casting if casting[kind] == name)}" for name in dict.fromkeys(casting.values())
+    ]
     text = f"{format_list(parts)} {'draws' if len(parts) == 1 else 'draw'} hard edges with these settings"
     can_filter = all(hasattr(settings.get(kind), "filter") for kind in casting)
     return f"{text}; the filter sun softens them" if can_filter else text

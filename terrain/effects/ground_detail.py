@@ -141,7 +141,7 @@ def max_ground_color(scene: Scene) -> float:
 
 
 def max_code_steps(max_color: float, share: float) -> float:
-    """Return the largest change of an sRGB code, in steps of 255, if a linear colour up to ``max_color`` changes by a share of it."""
+    """Return the largest change of an sRGB code, in steps of 255, if linear colours up to ``max_color`` change by a share."""
     codes = 255.0 * srgb_of_linear(np.clip(max_color * np.array([1.0 - share, 1.0, 1.0 + share]), 0.0, 1.0))
     return float(np.abs(np.diff(codes)).max())
 

@@ -32,9 +32,9 @@ the codes decreases with the colour, but the product of x and this slope increas
 Each channel is tested separately, with the horizon's minimum or maximum in that channel, whichever makes the difference more
 visible.
 
-**Near surfaces.** In sunlit air this distance is 4.5 m, that of black surfaces. Few surfaces are black: sky light alone makes most of
-them so bright that haze in front of them shows from some hundred metres on. Where the farthest surface is so near that haze changes
-even black by at most ``MAX_NEAR_STEPS``, as in a room, the predicate computes the change of each point of the coarse view, with the
+**Near surfaces.** In sunlit air haze shows on black from 4.5 m on. Few surfaces are black: sky light alone makes most of them so
+bright that haze in front of them shows from some hundred metres on. Where the farthest surface is so near that haze changes even
+black by at most ``MAX_NEAR_STEPS``, as in a room, the predicate computes the change of each point of the coarse view, with the
 colour that sky light alone gives it. Haze is not needed if at most ``MAX_CHANGED_SAMPLE_SHARE`` of the points change by more than a
 step. Then it changes at most ``MAX_CHANGED_PIXEL_SHARE`` of all pixels by more than a step, and none by more than
 ``MAX_NEAR_STEPS``.
@@ -86,7 +86,7 @@ SAMPLED_PIXEL_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 MAX_NEAR_STEPS = 5.0
 """Largest invisible change of single dark pixels, in steps of 255: in clear air by day that of black at some 23 m."""
 
-MAX_CHANGED_SAMPLE_SHARE, MAX_CHANGED_PIXEL_SHARE = 0.005, 0.01
+MAX_CHANGED_SAMPLE_SHARE, MAX_CHANGED_PIXEL_SHARE = 0.0075, 0.01
 """Largest invisible shares of points of the coarse view, and of pixels, that change by more than one step of 255."""
 
 
@@ -302,7 +302,7 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
 
 def _are_indistinguishable(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Return whether pairs of linear colours (n, k) differ by at most one sRGB code, wherever the encoder's bins lie, bool (n,)."""
-    return (_max_code_steps(dark, bright) < 1.0).all(axis=1)
+    return np.all(_max_code_steps(dark, bright) < 1.0, axis=1)
 
 
 def _max_code_steps(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
