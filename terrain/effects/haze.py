@@ -34,10 +34,10 @@ visible.
 
 **Near surfaces.** In sunlit air haze shows on black from 4.5 m on. Few surfaces are black: sky light alone makes most of them so
 bright that haze in front of them shows from some hundred metres on. Where the farthest surface is so near that haze changes even
-black by at most ``MAX_NEAR_STEPS``, as in a room, the predicate computes the change of each point of the coarse view, with the
-colour that sky light alone gives it. Haze is not needed if at most ``MAX_CHANGED_SAMPLE_SHARE`` of the points change by more than a
-step. Then it changes at most ``MAX_CHANGED_PIXEL_SHARE`` of all pixels by more than a step, and none by more than
-``MAX_NEAR_STEPS``.
+black and white by at most ``MAX_NEAR_STEPS``, as in a room, the predicate computes the change of each point of the coarse view: of
+the colour that sky light alone gives it, and of white. Haze is not needed if at most ``MAX_CHANGED_SAMPLE_SHARE`` of the points
+change by more than a step. Then it changes at most ``MAX_CHANGED_PIXEL_SHARE`` of all pixels by more than a step, and none by more
+than ``MAX_NEAR_STEPS``.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ SAMPLED_PIXEL_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 
 
 MAX_NEAR_STEPS = 5.0
-"""Largest invisible change of single dark pixels, in steps of 255: in clear air by day that of black at some 23 m."""
+"""Largest invisible change of single pixels, in steps of 255: in clear air by day that of black at some 23 m."""
 
 MAX_CHANGED_SAMPLE_SHARE, MAX_CHANGED_PIXEL_SHARE = 0.0075, 0.01
 """Largest invisible shares of points of the coarse view, and of pixels, that change by more than one step of 255."""
@@ -105,7 +105,7 @@ def judge(descriptor: Descriptor) -> Verdict:
     changed_share, max_steps = numeric_fact(facts.get("changed_share")), numeric_fact(facts.get("max_steps"))
     if changed_share is not None and changed_share <= MAX_CHANGED_SAMPLE_SHARE and (max_steps or 0.0) <= MAX_NEAR_STEPS:
         text = f"no visible surface is farther than {_length_text(farthest_m)}: haze changes {100.0 * changed_share:.2g} % of the "
-        return Verdict(False, f"{text}pixels by more than one step of 255, and not even black by more than {max_steps:.1f}")
+        return Verdict(False, f"{text}pixels by more than one step of 255, and none by more than {max_steps:.1f}")
     share = 100.0 * -np.expm1(-farthest_m * green_extinction_per_m(visibility_m))
     return Verdict(
         True,
@@ -133,26 +133,29 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     result: dict[str, Fact] = {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
     if farthest_m <= shows_from_m or not isinstance(view, PerspectiveView):
         return result
-    if _steps_on_black(scene, visibility_m, farthest_m) <= MAX_NEAR_STEPS:
+    if _max_steps(scene, visibility_m, farthest_m) <= MAX_NEAR_STEPS:
         farthest_m = max(farthest_m, max_visible_distance_m(scene, view, coarse_view))
-        max_steps = _steps_on_black(scene, visibility_m, farthest_m)
+        max_steps = _max_steps(scene, visibility_m, farthest_m)
         if max_steps <= MAX_NEAR_STEPS:
             changed_share = _changed_share(scene, coarse_view, visibility_m)
             result |= {"farthest_m": farthest_m, "max_steps": max_steps, "changed_share": changed_share}
     return result
 
 
-def _steps_on_black(scene: Scene, visibility_m: float, distance_m: float) -> float:
-    """Return an upper bound of the change of any colour by haze at a distance, in steps of 255: that of black."""
-    light = -np.expm1(-distance_m * rgb_extinctions_per_m(visibility_m)) * horizon_colors(scene).max(axis=0)
-    return float(_max_code_steps(np.zeros(3), light).max())
+def _max_steps(scene: Scene, visibility_m: float, distance_m: float) -> float:
+    """Return an upper bound of the change of any colour by haze at a distance, in steps of 255: that of black or of white."""
+    share, horizon = -np.expm1(-distance_m * rgb_extinctions_per_m(visibility_m)), horizon_colors(scene)
+    on_black = _max_code_steps(np.zeros(3), share * horizon.max(axis=0))
+    on_white = _max_code_steps(1.0 - share * (1.0 - horizon.min(axis=0)), np.ones(3))
+    return float(max(on_black.max(), on_white.max()))
 
 
 def _changed_share(scene: Scene, coarse_view: CoarseView, visibility_m: float) -> float:
-    """Return the share of the points of a coarse view that haze changes by more than one step of 255.
+    """Return the share of the points of a coarse view that haze may change by more than one step of 255.
 
-    Their colours are those in sky light alone: any other light makes them brighter, and the change smaller. With relief, which may
-    hide the sky, with trees, which the coarse view does not show, and with imagery, all points count as black.
+    A point's colour lies between that in sky light alone and white. The change is largest at one of these ends, since haze moves
+    all colours towards that of the horizon. With relief, which may hide the sky, with trees, which the coarse view does not show,
+    and with imagery, the darker end is black.
     """
     buffer, horizon = coarse_view.buffer, horizon_colors(scene)
     if not buffer.valid.any():
@@ -164,7 +167,8 @@ def _changed_share(scene: Scene, coarse_view: CoarseView, visibility_m: float) -
     share = -np.expm1(-coarse_view.distance_m[:, None] * rgb_extinctions_per_m(visibility_m))
     codes = encode_srgb(color).astype(np.int32)
     changes = [np.abs(encode_srgb(color + share * (end - color)) - codes) for end in (horizon.min(axis=0), horizon.max(axis=0))]
-    is_changed = (np.maximum(*changes) > 1).any(axis=1)
+    white_steps = _max_code_steps(1.0 - share * (1.0 - horizon.min(axis=0)), np.ones_like(share))
+    is_changed = (np.maximum(*changes) > 1).any(axis=1) | (white_steps >= 1.0).any(axis=1)
     return float(is_changed.sum() / buffer.valid.size)
 
 

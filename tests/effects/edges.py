@@ -417,6 +417,12 @@ def haze() -> Iterator[EffectCase]:
         for visibility in (None, 2e4, 2e3):
             weather = {} if visibility is None else {"visibility": visibility}
             yield EffectCase(f"room {name}, {visibility}", room_keys(weather=weather), perspective_view(eye, target, fov, 6))
+    for distance_m in (20.0, 60.0, 120.0, 180.0, 300.0, 500.0):  # white posts in the light of a lamp by night
+        posts = [{"source": "post.obj", "at": [[0.0, 6.0 * k] for k in range(-4, 5)], "color": [1.0, 1.0, 1.0]}]
+        lamp = {"kind": "omni", "position": [-25.0, 0.0, 15.0], "intensity": 3.0}
+        keys = {"terrain": {"source": "floor.tif"}, "sun": "none", "lights": {"lamp": lamp}, "meshes": posts}
+        view = perspective_view((-0.8 * distance_m, 0.0, 0.6 * distance_m), (0.0, 0.0, 4.0), 15.0, 6)
+        yield EffectCase(f"lamp at {distance_m} m", keys, view)
 
 
 def room_keys(**keys: Any) -> dict[str, Any]:

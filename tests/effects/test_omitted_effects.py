@@ -97,8 +97,9 @@ UNNEEDED_RUNS: dict[EffectName, frozenset[str]] = {
     "water": frozenset({
         "ponds at -60.0 of 8 pixels", "ponds at -60.0, 1150.0 m east",
     }),
-    # The bound is that of black surfaces: natural ground may have any colour.
+    # The bounds are those of black and of white: natural ground and surfaces in the light of lamps may have any colour.
     "haze": frozenset({
+        "lamp at 120.0 m", "lamp at 180.0 m",
         "hills 1e+06 m", "hills 1.5e+06 m", "hills 2e+06 m", "hills 3e+06 m", "hills 5e+06 m", "hills 1e+07 m",
     }),
 }  # fmt: skip
