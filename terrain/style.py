@@ -82,6 +82,8 @@ class Style:
     min_exaggerated_pixel_m
         Side of a map's pixels in metres. In maps with larger pixels slopes are exaggerated more (``slope_exaggeration_at``). Pixels
         of a country's map are means over whole valleys, whose slopes are too gentle to see.
+    has_natural_ground
+        Whether the ground shows land. Otherwise it is stone, or a neutral base for other colours or for shadows alone.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Style:
     slope_exaggeration: float = 1.0
     max_shaded_slope: float = UNLIMITED_SLOPE
     min_exaggerated_pixel_m: float = 60.0
+    has_natural_ground: bool = True
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
         """Return the factor of slopes in a map whose pixels have a side of ``pixel_m`` metres."""
@@ -127,19 +130,20 @@ STYLES = {
             "grey", "neutral grey, as a base for other colours",
             ((0.0, "#e3e3e3"),),
             water_albedo=(0.36, 0.36, 0.36), sunlight_color=(1.0, 1.0, 1.0), sky_light_color=(0.78, 0.78, 0.78),
-            sky_light_desaturation=1.0,
+            sky_light_desaturation=1.0, has_natural_ground=False,
         ),
         Style(
             "urban", "light stone for streets and roofs; the edges of buildings are not exaggerated",
             ((0.0, "#e4e0d8"),),
             sky_light_desaturation=0.8, sunward_sky_light_share=0.3, max_shaded_slope=0.7,
+            has_natural_ground=False,
         ),
         Style(
             "analysis", "white ground, plain Lambert's law, even blue shadow: to look at the shadows themselves",
             ((0.0, "#f4f4f4"),),
             sunlight_color=(1.0, 1.0, 1.0), sky_light_color=(0.42, 0.60, 1.0), sky_light_desaturation=1.0,
             sunward_sky_light_share=0.0,
-            terminator_light_share=0.0, min_exaggerated_pixel_m=np.inf,
+            terminator_light_share=0.0, min_exaggerated_pixel_m=np.inf, has_natural_ground=False,
         ),
     )
 }  # fmt: skip

@@ -361,11 +361,16 @@ def _without_idle_effects(
     if "forest" not in casting:
         idle_reasons["alpha_test"] = "no algorithm draws shadows of foliage"
     if not filtered:
-        idle_reasons["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NO_SHADOWS})) or 'lamps'} are sharp"
+        idle_reasons["soft_edges"] = f"not simulated: {_hard_edges_text(sun, settings.get(SUN, {}))}"
     if "relief" not in casting:
         idle_reasons["outside_casters"] = "no algorithm draws shadows of the ground"
     stopped = [
-        NamedReason(name=effect.name, reason=f"{idle_reasons[effect.name]} ({effect.reason})")
+        NamedReason(
+            name=effect.name,
+            reason=f"called for ({effect.reason}), but {idle_reasons[effect.name]}"
+            if effect.name == "soft_edges"
+            else f"{idle_reasons[effect.name]} ({effect.reason})",
+        )
         for effect in effects
         if effect.name in idle_reasons
     ]
@@ -374,6 +379,19 @@ def _without_idle_effects(
         [effect for effect in effects if effect.name not in idle_reasons],
         sorted([*left_out, *stopped], key=lambda effect: order.index(effect.name)),
     )
+
+
+def _hard_edges_text(algorithm: dict[CasterKind, AlgorithmName], settings: dict[CasterKind, AlgorithmSettings]) -> str:
+    """Return why no algorithm of the sun's shadows softens edges, although the scene calls for it."""
+    casting = {kind: name for kind, name in algorithm.items() if name != NO_SHADOWS}
+    if not casting:
+        return "no caster has a shadow algorithm under the sun"
+    parts = [
+        f"{name} for {' and '.join(kind for kind in casting if casting[kind] == name)}" for name in dict.fromkeys(casting.values())
+    ]
+    text = f"{format_list(parts)} {'draws' if len(parts) == 1 else 'draw'} hard edges with these settings"
+    can_filter = all(hasattr(settings.get(kind), "filter") for kind in casting)
+    return f"{text}; the filter sun softens them" if can_filter else text
 
 
 def _choose_algorithm(

@@ -9,7 +9,11 @@ the line of sight and the ground's normal. Distant ground therefore keeps its pl
 coarser than all wavelengths.
 
 **Visibility.** If a linear colour c is multiplied by 1 + s, its sRGB code k changes by s c / (dc/dk). The change is largest on
-white. Below a relative change s of ``MAX_INVISIBLE_ALBEDO_CHANGE`` no code changes by more than a step.
+white. Below a relative change s of ``MAX_INVISIBLE_ALBEDO_CHANGE`` no code changes by more than a step. Darker ground changes
+less: the brightest colour that the level's light gives to its ground bounds the number of steps (``max_code_steps``).
+
+**Material.** The noise is that of meadows and soil. Ground that is no natural ground has none of it, also if the effect is forced
+on: a floor (ground without relief, which is plain grey), imagery, and styles that draw ground as stone or as a neutral base.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import noise_along
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M
+from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M, daylight_of, max_slope_sky_factor, night_sky_share
+from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
+from skugga.terrain.srgb import srgb_of_linear
 
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
@@ -42,9 +48,6 @@ drier.
 
 HUE_WAVE_COUNT = 3
 """Number of waves that change the hue, longest first."""
-
-FLAT_GROUND_AMPLITUDE_FACTOR = 0.45
-"""Factor of all amplitudes on level ground without tints, for example a floor or a square."""
 
 DETAIL_SEED = 71
 
@@ -69,18 +72,23 @@ _WAVES = np.array(GROUND_WAVES)
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed in maps, on draped imagery, and if all ground is too far away for visible detail.
+    It is not needed in maps, without natural ground, and if all ground is too far away or too dark for visible detail.
     """
     facts = descriptor.facts["ground_detail"]
     if descriptor.view_kind == "map":
         return Verdict(False, "a map shows the ground's tints only")
     if facts["draped"]:
         return Verdict(False, "imagery is draped over the ground")
+    if not facts.get("natural", True):
+        return Verdict(False, "the level shows no natural ground: a floor, stone or a neutral base has no patches and tufts")
     nearest_m, share = numeric_fact(facts["nearest_m"]), numeric_fact(facts["share"])
     if nearest_m is None or share is None:
         return Verdict(False, "no ground is in view")
     if share <= MAX_INVISIBLE_ALBEDO_CHANGE:
         return Verdict(False, f"the nearest ground is {nearest_m:.0f} m away, where pixels are as wide as its patches")
+    steps = numeric_fact(facts.get("steps"))
+    if steps is not None and steps <= 1.0:
+        return Verdict(False, f"the ground is too dark: patches and tufts change it by at most {steps:.1g} of 255 steps")
     return Verdict(True, f"ground {nearest_m:.1f} m away shows patches and tufts: up to {100.0 * share:.0f} % of its albedo")
 
 
@@ -89,22 +97,53 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
     - ``draped``: whether imagery is draped over the ground.
     - ``nearest_m``: distance of the nearest visible ground, metres; ``None`` if no ground is visible.
+    - ``natural``: whether the level's ground is natural: neither a floor nor imagery, stone or a neutral base.
     - ``share``: upper bound of the relative change of the ground's albedo by the effect; ``None`` if no ground is visible.
+    - ``steps``: upper bound of the change of the picture, in steps of 255; ``None`` if no ground is visible.
     """
     draped = scene.loaded.level.terrain.imagery is not None
+    nothing: dict[str, Fact] = {
+        "draped": draped, "natural": has_natural_ground(scene), "nearest_m": None, "share": None, "steps": None,
+    }  # fmt: skip
     if coarse_view is None or isinstance(view, MapView):
-        return {"draped": draped, "nearest_m": None, "share": None}
+        return nothing
     buffer = coarse_view.buffer
     ground = buffer.surface_kind[buffer.valid] == RELIEF
     distance_m = coarse_view.distance_m[ground]
     if not len(distance_m):
-        return {"draped": draped, "nearest_m": None, "share": None}
+        return nothing
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(distance_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing_tangent, MIN_VIEW_COSINE, 1.0)
     pixel_width_m = view.pixel_tangent * distance_m * np.maximum(facing, MIN_VIEW_COSINE) / steeper**2
-    return {"draped": draped, "nearest_m": float(distance_m.min()), "share": max_albedo_change(float(pixel_width_m.min()))}
+    share = max_albedo_change(float(pixel_width_m.min()))
+    steps = max_code_steps(max_ground_color(scene), share)
+    return {**nothing, "nearest_m": float(distance_m.min()), "share": share, "steps": steps}
+
+
+def has_natural_ground(scene: Scene) -> bool:
+    """Return whether a level shows natural ground: ground with relief, in a style that shows land, and without imagery."""
+    low, high = scene.height_range_m
+    return high > low and scene.style.has_natural_ground and scene.loaded.level.terrain.imagery is None
+
+
+def max_ground_color(scene: Scene) -> float:
+    """Return an upper bound of the linear display colour of the ground, over all channels; 1 in the light of lamps."""
+    if scene.lamps:
+        return 1.0
+    daylight = daylight_of(scene)
+    sun = daylight.sun_irradiance if scene.sun_is_up else np.zeros(3)
+    day = 0.0 if scene.highest_sun_deg is None else float(twilight_sky_share(np.sin(np.radians(scene.highest_sun_deg))))
+    night = night_sky_share(scene)
+    sky = daylight.sky_irradiance * (max_slope_sky_factor(scene) * (night + (1.0 - night) * day))
+    return float(tone_curve(float((sun + sky).max())))
+
+
+def max_code_steps(max_color: float, share: float) -> float:
+    """Return the largest change of an sRGB code, in steps of 255, if linear colours up to ``max_color`` change by a share."""
+    codes = 255.0 * srgb_of_linear(np.clip(max_color * np.array([1.0 - share, 1.0, 1.0 + share]), 0.0, 1.0))
+    return float(np.abs(np.diff(codes)).max())
 
 
 def max_albedo_change(pixel_m: float) -> float:
@@ -116,19 +155,11 @@ def max_albedo_change(pixel_m: float) -> float:
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
-    """Multiply the albedo (rows, cols, 3) of bare ground in a perspective view by the detail, in place."""
+    """Multiply the albedo (rows, cols, 3) of natural ground in a perspective view by the detail, in place."""
     buffer, scene, view = block.buffer, block.scene, block.view
-    if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
+    if isinstance(view, MapView) or not has_natural_ground(scene):
         return
-    low, high = scene.height_range_m
-    run_in_chunks(
-        len(albedo),
-        _apply_detail,
-        albedo,
-        _albedo_changes(buffer, scene, view),
-        1.0 if high > low else FLAT_GROUND_AMPLITUDE_FACTOR,
-        np.array(HUE_SHIFT_RGB),
-    )
+    run_in_chunks(len(albedo), _apply_detail, albedo, _albedo_changes(buffer, scene, view), np.array(HUE_SHIFT_RGB))
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
@@ -151,13 +182,13 @@ def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView)
 
 
 @compiled
-def _apply_detail(first, last, albedo, detail, share, hue_shift):
+def _apply_detail(first, last, albedo, detail, hue_shift):
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]
             if lighter != 0.0 or drier != 0.0:
                 for k in range(3):
-                    albedo[i, j, k] *= 1.0 + share * (lighter + hue_shift[k] * drier)
+                    albedo[i, j, k] *= 1.0 + lighter + hue_shift[k] * drier
 
 
 @compiled

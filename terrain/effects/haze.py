@@ -31,6 +31,13 @@ the codes decreases with the colour, but the product of x and this slope increas
 
 Each channel is tested separately, with the horizon's minimum or maximum in that channel, whichever makes the difference more
 visible.
+
+**Near surfaces.** In sunlit air haze shows on black from 4.5 m on. Few surfaces are black: sky light alone makes most of them so
+bright that haze in front of them shows from some hundred metres on. Where the farthest surface is so near that haze changes even
+black and white by at most ``MAX_NEAR_STEPS``, as in a room, the predicate computes the change of each point of the coarse view: of
+the colour that sky light alone gives it, and of white. Haze is not needed if at most ``MAX_CHANGED_SAMPLE_SHARE`` of the points
+change by more than a step. Then it changes at most ``MAX_CHANGED_PIXEL_SHARE`` of all pixels by more than a step, and none by more
+than ``MAX_NEAR_STEPS``.
 """
 
 from __future__ import annotations
@@ -42,14 +49,14 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from skugga.terrain.gbuffer.view_geometry import solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, geodetic
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import daylight_of
+from skugga.terrain.shading import daylight_of, encode_srgb, shade
 from skugga.terrain.shading_loops import tone_curve
 from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
@@ -76,6 +83,13 @@ SAMPLED_PIXEL_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 """Possible shares of a pixel that a surface fills, by the pixel's samples (``skugga.terrain.gbuffer.antialias``)."""
 
 
+MAX_NEAR_STEPS = 5.0
+"""Largest invisible change of single pixels, in steps of 255: in clear air by day that of black at some 23 m."""
+
+MAX_CHANGED_SAMPLE_SHARE, MAX_CHANGED_PIXEL_SHARE = 0.0075, 0.01
+"""Largest invisible shares of points of the coarse view, and of pixels, that change by more than one step of 255."""
+
+
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed. It is not needed in maps, and if all visible surfaces are too near for visible haze."""
     if descriptor.view_kind == "map":
@@ -88,6 +102,10 @@ def judge(descriptor: Descriptor) -> Verdict:
     if farthest_m <= shows_from_m:
         reason = f"no visible surface is farther than {_length_text(farthest_m)}; at {_length_text(visibility_m)} of visibility"
         return Verdict(False, f"{reason} haze shows from {_length_text(shows_from_m)} on")
+    changed_share, max_steps = numeric_fact(facts.get("changed_share")), numeric_fact(facts.get("max_steps"))
+    if changed_share is not None and changed_share <= MAX_CHANGED_SAMPLE_SHARE and (max_steps or 0.0) <= MAX_NEAR_STEPS:
+        text = f"no visible surface is farther than {_length_text(farthest_m)}: haze changes {100.0 * changed_share:.2g} % of the "
+        return Verdict(False, f"{text}pixels by more than one step of 255, and none by more than {max_steps:.1f}")
     share = 100.0 * -np.expm1(-farthest_m * green_extinction_per_m(visibility_m))
     return Verdict(
         True,
@@ -102,6 +120,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     - ``shows_from_m``: distance beyond which haze can be visible.
     - ``farthest_m``: distance of the farthest point of the coarse view. If haze is not visible there, it is an upper bound of the
       distance of all visible surfaces, including those that the coarse view may have missed.
+    - ``max_steps``: upper bound of the change of any pixel, in steps of 255; ``None`` beyond ``MAX_NEAR_STEPS``.
+    - ``changed_share``: share of the points of the coarse view that haze changes by more than a step; ``None`` like ``max_steps``.
     """
     if coarse_view is None:
         return {"visibility_m": scene.loaded.level.weather.visibility}
@@ -110,7 +130,46 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     farthest_m = float(coarse_view.distance_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
         farthest_m = max(farthest_m, max_visible_distance_m(scene, view, coarse_view))
-    return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
+    result: dict[str, Fact] = {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
+    if farthest_m <= shows_from_m or not isinstance(view, PerspectiveView):
+        return result
+    if _max_steps(scene, visibility_m, farthest_m) <= MAX_NEAR_STEPS:
+        farthest_m = max(farthest_m, max_visible_distance_m(scene, view, coarse_view))
+        max_steps = _max_steps(scene, visibility_m, farthest_m)
+        if max_steps <= MAX_NEAR_STEPS:
+            changed_share = _changed_share(scene, coarse_view, visibility_m)
+            result |= {"farthest_m": farthest_m, "max_steps": max_steps, "changed_share": changed_share}
+    return result
+
+
+def _max_steps(scene: Scene, visibility_m: float, distance_m: float) -> float:
+    """Return an upper bound of the change of any colour by haze at a distance, in steps of 255: that of black or of white."""
+    share, horizon = -np.expm1(-distance_m * rgb_extinctions_per_m(visibility_m)), horizon_colors(scene)
+    on_black = _max_code_steps(np.zeros(3), share * horizon.max(axis=0))
+    on_white = _max_code_steps(1.0 - share * (1.0 - horizon.min(axis=0)), np.ones(3))
+    return float(max(on_black.max(), on_white.max()))
+
+
+def _changed_share(scene: Scene, coarse_view: CoarseView, visibility_m: float) -> float:
+    """Return the share of the points of a coarse view that haze may change by more than one step of 255.
+
+    A point's colour lies between that in sky light alone and white. The change is largest at one of these ends, since haze moves
+    all colours towards that of the horizon. With relief, which may hide the sky, with trees, which the coarse view does not show,
+    and with imagery, the darker end is black.
+    """
+    buffer, horizon = coarse_view.buffer, horizon_colors(scene)
+    if not buffer.valid.any():
+        return 0.0
+    color = shade(buffer, scene, np.zeros(buffer.valid.shape, np.float32))[buffer.valid].astype(np.float64)
+    low, high = scene.height_range_m
+    if high > low or "forest" in scene.objects.caster_kinds or scene.loaded.level.terrain.imagery is not None:
+        color[:] = 0.0
+    share = -np.expm1(-coarse_view.distance_m[:, None] * rgb_extinctions_per_m(visibility_m))
+    codes = encode_srgb(color).astype(np.int32)
+    changes = [np.abs(encode_srgb(color + share * (end - color)) - codes) for end in (horizon.min(axis=0), horizon.max(axis=0))]
+    white_steps = _max_code_steps(1.0 - share * (1.0 - horizon.min(axis=0)), np.ones_like(share))
+    is_changed = (np.maximum(*changes) > 1).any(axis=1) | (white_steps >= 1.0).any(axis=1)
+    return float(is_changed.sum() / buffer.valid.size)
 
 
 def visibility_m_of(scene: Scene, view: MapView | PerspectiveView) -> float:
@@ -247,9 +306,14 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
 
 def _are_indistinguishable(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Return whether pairs of linear colours (n, k) differ by at most one sRGB code, wherever the encoder's bins lie, bool (n,)."""
+    return np.all(_max_code_steps(dark, bright) < 1.0, axis=1)
+
+
+def _max_code_steps(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """Return the difference in sRGB between linear colours ``dark`` <= ``bright``, in steps of 255, wherever the bins lie."""
     lowest = np.maximum(dark - 0.5 * SRGB_ENCODER_BIN_WIDTH, 0.5 * SRGB_ENCODER_BIN_WIDTH)
     bins = np.ceil((bright - dark) / SRGB_ENCODER_BIN_WIDTH)
-    return (255.0 * (srgb_of_linear(lowest + bins * SRGB_ENCODER_BIN_WIDTH) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
+    return 255.0 * (srgb_of_linear(lowest + bins * SRGB_ENCODER_BIN_WIDTH) - srgb_of_linear(lowest))
 
 
 def _length_text(length_m: float) -> str:

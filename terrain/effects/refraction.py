@@ -1,9 +1,9 @@
 """Refraction: the atmosphere raises the sun's apparent altitude, by half a degree at the horizon and 0.02 degrees at 45 degrees.
 
-The lift is this increase of the altitude. The effect is needed if the lift moves the end of the longest shadow by more than a
-pixel, or changes the light on a slope by more than a step of 1/255. The cosine between a slope's normal and the light changes by at
-most the lift in radians. The change of the picture is this change times the exposure and the slope of the sRGB curve. By day the
-slope of the curve is at most ``MAX_SRGB_SLOPE``, on surfaces that only sky light reaches.
+The lift is this increase of the altitude. The effect is needed if the lift moves the end of the longest shadow or the shadows of
+clouds by more than a pixel, or changes the light on a slope by more than a step of 1/255. The cosine between a slope's normal and
+the light changes by at most the lift in radians. The change of the picture is this change times the exposure and the slope of the
+sRGB curve. By day the slope of the curve is at most ``MAX_SRGB_SLOPE``, on surfaces that only sky light reaches.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.casters.reach import longest_shadow_m
+from skugga.terrain.effects import clouds
 from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
@@ -38,8 +39,12 @@ def judge(descriptor: Descriptor) -> Verdict:
     moves_px = moves_m / pixel_m
     steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * MAX_SRGB_SLOPE / SRGB_CHANNEL_STEP
     text = f"refraction lifts the sun by {lift_deg:.2g} degrees"
-    if 0.0 < descriptor.weather.cloud_cover < 1.0:
-        return Verdict(True, f"{text}, which moves the shadows of clouds")
+    if clouds.EFFECT.verdict("clouds", descriptor).is_needed:
+        sine = max(np.sin(np.radians(descriptor.sun_altitude_deg or 0.0)), clouds.MIN_SUN_ALTITUDE_SINE)
+        height_m = clouds.CLOUD_HEIGHT_M + clouds.CLOUD_CLEARANCE_M + descriptor.relief_m
+        clouds_px = height_m * np.radians(lift_deg) / sine**2 / pixel_m
+        if clouds_px > 1.0:
+            return Verdict(True, f"{text}, which moves the shadows of clouds by {clouds_px:.2g} pixels")
     if moves_px > 1.0:
         return Verdict(True, f"{text}, which moves the end of the longest shadow by {moves_px:.2g} pixels")
     if steps > 1.0:

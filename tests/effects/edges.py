@@ -19,10 +19,13 @@ from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import EFFECTS
-from skugga.terrain.level.level import LoadedLevel, load_level
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import EffectName, LoadedLevel, load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
@@ -47,7 +50,7 @@ class EffectCase:
     view: dict[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EffectChange:
     """The change by an effect in a case.
 
@@ -55,28 +58,36 @@ class EffectChange:
     ----------
     case
         Name of the case.
-    is_planned
-        Whether the plan has the effect.
+    descriptor
+        The facts of the case.
+    is_called_for
+        Whether the effect's predicate says that the scene calls for it. Then the plan has it, except for ``soft_edges``: few
+        algorithms that a plan chooses can draw them.
     reason
         The plan's reason.
     ran_when_forced
         Whether the effect ran when forced on.
     max_difference
         Largest difference of a pixel, in steps of 255.
+    changed_share
+        Share of the pixels that differ by more than one step of 255.
     max_neighbourhood_excess
         Largest difference from the range of the pixel and its neighbours in the other picture, in steps of 255.
     """
 
     case: str
-    is_planned: bool
+    descriptor: Descriptor
+    is_called_for: bool
     reason: str
     ran_when_forced: bool
     max_difference: int
+    changed_share: float
     max_neighbourhood_excess: int
 
     def __str__(self) -> str:
-        status = "runs" if self.is_planned else "left out"
-        return f"{self.case:34} {status:8} {self.max_difference:4d} {self.max_neighbourhood_excess:4d}  {self.reason}"
+        status = "runs" if self.is_called_for else "left out"
+        figures = f"{self.max_difference:4d} {self.max_neighbourhood_excess:4d} {100.0 * self.changed_share:6.2f} %"
+        return f"{self.case:34} {status:8} {figures}  {self.reason}"
 
 
 class EffectComparison:
@@ -84,6 +95,7 @@ class EffectComparison:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._changes: dict[tuple[EffectName, str], EffectChange] = {}
         y, x = np.mgrid[0:CELLS, 0:CELLS] * CELL_M
         grounds = {
             "hills": 60.0 * np.sin(x / 150.0 + 0.4) * np.sin(y / 190.0) + 20.0 * np.sin((x + 2 * y) / 110.0),
@@ -91,7 +103,7 @@ class EffectComparison:
             "plain": np.where((x == 0.0) & (y == 0.0), 0.3, 0.0),
             "hill": 120.0 * np.exp(-((x - 320.0) ** 2 + (y - 640.0) ** 2) / 120.0**2),
         }
-        grounds |= {f"valley{percent}": percent / 100.0 * np.abs(x - 640.0) for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35)}
+        grounds |= {f"valley{percent}": percent / 100.0 * np.abs(x - 640.0) for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35, 50)}
         for name, heights in grounds.items():
             write_geotiff(folder / f"{name}.tif", heights.astype(np.float32), UTM, *CORNER_M, CELL_M)
         floor = np.zeros((CELLS, CELLS), np.float32)
@@ -106,27 +118,57 @@ class EffectComparison:
         path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
         return build_scene(load_level(path))
 
-    def change_by(self, effect: str, case: EffectCase) -> EffectChange:
-        """Return the change by an effect in a case."""
+    def change_by(self, effect: EffectName, case: EffectCase) -> EffectChange:
+        """Return the change by an effect in a case. Changes are drawn once."""
+        if (effect, case.name) not in self._changes:
+            self._changes[effect, case.name] = self._draw_change(effect, case)
+        return self._changes[effect, case.name]
+
+    def _draw_change(self, effect: EffectName, case: EffectCase) -> EffectChange:
         scene = self.scene({**case.keys, "views": {"view": case.view}})
-        view = scene.view("view")
-        plan = make_plan(describe(scene, view, "view"), scene.loaded.level)
-        (with_effect, ran), (without_effect, ran_without) = (self._picture(scene, effect, override) for override in ("on", "off"))
+        descriptor = describe(scene, scene.view("view"), "view")
+        plan = make_plan(descriptor, scene.loaded.level)
+        (with_effect, ran), (without_effect, ran_without) = (
+            self._picture(scene, effect, plan, is_on) for is_on in (True, False)
+        )  # fmt: skip
         assert not ran_without
+        called_for = EFFECTS[effect].verdict(effect, descriptor).is_needed
+        assert effect == "soft_edges" or (effect in plan.effect_names) == called_for
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
+        difference = np.abs(with_effect - without_effect).max(axis=-1)
         excess = max(_neighbourhood_excess(with_effect, without_effect), _neighbourhood_excess(without_effect, with_effect))
         return EffectChange(
-            case.name, effect in plan.effect_names, reason, ran, int(np.abs(with_effect - without_effect).max()), excess
-        )
+            case.name, descriptor, called_for, reason, ran, int(difference.max()), float((difference > 1).mean()), excess
+        )  # fmt: skip
 
     @staticmethod
-    def _picture(scene: Scene, effect: str, override: str) -> tuple[np.ndarray, bool]:
-        level = scene.loaded.level
-        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].required_effects, "on"), effect: override}})
+    def _picture(scene: Scene, effect: EffectName, plan: Plan, is_on: bool) -> tuple[np.ndarray, bool]:
+        """Return the picture with an effect forced on or off, drawn by the plan's own algorithms, and whether the effect ran.
+
+        Algorithms that the plan leaves out for want of the effect are those of the rules. Soft edges that are on are the penumbrae
+        of the sun's disc, which more algorithms can draw than the taps of a filter.
+        """
+        level, view = scene.loaded.level, scene.view("view")
+        effects = {**dict.fromkeys(EFFECTS[effect].required_effects, "on"), effect: "on" if is_on else "off"}
+        forced = level.model_copy(update={"effects": effects})
+        own = {
+            light: {kind: name for kind, name in algorithm.items() if name != NO_SHADOWS}
+            for light, algorithm in plan.algorithm.items()
+        }
+        overrides: dict[str, Any] = {"algorithm": {light: algorithm for light, algorithm in own.items() if algorithm} or "auto"}
+        if effect == "soft_edges" and is_on:
+            overrides["filter"] = "sun"
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
-        view = scene.view("view")
-        frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))
+        forced_plan = make_plan(describe(scene, view, "view"), forced, overrides)
+        if is_on or effect not in SHADOW_SWITCHES:
+            for light, algorithm in own.items():
+                assert algorithm.items() <= forced_plan.algorithm.get(light, {}).items(), "the plan's own algorithms are not drawn"
+        frame = render_frame(replace(scene, loaded=loaded), view, forced_plan)
         return frame.color.astype(np.int32), effect in frame.plan.effect_names
+
+
+SHADOW_SWITCHES = frozenset({"cast_shadows", "alpha_test", "lamps"})
+"""Effects without which some algorithms of the plan have nothing to draw."""
 
 
 def _neighbourhood_excess(picture: np.ndarray, other: np.ndarray) -> int:
@@ -194,13 +236,23 @@ def alpha_test() -> Iterator[EffectCase]:
 
 
 def soft_edges() -> Iterator[EffectCase]:
+    post = [{"source": "post.obj", "at": [0.0, 0.0]}]
+    for altitude in (60.0, 30.0, 20.0):
+        # Windows at the end of the shadow of the post, 12 m high and 4 m wide: pixels of 0.04 to 1.7 m.
+        end_m = 2.0 + 12.0 / float(np.tan(np.radians(altitude)))
+        for half_width_m in (1.5, 2.0, 3.0, 4.0, 12.0, 20.0, 40.0, 60.0):
+            bounds = [-half_width_m, end_m - half_width_m, half_width_m, end_m + half_width_m]
+            keys = level_keys("floor", 180.0, altitude, meshes=post)
+            yield EffectCase(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
+
+
+def tapped_edges() -> Iterator[EffectCase]:
+    """Yield posts with narrow penumbrae whose edges a shadow map filters by taps if soft edges are forced on."""
     post = [{"source": "post.obj", "at": [0.0, -20.0]}]
-    for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
+    for altitude in (80.0, 70.0, 60.0, 50.0, 40.0):
         for half_width_m in (10.0, 40.0):
             bounds = [-half_width_m, -20.0 - half_width_m, half_width_m, half_width_m - 20.0]
-            keys = level_keys(
-                "floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map"}
-            )  # volumes have sharp edges
+            keys = level_keys("floor", 180.0, altitude, meshes=post, shadows={"algorithm": "shadow_map", "filter": "auto"})
             yield EffectCase(f"post {altitude} degrees, {half_width_m} m", keys, {**MAP, "bounds": bounds})
 
 
@@ -217,11 +269,20 @@ def outside_casters() -> Iterator[EffectCase]:
 def refraction() -> Iterator[EffectCase]:
     for hour in ("05:35", "06:00", "06:30", "07:30", "08:30", "09:30", "11:00", "12:00"):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
-            keys = {
-                "terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"},
-                "shadows": {"algorithm": "sweep"},  # not a map, whose texels turn with the sun
-            }  # fmt: skip
+            keys = {"terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"}}
             yield EffectCase(f"hills {view_name} {hour}", keys, view)
+    for hour in ("07:30", "09:30", "12:00"):
+        for side_m in (150.0, 1200.0):
+            keys = {"terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"}}
+            clouds_at = map_window(640.0, 640.0, side_m)
+            yield EffectCase(f"clouds {hour}, {side_m} m", {**keys, "weather": {"cloud_cover": 0.5}}, clouds_at)
+    post = [{"source": "post.obj", "at": list(GROUND_CENTRE)}]
+    for hour, azimuth, altitude in (("06:15", 88.7, 5.9), ("07:00", 97.1, 13.3), ("10:00", 138.3, 39.9)):
+        length_m = 12.0 / float(np.tan(np.radians(altitude)))
+        east_m, south_m = (643.4 - length_m * np.sin(np.radians(azimuth)), 649.3 + length_m * np.cos(np.radians(azimuth)))
+        for side_m in (5.0, 12.0, 30.0, 200.0, 600.0):  # windows at the end of the post's shadow
+            keys = {"terrain": {"source": "plain.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"}, "meshes": post}
+            yield EffectCase(f"post {hour}, {side_m} m", keys, map_window(float(east_m), float(south_m), side_m))
     yield EffectCase("angles", level_keys("hills", 100.0, 10.0), MAP)
 
 
@@ -268,6 +329,11 @@ def ground_detail() -> Iterator[EffectCase]:
     for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
         yield EffectCase(f"skyline {up_m}", level_keys("plain"), skyline_view(up_m))
     yield EffectCase("map", level_keys("hills"), map_window(640.0, 640.0, 20.0))
+    yield EffectCase("room", room_keys(), perspective_view((3.7, -2.8, 2.05), (-1.0, 0.5, 0.6), 60.0, 2))
+    for style in ("swiss", "grey", "urban", "analysis"):
+        yield EffectCase(f"style {style}", level_keys("slope", style={"name": style}), PERSPECTIVE)
+    for altitude in (-3.0, -9.0, -30.0):
+        yield EffectCase(f"sun at {altitude}", level_keys("slope", altitude=altitude), PERSPECTIVE)
 
 
 def crowns() -> Iterator[EffectCase]:
@@ -299,9 +365,11 @@ def clouds() -> Iterator[EffectCase]:
 
 
 def sky_view() -> Iterator[EffectCase]:
-    for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
+    for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35, 50):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             yield EffectCase(f"valley of {percent} % {view_name}", level_keys(f"valley{percent}"), view)
+        overcast = level_keys(f"valley{percent}", weather={"cloud_cover": 1.0})
+        yield EffectCase(f"valley of {percent} %, overcast", overcast, MAP)
     for name in ("plain", "slope"):
         yield EffectCase(name, level_keys(name), MAP)
     for altitude in (-20.0, -3.0, 70.0):
@@ -342,6 +410,25 @@ def haze() -> Iterator[EffectCase]:
             f"clear, {distance_m} m above a floor", level_keys("floor"), perspective_view((0, 0, distance_m), (0, 0.01, 0), 20.0)
         )
     yield EffectCase("map", level_keys("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
+    for name, eye, target, fov in (
+        ("main", (3.7, -2.8, 2.05), (-1.0, 0.5, 0.6), 60.0),
+        ("close", (-1.9, -2.5, 1.75), (0.5, -0.5, 0.5), 55.0),
+    ):
+        for visibility in (None, 2e4, 2e3):
+            weather = {} if visibility is None else {"visibility": visibility}
+            yield EffectCase(f"room {name}, {visibility}", room_keys(weather=weather), perspective_view(eye, target, fov, 6))
+    for distance_m in (20.0, 60.0, 120.0, 180.0, 300.0, 500.0):  # white posts in the light of a lamp by night
+        posts = [{"source": "post.obj", "at": [[0.0, 6.0 * k] for k in range(-4, 5)], "color": [1.0, 1.0, 1.0]}]
+        lamp = {"kind": "omni", "position": [-25.0, 0.0, 15.0], "intensity": 3.0}
+        keys = {"terrain": {"source": "floor.tif"}, "sun": "none", "lights": {"lamp": lamp}, "meshes": posts}
+        view = perspective_view((-0.8 * distance_m, 0.0, 0.6 * distance_m), (0.0, 0.0, 4.0), 15.0, 6)
+        yield EffectCase(f"lamp at {distance_m} m", keys, view)
+
+
+def room_keys(**keys: Any) -> dict[str, Any]:
+    """Return the keys of the bundled room under the sun."""
+    sun = {"azimuth": 208.0, "altitude": 60.0}
+    return {"terrain": {"flat": {"size": [24, 24], "cells": [100, 100]}}, "meshes": [{"generate": "room"}], "sun": sun, **keys}
 
 
 CASES: dict[str, Callable[[], Iterator[EffectCase]]] = {

@@ -61,11 +61,13 @@ class _Facts(BaseModel):
 
 
 class HazeFacts(_Facts):
-    """Facts of ``skugga.terrain.effects.haze``, in metres."""
+    """Facts of ``skugga.terrain.effects.haze``: metres, a share of the pixels, and steps of 255."""
 
     visibility_m: Annotated[FactNumber, Field(gt=0.0)] | None = None
     farthest_m: FactNumber | None = None
     shows_from_m: FactNumber | None = None
+    changed_share: FactFraction | None = None
+    max_steps: FactNumber | None = None
 
 
 class SnowFacts(_Facts):
@@ -129,11 +131,13 @@ class CrownFacts(_Facts):
 
 
 class GroundDetailFacts(_Facts):
-    """Facts of ``skugga.terrain.effects.ground_detail``: metres, and a share of the albedo."""
+    """Facts of ``skugga.terrain.effects.ground_detail``: metres, a share of the albedo, and steps of 255."""
 
     draped: StrictBool
+    natural: StrictBool = True
     nearest_m: FactNumber | None
     share: FactNumber | None
+    steps: FactNumber | None = None
 
 
 class OutsideCasterFacts(_Facts):

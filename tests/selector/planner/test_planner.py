@@ -39,7 +39,9 @@ def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
     assert [effect.name for effect in plan.left_out] == [
         "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "lamps", "water", "haze",
     ]  # fmt: skip
-    assert "the edges of sweep are sharp" in next(item.reason for item in plan.left_out if item.name == "soft_edges")
+    assert "but not simulated: sweep for relief draws hard edges" in next(
+        item.reason for item in plan.left_out if item.name == "soft_edges"
+    )
     assert [reason.name for reason in plan.reasons] == ["sun/relief: sweep"] and "heightfield" in plan.reasons[0].reason
     assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "sweep"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skugga.api.catalogue import find_level
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.ground_detail import (
@@ -15,13 +16,16 @@ from skugga.terrain.effects.ground_detail import (
     GROUND_WAVES,
     MAX_INVISIBLE_ALBEDO_CHANGE,
     apply_ground_detail,
+    has_natural_ground,
     max_albedo_change,
+    max_code_steps,
 )
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.geo.camera import look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.srgb import srgb_of_linear
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -67,6 +71,39 @@ def test_ground_detail_is_not_needed_on_imagery(scene):
     facts = {**descriptor.facts, "ground_detail": {**descriptor.facts["ground_detail"], "draped": True}}
     verdict = EFFECT.judge(descriptor.model_copy(update={"facts": facts}))
     assert not verdict.is_needed and "imagery" in verdict.reason
+
+
+@pytest.mark.parametrize("style", ["grey", "urban", "analysis"])
+def test_ground_detail_needs_natural_ground(scene, style):
+    """Stone and neutral ground has no tufts, also if the effect is forced on."""
+    styled_scene = scene.with_style(style)
+    verdict = EFFECT.judge(describe(styled_scene, scene.view("eye"), "eye"))
+    assert not verdict.is_needed and "no natural ground" in verdict.reason
+    points = np.column_stack([np.linspace(-3, 3, 50), np.zeros(50), np.zeros(50)])
+    assert (detail_at(styled_scene, points, np.array([0.0, 0.0, 5.0])) == 1.0).all()
+    assert (detail_at(scene.with_style("swiss"), points, np.array([0.0, 0.0, 5.0])) != 1.0).any()
+
+
+@pytest.mark.parametrize(("level", "view"), [("thesis_room", "main"), ("thesis_room_sun", "close"), ("thesis_boxgrid", "main")])
+def test_floors_have_no_ground_detail(level, view):
+    scene = build_scene(load_level(find_level(level)))
+    assert not has_natural_ground(scene)
+    assert not EFFECT.judge(describe(scene, scene.view(view), view)).is_needed
+
+
+def test_ground_detail_is_not_needed_on_dark_ground(scene):
+    descriptor = describe(scene, scene.view("eye"), "eye")
+    facts = {**descriptor.facts, "ground_detail": {**descriptor.facts["ground_detail"], "steps": max_code_steps(0.0005, 0.5)}}
+    verdict = EFFECT.judge(descriptor.model_copy(update={"facts": facts}))
+    assert not verdict.is_needed and "too dark" in verdict.reason
+
+
+def test_code_steps_bound_every_darker_colour():
+    colors = np.linspace(0.0, 0.3, 500)
+    for share in (0.05, 0.4, 1.2):
+        brighter, darker = (255.0 * srgb_of_linear(np.maximum(colors * factor, 0.0)) for factor in (1.0 + share, 1.0 - share))
+        codes = 255.0 * srgb_of_linear(colors)
+        assert max(np.max(brighter - codes), np.max(codes - darker)) == pytest.approx(max_code_steps(0.3, share))
 
 
 def test_largest_share_bounds_detail_and_falls_with_pixel_size(scene):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyogrio
@@ -11,6 +12,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
@@ -18,6 +20,8 @@ from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
     CLEAR_AIR_VISIBILITY_M,
     EFFECT,
+    MAX_CHANGED_PIXEL_SHARE,
+    MAX_NEAR_STEPS,
     RAYLEIGH_SCATTERING_PER_M,
     SRGB_ENCODER_BIN_WIDTH,
     _max_clipped_distance,
@@ -33,6 +37,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import MESHES
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import Weather
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.shading import encode_srgb, shade
 from skugga.terrain.sky import horizon_colors, sky_color, sky_of
@@ -146,6 +151,20 @@ def test_haze_is_not_needed_in_maps_near_views_and_sky(make_floor_scene):
     assert "100.0 km of visibility haze shows from" in verdict(near).reason and not verdict(near).is_needed
     sky_scene = make_floor_scene(target=(0.0, 0.0, 400.0), weather={"visibility": 100})
     assert "farther than 0.0 m" in verdict(sky_scene).reason and not verdict(sky_scene).is_needed
+
+
+@pytest.mark.parametrize("view", ["main", "close"])
+def test_haze_is_not_needed_in_a_room(gl, view):
+    """Inside a sunlit room haze changes few dark pixels, by at most ``MAX_NEAR_STEPS``. In thick air it is needed."""
+    scene = build_scene(load_level(find_level("thesis_room_sun")))
+    decision = verdict(scene, view)
+    assert not decision.is_needed and "none by more than" in decision.reason
+    with_haze, without_haze = (render_picture(scene, haze, view)[0] for haze in ("on", "off"))
+    change = np.abs(with_haze - without_haze).max(axis=-1)
+    assert change.max() <= MAX_NEAR_STEPS and 0.0 < (change > 1).mean() <= MAX_CHANGED_PIXEL_SHARE
+    hazy_level = scene.loaded.level.model_copy(update={"weather": Weather(visibility=5000.0)})
+    hazy_scene = replace(scene, loaded=scene.loaded.model_copy(update={"level": hazy_level}))
+    assert verdict(hazy_scene, view).is_needed
 
 
 def test_haze_forced_on_in_a_map_changes_nothing(make_floor_scene):
