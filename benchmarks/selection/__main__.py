@@ -4,6 +4,7 @@
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
     python -m benchmarks.selection probe DATA [--folder build/selection]      what probes measure of every choice; half an hour
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
+    python -m benchmarks.selection compare DATA [--folder build/selection]    errors again, of rows and probes; times are kept
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
     python -m benchmarks.selection accept                                     changed code has the times and errors of before
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
@@ -27,15 +28,18 @@ from typing import Any
 from benchmarks.selection.code_versions import accept_code
 from benchmarks.selection.cost_of_accuracy import device_name, write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
-from benchmarks.selection.measure import describe_again, measure_instance, measure_probes, time_again
+from benchmarks.selection.measure import compare_again, describe_again, measure_instance, measure_probes, time_again
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
 from benchmarks.selection.views import instances
 from skugga.selector.cost.device_profile import load_profile
 from skugga.terrain.gl.device import device
 
-WORK_STEPS = {"measure": "rows", "time": "anew", "describe": "plan_ms", "probe": "probe"}
+WORK_STEPS = {"measure": "rows", "time": "anew", "compare": "compared anew", "describe": "plan_ms", "probe": "probe"}
 """Steps that run view by view, and the key of a record that marks them as done."""
+
+REPEATED_STEPS = {"time": time_again, "compare": compare_again, "describe": describe_again, "probe": measure_probes}
+"""Functions of the steps that change a view's record."""
 
 PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
 MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
@@ -105,11 +109,7 @@ def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done
         if record is not None and WORK_STEPS[step] in record and not repeats_done:
             continue
         start = time.perf_counter()
-        new_record = (
-            measure_instance(instance, data)
-            if record is None
-            else {"time": time_again, "describe": describe_again, "probe": measure_probes}[step](instance, data, record)
-        )
+        new_record = measure_instance(instance, data) if record is None else REPEATED_STEPS[step](instance, data, record)
         _write(folder, new_record)
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)
 

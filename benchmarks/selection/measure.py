@@ -15,7 +15,7 @@ from benchmarks.selection.judge import GOALS
 from benchmarks.selection.probes import record_probes
 from benchmarks.selection.views import ViewInstance
 from skugga.selector.candidates import name_of
-from skugga.selector.cost.device_profile import load_profile
+from skugga.selector.cost.device_profile import DeviceProfile, load_profile
 from skugga.selector.measure.compare import NO_CAST_SHADOW_REMARK, compare, picture_blocks, run_light
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.portfolio import portfolio
@@ -109,6 +109,32 @@ def time_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     return measure_instance(instance, data) | {key: record[key] for key in ("probe", "probed", "plan_ms") if key in record}
 
 
+def compare_again(instance: ViewInstance, data: Path, record: Figures) -> Figures:
+    """Return a record whose errors are measured again, those of rows and of probes, while all times are kept.
+
+    It serves after a change of the code that alters pictures but takes the same time. Errors do not depend on other load of the
+    machine. Raises ``ValueError`` if a choice leads to a row that was never measured.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        scene, view = instance.open(data, Path(folder))
+        light = record["light"]
+        plans = plans_of(describe(scene, view, instance.view), scene, light)
+        comparison = _compare_supported(scene, view, instance.view, light, plans)
+        names = rows_of(plans, light)
+        if missing := set(names.values()) - set(record["rows"]):
+            raise ValueError(f"{instance.name}: rows without times: {', '.join(sorted(missing))}")
+        errors = {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), comparison.rows, strict=True)}
+        probe_record = record_probes(scene, view, instance.view, light, _calibration())
+    rows = {row: record["rows"][row] | figures for row, figures in errors.items()}
+    probe = record["probe"]
+    probed_rows = {row: old | {"proofs": probe_record["rows"][row]["proofs"]} for row, old in probe["rows"].items()}
+    return record | {
+        "picks": names, "rows": rows, "boundary": _rounded(comparison.undecided_share),
+        "noise_floor": _rounded(comparison.noise_floor), "remarks": comparison.remarks,
+        "compared": origin_now(algorithms_of(rows)), "probe": _all_rounded(probe | {"rows": probed_rows}),
+    }  # fmt: skip
+
+
 def _is_refused(choice: str, record: Figures) -> bool:
     """Return whether a choice was left out of a record because its algorithm refused the view."""
     return "sweep" in choice and choice not in record["picks"]
@@ -153,10 +179,15 @@ def measure_probes(instance: ViewInstance, data: Path, record: Figures) -> Figur
     """Return a record with the measurements of probes."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.open(data, Path(folder))
-        profile = load_profile(device().renderer, device().version)
-        assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
-        probe_record = record_probes(scene, view, instance.view, record["light"], profile)
+        probe_record = record_probes(scene, view, instance.view, record["light"], _calibration())
         return record | {"probe": _all_rounded(probe_record), "probed": origin_now(algorithms_of(record["rows"]))}
+
+
+def _calibration() -> DeviceProfile:
+    """Return the calibration of this machine's device."""
+    profile = load_profile(device().renderer, device().version)
+    assert profile is not None and not profile.is_estimate, "run skugga calibrate first"
+    return profile
 
 
 def _all_rounded(value: Any) -> Any:
