@@ -39,8 +39,8 @@ MUTANTS = {
         + cases("test_films", "test_films_of_moving_bodies", "shadow_map", "planar"),
     ),
     "western_suns": Mutant(
-        "suns in the west stand five degrees farther in the north",
-        wrapped("terrain.geo.sun:sun_of", _with_azimuth(lambda azimuth: azimuth + 5.0 * (azimuth > 180.0))),
+        "suns in the west stand ten degrees farther in the north",
+        wrapped("terrain.geo.sun:sun_of", _with_azimuth(lambda azimuth: azimuth + 10.0 * (azimuth > 180.0))),
         cases("test_films", "test_films_from_every_side", "shadow_map", "sweep")
         + cases("test_films", "test_perspective_films_from_every_side", "perspective_shadow_map"),
     ),
