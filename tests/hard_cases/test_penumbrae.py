@@ -172,7 +172,6 @@ def test_half_shadow_of_the_sun(trial: Trial) -> dict[str, float]:
     "The same behind an edge that runs aslant to the sun, which cuts the disc along a chord that is not level",
     "the same ridge, the sun 30 degrees aslant (long: 45 degrees, too)",
     {"share of light": 1.0, "width": 1.0},
-    known_shortfalls={("sweep", "share of light"): 2.29, ("sweep", "width"): 2.88},
 )
 def test_half_shadow_of_an_edge_aslant(trial: Trial) -> dict[str, float]:
     """The sweep takes the horizon as level over the disc, so its penumbrae are too wide: by 1 / cos(t) for a chord that is
