@@ -113,14 +113,14 @@ def look_up(
         split = int(np.searchsorted(depth_map.point_indices, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged anyway
         parts = (depth_map.point_indices[:split], settings.filter), (depth_map.point_indices[split:], sample_filter)
-        flat_arrays = [
+        flat_arrays: list[np.ndarray] = [
             a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
         ]
-        surface_kind = buffer.surface_kind.reshape(-1)
+        flat_arrays.append(buffer.surface_kind.reshape(-1))
         if settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform:
             depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.face_size, reuse_memory=True)
             record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
-            points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], flat_arrays[3], surface_kind)
+            points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], *flat_arrays[3:])
             for part, filter in parts:
                 look_up_points(
                     sun_map(depth_map, depths), _depth_comparison(settings, int(filter)), points, part, visibility.reshape(-1)
@@ -134,7 +134,7 @@ def look_up(
                 set_uniforms(program, {"corner_frame_m": 2})
                 rows = -(-len(chosen) // LOOKUP_COLS)
                 gathered = [np.zeros((rows * LOOKUP_COLS, width), np.float32) for width in (3, 4, 9)]
-                _gather_points(chosen, *flat_arrays, surface_kind, *gathered)
+                _gather_points(chosen, *flat_arrays, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
 
