@@ -97,9 +97,14 @@ class LocalPool:
         return [process.pid for process in self._processes]
 
     def _start_process(self, number: int) -> RenderProcess:
+        """Start a render process without waiting for it. ``number`` counts the processes of the pool from 0."""
         return RenderProcess(self._environment, self._start_timeout_s, number)
 
     def _replace(self, process: RenderProcess, reason: str) -> list[TaskFailure]:
+        """Replace a process that has died or hangs. Return the failure of the task that it was drawing, or an empty list.
+
+        ``reason`` is the text of the failure. Raises ``GraphicsError`` after too many starts in a row that draw nothing.
+        """
         lost_task = process.task
         process.end()
         self._failed_starts += 1

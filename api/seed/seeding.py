@@ -98,7 +98,10 @@ def draw_and_publish(
 
 
 def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> None:
-    """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take too long."""
+    """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take longer than ``max_ms``, milliseconds.
+
+    Without ``max_ms`` the time limit of a service applies.
+    """
     zooms_with_tasks = {(sun, zoom) for sun, zoom, *_ in table.waiting_totals()}
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
@@ -118,6 +121,10 @@ def _draw(
     on_progress: Callable[[TaskCompletion], None],
     min_timeout_s: float,
 ) -> int:
+    """Draw all waiting tasks with the workers that ``start_runner`` returns, and return their number.
+
+    No workers start without tasks.
+    """
     waiting_count = len(table.waiting_tasks())
     if waiting_count:
         runner = start_runner()

@@ -48,13 +48,13 @@ class PlannedTask(NamedTuple):
     sun : str
         Name of the sun.
     zoom, x, y : int
-        The block.
+        The zoom, and the column and row of the block, counted in blocks.
     first_tile : int
-        Smallest tile id of the block.
+        Smallest PMTiles tile id of the block.
     parts : InputDigests
         Digests of the inputs of its tiles.
     data_share : float
-        Share of the block that shows data.
+        Approximate fraction of the block's area that shows data, above 0 to 1.
     expected_s : float
         Expected duration in seconds.
     """
@@ -70,7 +70,21 @@ class PlannedTask(NamedTuple):
 
 
 class InputDigests(NamedTuple):
-    """Digests of the inputs of a task's tiles, except block and sun. A task is drawn again if one of them changes."""
+    """Digests of the inputs of a task's tiles, except block and sun. A task is drawn again if one of them changes.
+
+    Attributes
+    ----------
+    renderer : str
+        Digest of this package's renderer version and of the OpenGL renderer.
+    settings : str
+        Digest of the level without its ground, and of the request.
+    plan : str
+        Digest of the plan's algorithms, settings and effects.
+    height_range : str
+        Digest of the level's lowest and highest ground.
+    ground : str
+        Digest of the ground that the block's tiles depend on.
+    """
 
     renderer: str
     settings: str
@@ -91,7 +105,17 @@ NEW_REASON, SHARD_LOST_REASON = "not drawn yet", "the shard is missing or corrup
 
 @dataclass(frozen=True)
 class FailedTask:
-    """A failed task with its error."""
+    """A failed task with its error.
+
+    Attributes
+    ----------
+    zoom, x, y : int
+        The zoom, and the column and row of the block, counted in blocks.
+    sun : str
+        Name of the sun.
+    error : str
+        The reason in words.
+    """
 
     zoom: int
     x: int
@@ -199,6 +223,7 @@ class TaskTable:
             )
 
     def _rows(self, tasks: Iterable[PlannedTask]) -> Iterator[tuple[Any, ...]]:
+        """Yield the row of the table for each planned task, in the order of the columns that ``set_tasks`` writes."""
         for task in tasks:
             parts = ":".join(task.parts)
             yield (
@@ -299,7 +324,7 @@ class TaskTable:
     def waiting_totals(self) -> list[tuple[str, int, str, int, float, float]]:
         """Return a summary of the waiting tasks by sun, zoom and reason.
 
-        Each row holds sun, zoom, reason, number of tasks, the sum of their shares with data, and expected seconds.
+        Each row holds sun, zoom, reason, number of tasks, the sum of their fractions with data, and expected seconds.
         """
         return self._db.execute(
             "SELECT sun, zoom, why, count(*), sum(share), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
@@ -334,6 +359,7 @@ def task_key(task: PlannedTask) -> str:
 
 
 def _reason_of_change(old_digests_json: str, new_digests_json: str) -> str:
+    """Return why a task is drawn again: the text of ``REASONS`` for the first input whose digest differs."""
     pairs = zip(InputDigests._fields, old_digests_json.split(":"), new_digests_json.split(":"), strict=True)
     return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 
