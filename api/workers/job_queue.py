@@ -166,6 +166,7 @@ class JobQueue:
         return (client_work_s + other_clients_s + running_left_s) / self.process_count
 
     def _choose_next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
+        """Return the job of ``candidates`` whose turn it is; ``None`` without candidates. ``now_s`` is the event loop's time."""
         background: PendingJob | None = None
         first_jobs: dict[str, PendingJob] = {}
         for pending_job in candidates:
@@ -178,7 +179,10 @@ class JobQueue:
         return self._first_by_deficit(first_jobs) if first_jobs else None
 
     def _first_by_deficit(self, first_jobs: dict[str, PendingJob]) -> PendingJob:
-        """Choose one of the clients' first jobs by deficit round robin, and update the credit of all clients."""
+        """Choose one of the clients' first jobs by deficit round robin, and update the credit of all clients.
+
+        ``first_jobs`` has the job with the lowest sort key of each client.
+        """
         ordered_clients = [client for client in self.credit_s if client in first_jobs]  # ordered by last turn
         deficits_s = {
             client: first_jobs[client].cost_s - self.credit_s.get(client, 0.0)
@@ -199,4 +203,5 @@ class JobQueue:
         return first_jobs[chosen]
 
     def _is_short(self, pending: PendingJob) -> bool:
+        """Return whether a job may use the process that is kept free for short jobs."""
         return not pending.is_background and self.expected_times.is_short(pending.job)
