@@ -117,5 +117,6 @@ class _ServiceCollector(Collector):
 
 
 def _names_of(family: Metric) -> Iterator[str]:
+    """Yield the names of the time series of a family of metrics."""
     endings = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}
     yield from (family.name + ending for ending in endings.get(family.type, ("",)))
