@@ -23,7 +23,10 @@ NO_SUN_REMARK = "the level has no default sun. Give a time"
 
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
-    """Return the report of a point of a level under the scene's sun. Raises ``InputError``."""
+    """Return the report of a point of a level under the scene's sun. Raises ``InputError``.
+
+    ``crs`` is the CRS of the query's ``lon`` and ``lat``; ``None``: degrees, or metres in a flat world.
+    """
     surroundings = point_surroundings(scene, query, crs)
     place = surroundings.place
     day = requested_day(scene, query, place.lon_deg)
@@ -66,7 +69,10 @@ def report_with_remark(scene: Scene, query: PointQuery) -> PointReport:
 
 
 def point_surroundings(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
-    """Return a point's place and its surroundings. Raises ``InputError``."""
+    """Return a point's place and its surroundings. Raises ``InputError``.
+
+    ``crs`` is the CRS of the query's ``lon`` and ``lat``; ``None``: degrees, or metres in a flat world.
+    """
     return load_surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
 
 
@@ -115,6 +121,7 @@ def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
 
 
 def _reported_day(day: SunDay, clock: str) -> ReportedDay:
+    """Return the report of a day's sun. ``clock`` is the clock's name."""
     intervals = tuple(
         ReportedInterval(
             begin=interval.begin, end=interval.end, after=reported_caster(interval.occluder_before),
@@ -130,4 +137,5 @@ def _reported_day(day: SunDay, clock: str) -> ReportedDay:
 
 
 def _clock_name(query: PointQuery, clock: tzinfo) -> str:
+    """Return the name of a clock as the query spells it, or else the clock's own name."""
     return str(clock.tzname(datetime.now(UTC))) if query.clock is None else query.clock

@@ -135,6 +135,7 @@ def comparison_facts(scene: Scene, comparison: Comparison, view: str) -> dict[st
 
 
 def _table_cells(row: ComparisonRow) -> list[str]:
+    """Return the figures of a row as texts, in the order of the table's columns."""
     f = row.figures
     return [
         f["name"],

@@ -77,6 +77,7 @@ def bars_legend(figures: list[RowFigures]) -> str:
 
 
 def _colour_swatch(colour: str) -> str:
+    """Return a small square of a colour as an SVG element."""
     return tag("svg", tag("path", d="M2 2H14V14H2Z", fill=colour), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
@@ -88,12 +89,14 @@ def stages_of(figures: RowFigures) -> dict[str, float]:
 
 
 def _stage_colours(figures: list[RowFigures]) -> dict[str, str]:
+    """Return the colour of each stage that occurs in the rows, by the stage's name."""
     stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in stages if name != REST_STAGE])
     return colours | ({REST_STAGE: COLOURS["gray"]} if REST_STAGE in stages else {})
 
 
 def _total_ms(figures: RowFigures) -> float:
+    """Return the length of a row's bar in milliseconds."""
     return sum(stages_of(figures).values())
 
 
@@ -108,6 +111,7 @@ def _end_ms(figures: list[RowFigures]) -> float:
 
 
 def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
+    """Yield the vertical lines of the time axis and their labels. ``bottom`` is the lower end of the lines in pixels."""
     power = 10.0 ** floor(log10(axis.end_ms / 4.0))
     step = next(f * power for f in (1, 2, 5, 10) if f * power >= axis.end_ms / 8.0)
     for k in range(floor(axis.end_ms / step) + 1):
@@ -117,6 +121,10 @@ def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
 
 
 def _bar_elements(row_index: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
+    """Return the bar of a row as an SVG element: its segments, its name and its time, with a link to the table.
+
+    ``y`` is the top of the bar in pixels. ``colours`` has the colours of stages by name.
+    """
     stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT_PX - 3.0
     x, parts = axis.left_px, []
     for name, ms in stages.items():

@@ -133,6 +133,7 @@ def _pixel_blocks(values: np.ndarray, shrink_factor: int) -> np.ndarray:
 
 
 def _webp(picture: np.ndarray, **options: int) -> str:
+    """Return a picture, uint8, as a ``data:`` URI of a WebP file. ``options`` are Pillow's options of the encoder."""
     file = BytesIO()
     Image.fromarray(picture).save(file, "WEBP", **options)
     return f"data:image/webp;base64,{b64encode(file.getvalue()).decode()}"
