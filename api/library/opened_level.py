@@ -117,6 +117,7 @@ class OpenLevel(LevelPictures, LevelRasters, LevelPoints):
         )  # fmt: skip
 
     def _service(self) -> TileService:
+        """Return the tile service of the level, and start it at the first call. A raster in memory is written to a file for it."""
         if self._tile_service is None:
             source = self._source
             if self._memory_file is not None:  # another process cannot read this memory

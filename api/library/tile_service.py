@@ -62,6 +62,7 @@ class TileService:
         self._stop_process()
 
     def _wait_until_ready(self, process: subprocess.Popen[bytes]) -> None:
+        """Wait until the service answers that it can draw. Raises ``RenderError`` if it ends, or after ``START_TIMEOUT_S``."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline and process.poll() is None:
             try:
@@ -76,12 +77,14 @@ class TileService:
 
 
 def _free_port() -> int:
+    """Return a TCP port of this machine that is free now."""
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
 
 
 def _stop_process(process: subprocess.Popen[bytes], log_file: IO[str]) -> None:
+    """Close the log file, and end the process: by SIGTERM, and by SIGKILL if it has not ended after ten seconds."""
     log_file.close()
     process.terminate()
     try:
