@@ -61,6 +61,10 @@ def probe_all_scales(
 
 
 def _save_probes(version: str, probes: MapProbes) -> str:
+    """Save the probes of the level with this version for the device in use, and return a message that names the file.
+
+    Raises ``LevelError`` if the file cannot be written.
+    """
     renderer, driver = gl.renderer_and_version()
     try:
         path = save_probes(renderer, driver, version, probes)

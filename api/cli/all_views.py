@@ -136,8 +136,10 @@ def algorithms_label(plan: Plan) -> str:
 
 
 def _casts_shadows(plan: Plan) -> bool:
+    """Return whether a plan draws cast shadows from any light and any kind of caster."""
     return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 
 def _level_spec(planned_view: PlannedView) -> Any:
+    """Return the parsed level file of a planned view."""
     return planned_view.scene.loaded.level

@@ -129,4 +129,5 @@ def _quoted_path(folder: Path, file: Path) -> str:
 
 
 def _quoted(text: str) -> Any:
+    """Return a text in double quotes, which YAML reads as the same text."""
     return json.dumps(text, ensure_ascii=False)

@@ -99,6 +99,7 @@ def with_level_argument(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _level_sources(names: list[str] | None, raster_options: dict[str, Any]) -> list[LevelSource]:
+    """Return the levels of ``serve`` from their names or files. Options of a raster need exactly one. Raises ``InputError``."""
     for name, value in raster_options.items():
         if value is not None and len(names or ()) != 1:
             raise InputError(
@@ -120,6 +121,7 @@ def _named_level_source(text: str, raster_options: dict[str, Any]) -> LevelSourc
 
 
 def _level_source(name: str, raster_options: dict[str, Any]) -> LevelSource:
+    """Return a level from its name or path, with the parsed options that describe a raster. Raises ``InputError``."""
     from skugga.terrain.level.level_source import LevelSource, parse_positive, parse_units
 
     parsed = {

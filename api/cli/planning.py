@@ -136,6 +136,10 @@ def with_shadow_settings(scene: Scene, changes: dict[str, Any]) -> Scene:
 
 
 def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
+    """Raise ``UnsupportedError`` if the view ``name`` of the scene cannot be drawn with the settings of ``scene``.
+
+    ``plan`` is the choice for another view, which is to be pinned; the error names its algorithms.
+    """
     try:
         choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:

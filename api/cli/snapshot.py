@@ -146,6 +146,7 @@ def snapshot_statistics(result: Snapshot) -> dict[str, Any]:
 
 
 def _view_facts(view: MapView | PerspectiveView) -> dict[str, Any]:
+    """Return a view as values for JSON: a map's CRS, bounds and size, or the eye, focal length and size of a perspective view."""
     size = [view.cols, view.rows]
     if isinstance(view, MapView):
         return {"crs": view.grid.crs.to_string(), "bounds": view.bounds, "size": size, "node_step": view.grid.step}
