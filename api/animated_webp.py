@@ -74,11 +74,16 @@ def frame_changes(frames: Iterable[np.ndarray], fps: float) -> Iterator[FrameCha
 
 
 def _frame_time_ms(frame_number: int, fps: float) -> int:
-    """Return the time at which a frame begins, milliseconds."""
+    """Return the time at which a frame begins, milliseconds after the first frame. ``frame_number`` counts frames from 0."""
     return round(1000.0 * frame_number / fps)
 
 
 def _changed_rectangle(color: np.ndarray, is_changed: np.ndarray) -> tuple[int, int, np.ndarray]:
+    """Return the first row, the first column and the new colours of the rectangle that encloses all changed pixels of a frame.
+
+    ``color`` is the frame, uint8 (rows, cols, 3). ``is_changed`` is bool (rows, cols). The returned row and column are even, as the
+    format requires. The returned colours are uint8 (rows, cols, 3). Without a change the rectangle is a small one at the top left.
+    """
     rows, cols = np.flatnonzero(is_changed.any(axis=1)), np.flatnonzero(is_changed.any(axis=0))
     if not len(rows):
         return 0, 0, color[:_UNCHANGED_RECTANGLE_SIDE_PX, :_UNCHANGED_RECTANGLE_SIDE_PX]
@@ -112,7 +117,10 @@ def _color_chunks(content: bytes) -> Iterator[bytes]:
 
 
 def write_header(file: BinaryIO, size: tuple[int, int]) -> None:
-    """Write the header of an endlessly repeated animation of ``size`` (width, height). ``write_riff_length`` completes it."""
+    """Write the header of an endlessly repeated animation. ``write_riff_length`` completes it.
+
+    ``size`` is (width, height) in pixels.
+    """
     width, height = size
     extended = bytes([_ANIMATION_FLAG, 0, 0, 0]) + _uint24(width - 1) + _uint24(height - 1)
     file.write(b"RIFF\0\0\0\0WEBP" + _chunk(b"VP8X", extended) + _chunk(b"ANIM", struct.pack("<IH", 0xFFFFFFFF, 0)))
@@ -134,8 +142,10 @@ def write_riff_length(file: BinaryIO) -> None:
 
 
 def _chunk(chunk_type: bytes, content: bytes) -> bytes:
+    """Return a RIFF chunk: its four-byte type, the length of its content, and the content padded to an even length."""
     return chunk_type + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
 
 
 def _uint24(value: int) -> bytes:
+    """Return a whole number as three bytes, the least significant one first."""
     return value.to_bytes(3, "little")

@@ -37,6 +37,7 @@ _BT709_CODE = 1
 """BT.709's number in the tables of H.273: primaries, transfer and matrix."""
 
 OnFrame = Callable[[int, int], None]
+"""Callback with the number of frames written so far, and their total bytes."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -153,6 +154,7 @@ def _map_in_order(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]
 
 
 def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float, lossless: bool, progress: _Progress) -> None:
+    """Write the frames, uint8 (rows, cols, 3), as an animated WebP file."""
     with path.open("wb") as file:
         for change, content in _map_in_order(lambda change: (change, encode_frame(change, lossless)), frame_changes(frames, fps)):
             if file.tell() == 0:
@@ -163,6 +165,7 @@ def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float, lossless: 
 
 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, progress: _Progress) -> None:
+    """Write the frames, uint8 (rows, cols, 3), as an MP4 file. An odd number of rows or columns is padded by one."""
     av = _import_av()
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = None

@@ -108,6 +108,7 @@ def _parse_span_end(name: str, text: str | None) -> datetime | timedelta:
 
 
 def _parse_step_s(text: str) -> float:
+    """Return the time between two frames in seconds. Raises ``InputError`` for other texts and for less than ``MIN_STEP_S``."""
     try:
         step_s = parse_duration(text).total_seconds()
     except ValueError:

@@ -63,9 +63,10 @@ def probe_blocks(
     overrides: dict[str, Any] | None = None,
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
-    """Probe some blocks of a level's map with pixels of ``pixel_m`` metres.
+    """Probe some blocks of a level's map with pixels whose sides are ``pixel_m`` metres long.
 
-    Returns the plan of the first block and the measurements of all blocks. Raises ``SkuggaError``.
+    ``overrides`` replace settings of the level's ``shadows``. ``budget_s`` limits the seconds of all blocks together. Returns
+    the plan of the first block and the measurements of all blocks. Raises ``SkuggaError``.
     """
     centers = probe_centers(scene, pixel_m)
     probed = [
@@ -113,13 +114,14 @@ def probe_maps(
 
 
 def _level_map(scene: Scene) -> MapView:
+    """Return the map view of a level over its whole extent."""
     view = scene.view("map", scene.default_bounds(scene.map_crs))
     assert isinstance(view, MapView)
     return view
 
 
 def map_block(scene: Scene, pixel_m: float, center_fractions: tuple[float, float] = (0.5, 0.5)) -> MapView:
-    """Return a block of a level's map with pixels of ``pixel_m`` metres.
+    """Return a block of a level's map: a view of as many pixels as are drawn at once, each with a side of ``pixel_m`` metres.
 
     ``center_fractions`` is its centre, as fractions of the level's sides from the west and from the south.
     """
