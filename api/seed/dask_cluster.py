@@ -74,7 +74,10 @@ class DaskCluster:
         self._warm_up()
 
     def prepare_run(self, spec: RunSpec, store_address: str) -> DaskCluster:
-        """Prepare the workers for a run, and return this cluster. Raises ``OSError`` if the shard store is not writable."""
+        """Prepare the workers for a run, and return this cluster. ``store_address`` is the folder or address of the shard store.
+
+        Raises ``OSError`` if the shard store is not writable.
+        """
         content = spec.model_dump_json().encode()
         name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
         open_store(store_address).write(name, content)

@@ -49,7 +49,7 @@ class LocalPool:
         self._processes = [self._start_process(number) for number in range(workers)]
 
     def prepare_run(self, spec: RunSpec, store_address: str) -> LocalPool:
-        """Prepare the processes for a run, and return this pool."""
+        """Prepare the processes for a run, and return this pool. ``store_address`` is the folder or address of the shard store."""
         self._run = spec.model_dump_json(), store_address
         for process in self._processes:
             process.prepare_run(*self._run)

@@ -257,7 +257,10 @@ def _renderer_of(table: TaskTable) -> str:
 
 
 def _zooms_and_bounds(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
-    """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
+    """Return the zooms of a run, and the bounds of the level's data in degrees. Raises ``InputError`` for zooms beyond the data.
+
+    ``requested`` are the zooms of the request; ``None``: from the zoom that shows the whole level to the zoom of its cells.
+    """
     data_bounds = scene.bounds_lon_lat
     if data_bounds is None or scene.world.off_earth_reason is not None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")

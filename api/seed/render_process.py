@@ -37,6 +37,7 @@ code) that the cache on disk lacks, which takes minutes."""
 
 DRAW_TASKS_CODE = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
+# Reason of a failed task, in words.
 DIED_REASON = "its render process ended while drawing it"
 
 EXIT_TIMEOUT_S = 10.0
@@ -67,7 +68,10 @@ class RenderProcess:
         self._set_deadline(None)
 
     def prepare_run(self, spec_json: str, store_address: str) -> None:
-        """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness."""
+        """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness.
+
+        ``store_address`` is the folder or address of the shard store.
+        """
         self._set_deadline(self._start_timeout_s)
         try:
             self.connection.send(StartRun(spec_json, store_address))

@@ -26,6 +26,7 @@ MAX_FILES_PER_TASK_CHECK = 100
 """Up to this number, files are checked after every task."""
 
 POLL_INTERVAL_S = 1.0
+"""Maximum seconds to wait for results before the run looks for free workers again."""
 
 MAX_BATCH_TASKS, MIN_BATCHES_PER_WORKER_QUEUE = 16, 4
 """Maximum number of tasks in a batch for a worker queue, and minimum number of batches per worker queue in the remaining tasks."""

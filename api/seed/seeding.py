@@ -64,11 +64,14 @@ def draw_and_publish(
     min_timeout_s: float = MIN_TASK_TIMEOUT_S,
     max_ms: float | None = None,
 ) -> SeedResult:
-    """Draw all waiting tasks, and write the outputs if none failed. ``min_timeout_s`` is that of ``run_tasks``.
+    """Draw all waiting tasks, and write the outputs if none failed.
+
+    ``store_address`` is the folder or address of ``store``. ``outputs`` has the paths of outputs by names of suns.
+    ``start_runner`` starts the workers, and ``on_progress`` is called after each task. ``retry_failed`` queues failed tasks
+    again. ``min_timeout_s`` is that of ``run_tasks``.
 
     Raises ``InputError`` if more than ``max_tasks`` would run, ``TooCostlyError`` if a block is expected to take longer than
-    ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of
-    ``run_tasks``.
+    ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of ``run_tasks``.
     """
     requeue_lost_shards(table, store)
     if retry_failed:

@@ -54,7 +54,7 @@ class PlannedTask(NamedTuple):
     parts : InputDigests
         Digests of the inputs of its tiles.
     data_share : float
-        Approximate fraction of the block's area that shows data, above 0 to 1.
+        Approximate fraction of the block's area that lies on the raster, up to 1. A minimum stands for the overhead of a task.
     expected_s : float
         Expected duration in seconds.
     """
@@ -101,6 +101,7 @@ REASONS = {
 """Reasons to draw finished tasks again, by the changed input."""
 
 NEW_REASON, SHARD_LOST_REASON = "not drawn yet", "the shard is missing or corrupt"
+"""Further reasons to draw a task."""
 
 
 @dataclass(frozen=True)
@@ -183,19 +184,22 @@ class TaskTable:
         return None if row is None else str(row[0])
 
     def put_file(self, path: str, stamp: str, digest: str) -> None:
-        """Store a file's digest."""
+        """Store a file's digest with the file's stamp (times, size and inode)."""
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
     def plan(self, sun: str, zoom: int, request_digest: str) -> str | None:
-        """Return the stored plan of a zoom under a sun for a request, as JSON; ``None`` without one."""
+        """Return the stored plan of a zoom under a sun for a request, as JSON; ``None`` without one.
+
+        ``sun`` is the sun's name, and ``request_digest`` is a digest of the level's settings and the request's.
+        """
         row = self._db.execute(
             "SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, request_digest)
         ).fetchone()
         return None if row is None else str(row[0])
 
     def put_plan(self, sun: str, zoom: int, request_digest: str, plan: str) -> None:
-        """Store a plan."""
+        """Store the plan of a zoom under a sun, as JSON. The parameters are those of ``plan``."""
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, request_digest, plan))
 
@@ -245,7 +249,7 @@ class TaskTable:
         return [row[0] for row in rows]
 
     def task_row(self, task_number: int) -> tuple[str, int, int, int, str, float]:
-        """Return sun, zoom, block x and y, key and expected duration in seconds of a task."""
+        """Return sun, zoom, block x and y, key and expected duration in seconds of a task, by its number in the table."""
         row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task_number,)).fetchone()
         return tuple(row)
 
@@ -300,7 +304,10 @@ class TaskTable:
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
     def record_published(self, output: str, task_number: int, key: str, tiles: bytes) -> None:
-        """Record that a task's tiles lie in an output folder. ``tiles`` is their shard index."""
+        """Record that a task's tiles lie in an output folder.
+
+        ``key`` is the digest of the task's inputs, and ``tiles`` is the index of its shard.
+        """
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task_number, key, tiles))
 
@@ -359,7 +366,10 @@ def task_key(task: PlannedTask) -> str:
 
 
 def _reason_of_change(old_digests_json: str, new_digests_json: str) -> str:
-    """Return why a task is drawn again: the text of ``REASONS`` for the first input whose digest differs."""
+    """Return why a task is drawn again: the text of ``REASONS`` for the first input whose digest differs.
+
+    Both parameters hold the digests of ``InputDigests`` in order, separated by colons.
+    """
     pairs = zip(InputDigests._fields, old_digests_json.split(":"), new_digests_json.split(":"), strict=True)
     return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 
