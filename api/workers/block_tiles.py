@@ -19,6 +19,7 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
 
 BLOCK_SIDE_TILES = BLOCK_PX // TILE_PX
+"""Number of tiles along a side of a block."""
 
 TilePosition = tuple[int, int]
 """Row and column of a file in its block, counted from 0 at the north-west. The unit is the side of the file, in tiles."""
@@ -68,8 +69,8 @@ def tiles_of_array(
 ) -> dict[TilePosition, bytes]:
     """Return the encoded files of a block's array, by the (row, col) position of each file in the block.
 
-    ``array`` has the block's pixels, (rows, cols) or (rows, cols, bands). ``tiles_per_side`` and ``view`` are as in
-    ``tiles_of_picture``.
+    ``array`` has the block's pixels, (rows, cols) or (rows, cols, bands). ``world`` is the level's, which colour scales depend on.
+    ``tiles_per_side`` and ``view`` are as in ``tiles_of_picture``.
     """
     colored_array = apply_color_scale(array, request.product_record, request.options, world, format)
     return {

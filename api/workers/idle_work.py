@@ -191,7 +191,8 @@ class IdleWork:
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
     """Run ``function(*args)`` in a process for idle work, and send the outcome through the pipe.
 
-    The outcome is ``(True, result)`` or ``(False, reason)``. Temporary files go to ``folder``.
+    The outcome is ``(True, result)`` or ``(False, reason)``. Temporary files go to ``folder``. ``gl_threads`` is the number
+    of threads of a software rasteriser.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()

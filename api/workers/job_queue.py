@@ -120,7 +120,10 @@ class JobQueue:
         self.waiting[pending.job] = pending
 
     def start_next(self, now_s: float) -> PendingJob | None:
-        """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
+        """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start.
+
+        ``now_s`` is the time in seconds, by the event loop's clock.
+        """
         long_count = sum(not self._is_short(pending_job) for pending_job in self.running)
         may_be_long = long_count < max(self.process_count - 1, 1)
         pending = self._choose_next(

@@ -100,7 +100,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
 
 
 def _only_pass(name: str, start_s: float) -> PassRecord:
-    """Return the only pass record of a product without render passes.
+    """Return the only pass record of a product without render passes, with the name ``name``.
 
     ``start_s`` is the begin of its computation, in seconds of the performance counter.
     """

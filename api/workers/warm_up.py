@@ -109,7 +109,7 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
 
 
 def _wall_scene(source: str, algorithm: str) -> Scene:
-    """Return the scene of the test picture. ``source`` is the raster of heights in metres."""
+    """Return the scene of the test picture, with shadows by ``algorithm``. ``source`` is the raster of heights in metres."""
     level = Level.model_validate(
         {
             "version": 1,
