@@ -33,6 +33,7 @@ MAX_CURRENT_AGE_S = 60
 """Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
 
 _ROUNDING_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+"""The time from which multiples of the rounding interval are counted."""
 
 
 _DATE = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")

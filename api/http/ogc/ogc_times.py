@@ -21,6 +21,7 @@ Any other time is served, too. The word ``current`` is served, but never listed.
 EQUINOX_MONTH_DAY = 3, 21
 """Month and day of the default date of a level whose sun has no time."""
 
+# Words for the allowed values of TIME in error messages.
 ALLOWED_INSTANTS = "a date, an ISO 8601 time such as 2024-10-21T16:30:00Z, an interval of these, or current"
 
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")

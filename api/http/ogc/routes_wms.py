@@ -150,7 +150,7 @@ async def _capabilities_response(request: Request, service: Service, level: str 
 
 
 async def _requested_layer(service: Service, parameters: KeyValuePairs, parameter: str) -> tuple[ServedLevel, str]:
-    """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
+    """Return the level and the layer that the key ``parameter`` of a request names. Raises ``NotServedError`` or ``InputError``."""
     name = parameters.require(parameter, "Give one layer, such as LEVEL:color")
     if "," in name:
         raise NotServedError(

@@ -135,7 +135,10 @@ def _add_level(root_layer: Element, level: ServedLevel, base_url: str, wms_url: 
 
 
 def _add_bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:
-    """Add the bounds of a level in a CRS, in the axis order of the CRS; add nothing if the CRS cannot express them."""
+    """Add the bounds of a level in a CRS, in the axis order of the CRS; add nothing if the CRS cannot express them.
+
+    ``code`` is the code of the CRS in the document.
+    """
     try:
         west, south, east, north = bounds_in(level, crs)
     except InputError:

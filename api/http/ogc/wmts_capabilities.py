@@ -127,7 +127,8 @@ def _add_layer(contents: Element, level: ServedLevel, layer: str, base_url: str,
 def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
     """Return the URL of a layer's legend at the layer's default time.
 
-    It is a WMS request, because QGIS adds keys of WMS to every legend URL.
+    It is a WMS request, because QGIS adds keys of WMS to every legend URL. ``wms_url`` is the URL of the WMS. ``year`` has
+    the default date of levels whose sun has no time.
     """
     query = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
     query["LAYER"] = layer_name(level, layer)

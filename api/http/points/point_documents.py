@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 ReportRows = list[tuple[str, str]]
+"""Rows of a report: a name and a text, which is not escaped."""
 
 
 def report_rows(report: dict[str, Any]) -> ReportRows:

@@ -43,7 +43,9 @@ FOLDER_RETRY_DELAY_S = 5.0
 """Seconds until the next attempt to read the folder of levels, if no thread can be started for it."""
 
 MIN_CONNECTIONS = 8
+"""Lower bound of the number of connections, even if file descriptors do not suffice for them."""
 LISTEN_BACKLOG = 2048
+"""Number of connections that the operating system queues before they are accepted (see listen(2))."""
 
 
 def log_config(settings: Settings) -> dict[str, Any]:

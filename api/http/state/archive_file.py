@@ -114,7 +114,10 @@ class ArchiveFile:
         return skugga_part if isinstance(skugga_part, dict) else {}
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
-        """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``."""
+        """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``.
+
+        ``x`` is the column from the west, and ``y`` the row from the north.
+        """
         if zoom not in self.zooms or not (0 <= x < 2**zoom and 0 <= y < 2**zoom):
             return None
         tile_id = zxy_to_tileid(zoom, x, y)

@@ -59,7 +59,10 @@ class LevelArchives:
         return cls(files, by_tile_kind, " ".join(archive.version for archive in files.values()))
 
     def archive_of(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
-        """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is the canonical query string of the request."""
+        """Return the archive with a kind of tile at a zoom, or ``None``.
+
+        ``tms`` is the name of the tile matrix set. ``query`` is the canonical query string of the request.
+        """
         archive = self.by_tile_kind.get((layer, format, tms, with_utc_time(query))) if self.by_tile_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
@@ -183,7 +186,10 @@ class ServedArchives:
         return opened
 
     def _log_error(self, path: Path, error: SkuggaError, consequence: str = "") -> None:
-        """Log the error of a file, unless the same error of this file was logged last."""
+        """Log the error of a file, unless the same error of this file was logged last.
+
+        ``consequence`` is appended to the message.
+        """
         if self._logged_errors.get(path) != str(error):
             self._logged_errors[path] = str(error)
             log.error("archive %s%s", error, consequence)
