@@ -53,10 +53,10 @@ class HorizonFormat:
 
 
 def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
-    """Return the text of a horizon file.
+    """Return the text of a horizon file in the format ``name``. Raises ``InputError``.
 
     ``horizon`` must have the azimuths that ``azimuths_of_format`` returns for the format. They are evenly spaced and begin in the
-    north. Raises ``InputError``.
+    north. ``place`` is the point that the horizon belongs to.
     """
     return horizon_format(name).write(horizon, place)
 

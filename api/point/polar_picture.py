@@ -29,6 +29,7 @@ MIN_OUTWARD_LABEL_ALTITUDE_DEG = 6.0
 """Altitude above which an hour's number lies on the outer side of its mark, degrees."""
 
 CHART_SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
+"""Side of the square chart, and resolution of its PNG file."""
 
 _PAPER_COLOR, _INK_COLOR, _GRID_COLOR, _SKY_COLOR = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
 _RELIEF_COLOR, _SOLIDS_COLOR, _FOREST_COLOR = "#8d8373", "#b3705c", "#6f8f5f"
@@ -135,7 +136,7 @@ def _unwrap_azimuth(azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
-    """Label a path at its highest point. ``azimuth`` and ``altitude`` are the path's points (n,) in degrees."""
+    """Write ``name`` at the highest point of a path. ``azimuth`` and ``altitude`` are the path's points (n,) in degrees."""
     top = int(np.nanargmax(altitude))
     axes.annotate(
         name, (np.radians(azimuth[top]), 90.0 - altitude[top]), xytext=(0, 5), textcoords="offset points", fontsize=7.5,

@@ -90,8 +90,9 @@ def reported_sun(surroundings: Surroundings) -> ReportedMoment | None:
 def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     """Return the day of a query: its date, or the day of the sun's time, or today, in this order.
 
-    Days are those of the query's clock, or of the offset of the sun's time, or of solar time, in this order. Raises ``InputError``
-    for a date outside the supported years, and for an unknown clock.
+    Days are those of the query's clock, or of the offset of the sun's time, or of solar time, in this order. ``lon_deg`` is the
+    longitude for solar time; ``None`` in a flat world. Raises ``InputError`` for a date outside the supported years, and for an
+    unknown clock.
     """
     if query.date is not None:
         check_date(query.date)
@@ -104,7 +105,10 @@ def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> dat
 
 
 def requested_clock(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
-    """Return the clock of a query: its own, or the offset of the sun's time, or solar time. Raises ``InputError``."""
+    """Return the clock of a query: its own, or the offset of the sun's time, or solar time. Raises ``InputError``.
+
+    ``lon_deg`` is the longitude for solar time; ``None`` in a flat world. ``day`` is the day on which solar time is taken.
+    """
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
     return clock_of("solar" if query.clock is None else query.clock, lon_deg, day)

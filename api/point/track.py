@@ -68,7 +68,10 @@ def read_track(path: Path, max_spacing_m: float, height_m: float = 0.0) -> list[
 
 
 def with_arrival_times(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
-    """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``."""
+    """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``.
+
+    ``start`` is the time at the first point, and ``speed_kmh`` is the speed in km/h.
+    """
     if not speed_kmh > 0.0:
         raise InputError("--speed", speed_kmh, "more than 0 km/h")
     lon, lat = np.array([(point.lon_deg, point.lat_deg) for point in points]).T

@@ -27,6 +27,7 @@ TILE_STEP_MIN = 5.0
 """Minutes between two suns of a tile. The mean error is half a minute in mountains, and a block takes seconds."""
 
 MAX_LEGEND_TICKS = 7
+"""Approximate maximum number of ticks of a legend."""
 
 BARE_BLOCK_SIDE_NODES = 2048
 """Side of a block of bare ground: twice that of a picture, because each sun reads the casters around the block again."""
@@ -38,6 +39,7 @@ LARGE_RASTER_BLOCK_SIDE_NODES = 1024
 """Side of a block of bare ground of a raster with at least that many cells."""
 
 MIN_BLOCK_SIDE_NODES = 64
+"""Minimum side of a block of bare ground, where the curved earth limits blocks."""
 
 Date = datetime.date  # an alias, because the model has a field called ``date``
 

@@ -20,6 +20,7 @@ NAME_WIDTH_PX, BAR_CHARACTER_PX, BOLD_CHARACTER_PX, TIME_WIDTH_PX = 130.0, 7.4, 
 """Widths in pixels: of the names at least, of a character of a name, of one in bold, and of a time."""
 
 REST_STAGE = "not in a stage"
+"""Name of the segment for the time outside all stages."""
 MIN_REST_SHARE = 0.02
 """Minimum share of a row's time outside all stages that is shown."""
 

@@ -18,6 +18,7 @@ from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 SCATTER_WIDTH_PX, SCATTER_HEIGHT_PX = 860.0, 540.0
 """Size of the plot in pixels, with its margins."""
 MARGIN_LEFT_PX, MARGIN_RIGHT_PX, MARGIN_TOP_PX, MARGIN_BOTTOM_PX = 84.0, 16.0, 14.0, 56.0
+"""Margins around the area of the plot, for labels and titles."""
 TITLE_HEIGHT_PX, LEGEND_LEFT_PX, LEGEND_COLUMNS = 54.0, 14.0, 2
 """Layout of the separate picture: height of the title, left end of the legend, and columns of the legend."""
 LABEL_CHARACTER_PX, LINE_HEIGHT_PX = 8.3, 16.0
@@ -259,5 +260,8 @@ def _overlaps(first: TextBox, second: TextBox) -> bool:
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start", class_: str | None = None) -> str:
-    """Return a text as an SVG element. ``x`` and ``y`` are pixels, of the end of the text that ``anchor`` names."""
+    """Return a text as an SVG element.
+
+    ``x`` and ``y`` are the position in pixels of the point of the text that ``anchor`` names: ``start``, ``middle`` or ``end``.
+    """
     return tag("text", escape(text), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, class_=class_)

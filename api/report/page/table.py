@@ -41,7 +41,10 @@ class Column:
 
 
 def decimals_formatter(decimals: int, scale: float = 1.0) -> Callable[[float], str]:
-    """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
+    """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values.
+
+    ``scale`` is a factor that values are multiplied by, such as 100 for per cent.
+    """
     smallest = 10.0**-decimals
 
     def format_value(value: float) -> str:
@@ -128,7 +131,7 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
 
 
 def _flat_settings(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return nested settings as text by flat names, such as ``cascades 2 far m``."""
+    """Return nested settings as text by flat names, such as ``cascades 2 far m``. All names begin with ``prefix``."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         name = f"{prefix}{key.replace('_', ' ')}"
