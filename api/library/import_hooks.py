@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 Hook = Callable[[ModuleType], object]
+"""Function that is called once with a module that has been imported."""
 
 
 def call_after_import(name: str, hook: Hook) -> Callable[[], None]:

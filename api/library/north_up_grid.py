@@ -129,7 +129,7 @@ def _nodata(array: xarray.DataArray) -> float | None:
 
 
 def _single_number(name: str, value: object) -> float:
-    """Return the number of an attribute: a number, or a list of equal numbers. Raises ``InputError``."""
+    """Return the number of the attribute ``name``: a number, or a list of equal numbers. Raises ``InputError``."""
     try:
         (number,) = np.unique(np.asarray(value, np.float64))
     except (TypeError, ValueError, OverflowError):

@@ -19,11 +19,14 @@ from skugga.terrain.errors import RenderError
 from skugga.terrain.level.level_source import LevelSource
 
 START_TIMEOUT_S = 600.0
-"""Timeout of the start. With empty caches the service compiles for some minutes."""
+"""Seconds within which the service must be ready. With empty caches it compiles loops (functions that numba compiles to machine
+code) for some minutes."""
 
 IDLE_WORK_VARIABLES = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
+"""Environment variables that switch off calibrations and probes while a service is idle."""
 
 POLL_INTERVAL_S = 0.1
+"""Seconds between two checks whether the service is ready."""
 
 
 class TileService:
