@@ -124,10 +124,10 @@ class Animations:
         return ended_animation
 
     def dismiss(self, animation: Animation, message: str) -> None:
-        """End an animation at the request of a client, or because no client asks about it.
+        """End an animation at the request of a client, because no client asks about it, or when the service stops.
 
         A queued or running animation is no longer drawn, and its status becomes ``dismissed``. A successful animation loses its
-        film, and its status becomes ``dismissed``. A failed or already dismissed animation does not change. Clients read
+        film, and its status becomes ``dismissed``, too. A failed or already dismissed animation does not change. Clients read
         ``message``, the reason, in the animation's status document.
         """
         if animation.status in ("failed", "dismissed"):
@@ -234,7 +234,10 @@ class Animations:
     def _end(
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Record the end of an animation and cache it. If it has no film, the next request for it draws it anew."""
+        """Record the end of an animation and cache it. If it has no film, the next request for it draws it anew.
+
+        ``message`` is the reason of a dismissal, and ``error`` that of a failure.
+        """
         if not animation.has_ended:
             self.ended_counts[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)

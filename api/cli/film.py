@@ -189,7 +189,8 @@ class _FilmProgress:
     def report_estimate(self, frames_written: int, file_bytes: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
-        The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
+        ``file_bytes`` is the size of these frames in the file. The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A
+        new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
         """
         if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._frame_count or file_bytes == 0:
             return

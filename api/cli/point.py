@@ -80,7 +80,10 @@ class PointOptions:
 
 
 def check_point_options(options: PointOptions, points: Path | None, line: Path | None, start: str | None) -> None:
-    """Raise ``InputError`` for options that exclude or need each other, before any work."""
+    """Raise ``InputError`` for options that exclude or need each other, before any work.
+
+    ``points`` and ``line`` are the files of points or of a track, and ``start`` is the time at the start of the track, as text.
+    """
     batch_option = "--points" if points is not None else "--line" if line is not None else None
     if batch_option is None:
         if options.at is None:
@@ -143,6 +146,7 @@ def report_points(level: LevelSource, file: Path, options: PointOptions) -> None
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
     """Print the sun along a line at the times of arrival. Without ``start`` the time is the level's own everywhere.
 
+    ``speed_kmh`` is the speed along the line in km/h. ``every_m`` is the maximum distance of two reported points in metres.
     Raises the errors of ``report_point``.
     """
     points = read_track(file, every_m, options.height)
@@ -287,7 +291,10 @@ def _print_rows(points: list[TrackPoint], rows: list[PointRow]) -> None:
 
 
 def _format_state(is_lit: bool, altitude_deg: float, occluder: ReportedCaster | None) -> str:
-    """Return whether a point is lit, in shadow and of what caster, or at night (``altitude_deg``, the sun's, is at most 0)."""
+    """Return whether a point is lit, in shadow and of what caster, or at night.
+
+    ``altitude_deg`` is the sun's altitude; at most 0 means night. ``occluder`` is the caster that hides the sun, if any.
+    """
     if altitude_deg <= 0.0:
         return _NIGHT_TEXT
     return _LIT_TEXT if is_lit else f"{_DARK_TEXT}, {_format_caster(occluder)}"

@@ -130,7 +130,7 @@ def _select_all(
 
 
 def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:
-    """Print choices as JSON or as a table; print the message on standard error."""
+    """Print choices as JSON (``rows``) or as a table; print the message on standard error."""
     from rich.console import Console
 
     if as_json:
