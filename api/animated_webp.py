@@ -25,10 +25,12 @@ LOSSLESS_EFFORT, LOSSLESS_METHOD = 50, 2
 """Effort of the lossless encoder. More effort takes longer and gains one per cent of size (docs/films.md)."""
 
 MAX_RIFF_BYTES = 2**32 - 10
+"""Maximum length in bytes that the header of a WebP file may state."""
 MAX_FRAME_DURATION_S = 2**24 // 2000
 """Longest duration of one stored frame, seconds: half of the 2^24 ms that the format allows."""
 
 _ANIMATION_FLAG, _NO_BLENDING_FLAG = 0x02, 0x02
+"""Bit of the header's flags for an animation, and bit of a frame's flags for colours that replace the previous ones."""
 _UNCHANGED_RECTANGLE_SIDE_PX = 2
 """Sides of the rectangle, pixels, that is stored for an unchanged frame when the previous one has its longest duration."""
 
@@ -56,7 +58,7 @@ class FrameChange(NamedTuple):
 
 
 def frame_changes(frames: Iterable[np.ndarray], fps: float) -> Iterator[FrameChange]:
-    """Yield the changes of successive frames, uint8 (rows, cols, 3). Identical frames yield one."""
+    """Yield the changes of successive frames, uint8 (rows, cols, 3), at ``fps`` frames per second. Identical frames yield one."""
     previous: np.ndarray | None = None
     rectangle, first, number = (0, 0, np.zeros((0, 0, 3), np.uint8)), 0, 0
     for number, color in enumerate(frames):
@@ -74,7 +76,10 @@ def frame_changes(frames: Iterable[np.ndarray], fps: float) -> Iterator[FrameCha
 
 
 def _frame_time_ms(frame_number: int, fps: float) -> int:
-    """Return the time at which a frame begins, milliseconds after the first frame. ``frame_number`` counts frames from 0."""
+    """Return the time at which a frame begins, milliseconds after the first frame.
+
+    ``frame_number`` counts frames from 0. ``fps`` is the number of frames per second.
+    """
     return round(1000.0 * frame_number / fps)
 
 
@@ -106,7 +111,7 @@ def encode_frame(change: FrameChange, lossless: bool) -> bytes:
 
 
 def _color_chunks(content: bytes) -> Iterator[bytes]:
-    """Yield the chunks of a WebP file that hold its colours."""
+    """Yield the chunks of a WebP file that hold its colours. ``content`` has the bytes of the file."""
     offset = 12
     while offset < len(content):
         name, size = content[offset : offset + 4], int.from_bytes(content[offset + 4 : offset + 8], "little")
@@ -127,7 +132,7 @@ def write_header(file: BinaryIO, size: tuple[int, int]) -> None:
 
 
 def append_frame(file: BinaryIO, frame_chunk: bytes) -> None:
-    """Append the chunk of a frame. Raises ``OSError`` if the file would be longer than WebP allows."""
+    """Append the chunk of a frame (``encode_frame``). Raises ``OSError`` if the file would be longer than WebP allows."""
     if file.tell() + len(frame_chunk) > MAX_RIFF_BYTES:
         raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, whose limit is 4 GB")
     file.write(frame_chunk)

@@ -161,7 +161,11 @@ def draw_picture(
     light: str | None = None,
     on_block: ProgressCallback | None = None,
 ) -> Picture:
-    """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
+    """Draw the images of a view's picture that a product needs. Raises the errors of ``compute``.
+
+    ``light`` names the light whose visibility is drawn; ``None`` takes the first. ``on_block(done, total)`` is called after
+    each block.
+    """
     needed_parts, plan = product.needs_of(view), _plan_of_product(plan, product)
     if light is None and product.pass_layer is None:
         return draw(scene, view, plan, needed_parts, on_block)
@@ -295,7 +299,8 @@ def raster_parts(
     """Yield the values of a raster block by block, for each of several planned requests for one product. Raises ``SkuggaError``.
 
     Only one block is in memory at a time. The values of one block follow each other, one array for each request. Work that is
-    independent of the sun is thus done once for each block.
+    independent of the sun is thus done once for each block. ``on_step(done, total)`` is called after each step, of all blocks and
+    requests.
     """
     product, view = planned_requests[0].request.product_record, raster.view
     blocks = _blocks_of_view(scene, view, product)
@@ -341,8 +346,9 @@ def write_rasters(
 ) -> None:
     """Write a raster file for each of several requests, and optionally contours of the first raster.
 
-    ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the errors
-    of ``plan_requests`` and ``raster_parts``, and ``OSError``.
+    ``paths`` are the files, in the order of the requests. ``overrides`` replace settings of the level's ``shadows``.
+    ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the
+    errors of ``plan_requests`` and ``raster_parts``, and ``OSError``.
     """
     planned_requests, product = plan_requests(scene, raster, requests, overrides or {}), requests[0].product_record
     metadata = [raster_metadata(planned_request, overrides or {}) for planned_request in planned_requests]

@@ -21,7 +21,9 @@ from skugga.terrain.atomic_files import atomic_folder, atomic_path
 from skugga.terrain.errors import InputError, Problem
 
 SEQUENCE_SUFFIX = ".png"
+"""Suffix of a film that is a sequence of pictures, one file for each frame."""
 FILM_SUFFIXES = ".webp", ".mp4"
+"""Suffixes of films in one file."""
 FILM_FORMATS_TEXT = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
 MAX_WEBP_SIDE_PX = 16383
@@ -45,7 +47,7 @@ _FRAME_NUMBER_PATTERN = re.compile(r"%(?:0([1-9]))?d")
 
 
 def check_film_path(path: Path, frame_count: int, size: tuple[int, int]) -> None:
-    """Check the output path of a film before any frame is drawn. ``size`` is (width, height) in pixels.
+    """Check the output path of a film of ``frame_count`` frames before any frame is drawn. ``size`` is (width, height) in pixels.
 
     Raises ``InputError`` for an unsuitable name or size, and for a missing encoder. Also raises it for a folder that contains
     higher-numbered frames of another film. Raises ``FileNotFoundError`` for a missing folder.

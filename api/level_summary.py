@@ -73,7 +73,7 @@ def _deserves_remark(scene: Scene, name: str, plan: Plan, slow_ms: float) -> boo
 
 
 def _cost_remark(scene: Scene, name: str, plan: Plan) -> str:
-    """Return a remark on the expected time of a view, for a plan that has one."""
+    """Return a remark on the expected time of the view ``name``, for a plan that has one."""
     from skugga.api.picture_cost import cost_remedy, is_over_limit, time_limit_ms
     from skugga.selector.formatting import format_duration
 

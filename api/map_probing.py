@@ -84,7 +84,10 @@ def probe_blocks(
 
 
 def probe_centers(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
-    """Return the centres of the blocks to probe, in the units of ``map_block``. A level of few blocks has only one."""
+    """Return the centres of the blocks to probe, as ``center_fractions`` of ``map_block``. A level of few blocks has only one.
+
+    ``pixel_m`` is the side of a pixel in metres.
+    """
     level_map = _level_map(scene)
     longest_px = max(level_map.rows, level_map.cols) * map_pixel_m(scene.world, level_map) / pixel_m
     return PROBE_CENTERS if longest_px > MIN_BLOCKS_FOR_SEVERAL_PROBES * BLOCK_PX else PROBE_CENTERS[:1]
@@ -99,7 +102,8 @@ def probe_maps(
 ) -> MapProbes:
     """Probe a level's maps at all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.
 
-    Raises ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
+    ``overrides`` replace settings of the level's ``shadows``. ``budget_s`` limits the seconds of each scale. Raises
+    ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
     """
     altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
     sun_class = map_class(1.0, altitude_deg)

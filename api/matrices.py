@@ -94,7 +94,7 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
 
 
 def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y: int) -> None:
-    """Raise ``NotServedError`` for a tile outside the zoom range or the tile matrix."""
+    """Raise ``NotServedError`` for a tile (column ``x``, row ``y``) outside the zoom range or the tile matrix."""
     if not zooms.first <= zoom <= zooms.last:
         raise NotServedError("z", f"z: zoom {zoom} is not served. Served: zooms {zooms.first} to {zooms.last}.")
     matrix = matrix_set.matrix(zoom)
@@ -142,15 +142,18 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
 
 
 def shows_no_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
-    """Return whether a tile certainly shows no data."""
+    """Return whether a tile (column ``x``, row ``y``) certainly shows no data.
+
+    ``data_lon_lat`` are the bounds of the data in degrees.
+    """
     return is_extent_without_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
 
 
 def is_extent_without_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
     """Return whether an extent (west, south, east, north in a CRS) certainly shows no data.
 
-    The comparison uses longitudes and latitudes, with a margin for curved edges. Returns ``False`` if the extent cannot be
-    transformed; the picture is then drawn and may be empty.
+    ``data_lon_lat`` are the bounds of the data in degrees. The comparison uses longitudes and latitudes, with a margin for curved
+    edges. Returns ``False`` if the extent cannot be transformed; the picture is then drawn and may be empty.
     """
     west, south, east, north = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*edges, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
