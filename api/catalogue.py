@@ -20,12 +20,15 @@ MAX_PATH_CHARACTERS = 4096
 
 
 def bundled_levels() -> list[Path]:
-    """Return the paths of the bundled level files, sorted by name."""
+    """Return the paths of the bundled level files, sorted by name.
+
+    A level is a scene with its views, as a level file (YAML) or a raster of heights alone defines it.
+    """
     return sorted(LEVELS_FOLDER.glob("*.yaml"))
 
 
 def find_level(name: str) -> Path:
-    """Return the file of a level, given a bundled level's name or a path. Raises ``InputError``."""
+    """Return the file of a level, given a bundled level's name or the path of a level file or a raster. Raises ``InputError``."""
     if len(name) > MAX_PATH_CHARACTERS:
         raise InputError("LEVEL", name, "a level file, a raster, or the name of a bundled level")
     bundled = LEVELS_FOLDER / f"{name}.yaml"

@@ -81,7 +81,10 @@ class ColorScale:
 
 @cached("process", MIB)
 def _colormap_table(colormap: str) -> np.ndarray:
-    """Return the colours of a matplotlib colour map, uint8 (256, 4)."""
+    """Return the 256 colours of a matplotlib colour map as RGBA, uint8 (256, 4), from its low to its high end.
+
+    ``colormap`` is a name in matplotlib's registry, such as ``viridis``.
+    """
     from matplotlib import colormaps
 
     return (colormaps[colormap](np.linspace(0.0, 1.0, 256)) * 255.0 + 0.5).astype(np.uint8)

@@ -89,7 +89,7 @@ def compute(
     light
         The light whose visibility is computed; ``None`` takes the first.
     on_block
-        Called after each block with the number of finished blocks and the total.
+        Called after each block of pixels with the number of finished blocks and the total.
 
     Returns
     -------
@@ -161,7 +161,11 @@ def draw_picture(
     light: str | None = None,
     on_block: ProgressCallback | None = None,
 ) -> Picture:
-    """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
+    """Draw the images of a view's picture that a product needs. Raises the errors of ``compute``.
+
+    ``light`` names the light whose visibility is drawn; ``None`` takes the first. ``on_block(done, total)`` is called after
+    each block.
+    """
     needed_parts, plan = product.needs_of(view), _plan_of_product(plan, product)
     if light is None and product.pass_layer is None:
         return draw(scene, view, plan, needed_parts, on_block)
@@ -170,7 +174,7 @@ def draw_picture(
 
 
 def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
-    """Return a product of a rendered frame. Raises ``InputError``."""
+    """Return the product ``name`` of a rendered video frame, (rows, cols) or (rows, cols, bands). Raises ``InputError``."""
     product = product_named(name)
     picture = picture_of(frame, frozenset({"color", "opacity", "visibility", "reach", "frame"}))
     return product.compute(ProductInput(scene, frame.view, product.options(), picture))
@@ -187,13 +191,21 @@ def check_view(product: Product, view: MapView | PerspectiveView) -> None:
 def _compute_block(
     scene: Scene, block: MapView, product: Product, options: Any, on_step: Callable[[], None] = lambda: None
 ) -> np.ndarray:
-    """Compute a block of a product that needs no picture."""
+    """Return the values of a product that needs no picture in one block: a rectangular section of the pixels of a map view.
+
+    ``block`` is that section as a map view of its own. ``options`` are the product's. ``on_step`` is called after each step of a
+    product over days, such as one date. The result has the shape (rows, cols) or (rows, cols, bands).
+    """
     product_input = ProductInput(scene, _padded(block, product.margin_px), options, None, on_step)
     return _cropped(product.compute(product_input), product.margin_px)
 
 
 def _picture_block(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
-    """Compute a block of a product from a drawn picture. The picture does not record how far away casters were considered."""
+    """Return the values of a product in one block of a map view's pixels, computed from a picture that is drawn for it.
+
+    ``block`` is that section as a map view of its own. The picture does not record its reach, the distance up to which
+    casters count.
+    """
     padded = _padded(block, product.margin_px)
     picture = draw(scene, padded, plan, product.needs - {"reach"})
     return _cropped(product.compute(ProductInput(scene, padded, options, picture)), product.margin_px)
@@ -201,11 +213,15 @@ def _picture_block(scene: Scene, block: MapView, product: Product, options: Any,
 
 @cached("scene", BLOCK_CACHE_BYTES)
 def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
-    """Compute a block, or return it from the cache. Clients that tile maps themselves request many small maps of one block."""
+    """Return ``_compute_block`` of a block, from the cache if possible; ``product`` is the product's name.
+
+    Clients that tile maps themselves request many small maps of one block.
+    """
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
 def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+    """Return the blocks in which a product of a map view is computed: each as a view, with its first row and column in ``view``."""
     return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
 
 
@@ -242,7 +258,7 @@ class PlannedRequest:
 
 @dataclass(frozen=True, eq=False)
 class RasterPart:
-    """A part of a raster.
+    """The values of a raster in one block, a rectangular section of its cells.
 
     Attributes
     ----------
@@ -280,10 +296,11 @@ def plan_requests(
 def raster_parts(
     scene: Scene, raster: RasterView, planned_requests: Sequence[PlannedRequest], on_step: ProgressCallback | None = None
 ) -> Iterator[RasterPart]:
-    """Yield the parts of a raster, for each of several planned requests for one product. Raises ``SkuggaError``.
+    """Yield the values of a raster block by block, for each of several planned requests for one product. Raises ``SkuggaError``.
 
-    Only one block is in memory at a time. The parts of one block follow each other, one for each request. Work that is independent
-    of the sun is thus done once for each block.
+    Only one block is in memory at a time. The values of one block follow each other, one array for each request. Work that is
+    independent of the sun is thus done once for each block. ``on_step(done, total)`` is called after each step, of all blocks and
+    requests.
     """
     product, view = planned_requests[0].request.product_record, raster.view
     blocks = _blocks_of_view(scene, view, product)
@@ -329,8 +346,9 @@ def write_rasters(
 ) -> None:
     """Write a raster file for each of several requests, and optionally contours of the first raster.
 
-    ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the errors
-    of ``plan_requests`` and ``raster_parts``, and ``OSError``.
+    ``paths`` are the files, in the order of the requests. ``overrides`` replace settings of the level's ``shadows``.
+    ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the
+    errors of ``plan_requests`` and ``raster_parts``, and ``OSError``.
     """
     planned_requests, product = plan_requests(scene, raster, requests, overrides or {}), requests[0].product_record
     metadata = [raster_metadata(planned_request, overrides or {}) for planned_request in planned_requests]

@@ -84,9 +84,10 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
 
 
 def _contour_lines(values: np.ndarray, row: int, col: int, contour_values: Sequence[float]) -> list[tuple[float, np.ndarray]]:
-    """Return the values and contour lines of a window of cells.
+    """Return pairs of a value and a contour line at this value, in a window of raster cells.
 
-    Lines are float64 (n, 2): column and row in the raster. ``row`` and ``col`` are the window's first cell.
+    ``values`` are the cells' values, (rows, cols). ``row`` and ``col`` are the window's first cell in the raster.
+    ``contour_values`` are the values to trace. Lines are float64 (n, 2): column and row in the raster.
     """
     from contourpy import contour_generator
 

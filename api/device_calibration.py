@@ -16,8 +16,9 @@ from skugga.terrain.level.level import Shadows
 def calibration_for(shadows: Shadows, overrides: dict[str, Any], shows_times: bool = False) -> DeviceProfile | None:
     """Return this device's calibration or an estimate of it, if a plan may need OpenGL.
 
-    A software rasteriser without a calibration is estimated. If times are limited (``max_ms``) or shown (``shows_times``), the
-    estimate runs a benchmark of about two seconds. Otherwise only ratios of times count, which a benchmark does not change.
+    ``shadows`` are the level's settings, and ``overrides`` replace some of them. A software rasteriser without a calibration is
+    estimated. If times are limited (``max_ms``) or shown (``shows_times``), the estimate runs a benchmark of about two seconds.
+    Otherwise only ratios of times count, which a benchmark does not change.
 
     Returns ``None`` if no requested algorithm needs OpenGL, if there is neither a calibration nor an estimate, or without OpenGL.
     """

@@ -24,7 +24,7 @@ ARRAY_FORMATS = ("tif", "npy")
 
 
 def check_format(product: Product, format: str) -> None:
-    """Raise ``InputError`` if tiles and maps of a product are not served in a format."""
+    """Raise ``InputError`` if tiles and maps of a product are not served in a format, such as ``png``."""
     if format not in product.map_formats:
         raise InputError("format", format, f"{', '.join(product.map_formats)} for layer {product.name}")
 
@@ -48,7 +48,7 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
     """Return an array of a product as a file. The array is the result of ``apply_color_scale`` for the format.
 
     Only display products (shaded pictures) are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows
-    pixels without a surface as white. A GeoTIFF keeps all channels and is georeferenced by the map ``view``.
+    pixels without a surface as white. A GeoTIFF keeps all channels and is georeferenced by ``view``, if it is a map view.
     """
     if product.is_display and format not in ARRAY_FORMATS and array.shape[2] == 4 and (array[..., 3] == 255).all():
         array = array[..., :3]
@@ -64,7 +64,10 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
 
 
 def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array as a file with all channels, after ``apply_color_scale``. Only JPEG loses information."""
+    """Return an array as a file with all channels, after ``apply_color_scale``. Only JPEG loses information.
+
+    A GeoTIFF is georeferenced by ``view``, if it is a map view.
+    """
     if format == "tif":
         return encode_geotiff(array, view, product.nodata)
     if format == "npy":
@@ -90,14 +93,17 @@ def encode_picture(array: np.ndarray, format: str) -> bytes:
 
 
 def composite_over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """Composite an RGBA picture over an opaque sRGB colour, and return RGBA."""
+    """Composite an RGBA picture, uint8 (rows, cols, 4), over an opaque sRGB colour (0 to 255 each), and return opaque RGBA."""
     alpha = picture[..., 3:].astype(np.float32) / 255.0
     blended = np.rint(picture[..., :3] * alpha + np.array(color, np.float32) * (1.0 - alpha)).astype(np.uint8)
     return np.concatenate([blended, np.full_like(picture[..., 3:], 255)], axis=-1)
 
 
 def encode_geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
-    """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF, georeferenced if ``view`` is a map."""
+    """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF, georeferenced if ``view`` is a map view.
+
+    ``nodata`` is the value of cells without data; ``None`` if all cells have data.
+    """
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
     from rasterio.transform import from_bounds

@@ -34,13 +34,18 @@ def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
 
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
-    """Return a level's version, a digest that changes with its text and its files. ``stamps`` are those of ``watched_files``."""
+    """Return a level's version, a digest (16 hexadecimal digits) that changes with its text and its files.
+
+    ``stamps`` are those of ``watched_files``. The digest includes them, so that a newer modification time alone changes the
+    version. The stamp of the level file itself does not count, only its text.
+    """
     is_raster = str(loaded.path) in loaded.sources  # a raster used as a level; the digest covers a level file's text
     text = repr((loaded.digest, tuple(stamps if is_raster else stamps[1:])))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _file_stamp(path: Path) -> Stamp:
+    """Return the stamp of a file; ``None`` if it does not exist or cannot be inspected."""
     try:
         status = path.stat()
     except OSError:

@@ -21,7 +21,9 @@ from skugga.terrain.atomic_files import atomic_folder, atomic_path
 from skugga.terrain.errors import InputError, Problem
 
 SEQUENCE_SUFFIX = ".png"
+"""Suffix of a film that is a sequence of pictures, one file for each frame."""
 FILM_SUFFIXES = ".webp", ".mp4"
+"""Suffixes of films in one file."""
 FILM_FORMATS_TEXT = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
 MAX_WEBP_SIDE_PX = 16383
@@ -37,6 +39,7 @@ _BT709_CODE = 1
 """BT.709's number in the tables of H.273: primaries, transfer and matrix."""
 
 OnFrame = Callable[[int, int], None]
+"""Callback with the number of frames written so far, and their total bytes."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -44,7 +47,7 @@ _FRAME_NUMBER_PATTERN = re.compile(r"%(?:0([1-9]))?d")
 
 
 def check_film_path(path: Path, frame_count: int, size: tuple[int, int]) -> None:
-    """Check the output path of a film before any frame is drawn. ``size`` is (width, height) in pixels.
+    """Check the output path of a film of ``frame_count`` frames before any frame is drawn. ``size`` is (width, height) in pixels.
 
     Raises ``InputError`` for an unsuitable name or size, and for a missing encoder. Also raises it for a folder that contains
     higher-numbered frames of another film. Raises ``FileNotFoundError`` for a missing folder.
@@ -153,6 +156,7 @@ def _map_in_order(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]
 
 
 def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float, lossless: bool, progress: _Progress) -> None:
+    """Write the frames, uint8 (rows, cols, 3), as an animated WebP file."""
     with path.open("wb") as file:
         for change, content in _map_in_order(lambda change: (change, encode_frame(change, lossless)), frame_changes(frames, fps)):
             if file.tell() == 0:
@@ -163,6 +167,7 @@ def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float, lossless: 
 
 
 def _write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, progress: _Progress) -> None:
+    """Write the frames, uint8 (rows, cols, 3), as an MP4 file. An odd number of rows or columns is padded by one."""
     av = _import_av()
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = None

@@ -15,6 +15,7 @@ DEFAULT_FPS, MIN_FPS, MAX_FPS = 25.0, 0.1, 120.0
 """Default, lowest and highest frame rate, frames per second."""
 
 MIN_STEP_S = 0.001
+"""Shortest time between two frames, seconds."""
 
 _ALLOWED_SPAN_ENDS = f"{ALLOWED_TIMES}; or a time on the level's clock, such as 0s or 10m, under a fixed sun"
 _SPAN_TOLERANCE_STEPS = 1e-6
@@ -91,7 +92,7 @@ def film_span(
 
 
 def _parse_span_end(name: str, text: str | None) -> datetime | timedelta:
-    """Return a time with an offset, or a clock reading. Raises ``InputError``."""
+    """Return a time with an offset, or a clock reading as a duration. Raises ``InputError``, which names the parameter ``name``."""
     if text is None:
         raise InputError.missing(name, "Give from and to together, or a camera path")
     try:
@@ -108,6 +109,7 @@ def _parse_span_end(name: str, text: str | None) -> datetime | timedelta:
 
 
 def _parse_step_s(text: str) -> float:
+    """Return the time between two frames in seconds. Raises ``InputError`` for other texts and for less than ``MIN_STEP_S``."""
     try:
         step_s = parse_duration(text).total_seconds()
     except ValueError:

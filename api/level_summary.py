@@ -45,7 +45,7 @@ def _cost_remarks(scene: Scene) -> list[str]:
 
 
 def _predicted_plans(scene: Scene, names: Iterable[str], device: DeviceProfile | None) -> dict[str, Plan]:
-    """Return the plans of the views that the level's shadow settings serve."""
+    """Return the plans of the views with these names, by name, without views that the level's shadow settings do not support."""
     from skugga.selector.select import plan_of_view
 
     plans = {}
@@ -56,10 +56,15 @@ def _predicted_plans(scene: Scene, names: Iterable[str], device: DeviceProfile |
 
 
 def _sphere_lamps(scene: Scene) -> list[str]:
+    """Return the names of the lamps that are balls, not points."""
     return [name for name, lamp in scene.lamps.items() if lamp.radius_m > 0.0]
 
 
 def _deserves_remark(scene: Scene, name: str, plan: Plan, slow_ms: float) -> bool:
+    """Return whether a view's plan gets a remark: it takes longer than ``slow_ms``, or lamps that are balls make it costly.
+
+    ``name`` is the view's name. A plan without a prediction gets none.
+    """
     from skugga.api.picture_cost import sphere_lamps
 
     if plan.predicted is None:
@@ -68,7 +73,7 @@ def _deserves_remark(scene: Scene, name: str, plan: Plan, slow_ms: float) -> boo
 
 
 def _cost_remark(scene: Scene, name: str, plan: Plan) -> str:
-    """Return a remark on the expected time of a view, for a plan that has one."""
+    """Return a remark on the expected time of the view ``name``, for a plan that has one."""
     from skugga.api.picture_cost import cost_remedy, is_over_limit, time_limit_ms
     from skugga.selector.formatting import format_duration
 

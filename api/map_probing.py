@@ -63,9 +63,10 @@ def probe_blocks(
     overrides: dict[str, Any] | None = None,
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
-    """Probe some blocks of a level's map with pixels of ``pixel_m`` metres.
+    """Probe some blocks of a level's map with pixels whose sides are ``pixel_m`` metres long.
 
-    Returns the plan of the first block and the measurements of all blocks. Raises ``SkuggaError``.
+    ``overrides`` replace settings of the level's ``shadows``. ``budget_s`` limits the seconds of all blocks together. Returns
+    the plan of the first block and the measurements of all blocks. Raises ``SkuggaError``.
     """
     centers = probe_centers(scene, pixel_m)
     probed = [
@@ -83,7 +84,10 @@ def probe_blocks(
 
 
 def probe_centers(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
-    """Return the centres of the blocks to probe, in the units of ``map_block``. A level of few blocks has only one."""
+    """Return the centres of the blocks to probe, as ``center_fractions`` of ``map_block``. A level of few blocks has only one.
+
+    ``pixel_m`` is the side of a pixel in metres.
+    """
     level_map = _level_map(scene)
     longest_px = max(level_map.rows, level_map.cols) * map_pixel_m(scene.world, level_map) / pixel_m
     return PROBE_CENTERS if longest_px > MIN_BLOCKS_FOR_SEVERAL_PROBES * BLOCK_PX else PROBE_CENTERS[:1]
@@ -98,7 +102,8 @@ def probe_maps(
 ) -> MapProbes:
     """Probe a level's maps at all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.
 
-    Raises ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
+    ``overrides`` replace settings of the level's ``shadows``. ``budget_s`` limits the seconds of each scale. Raises
+    ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
     """
     altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
     sun_class = map_class(1.0, altitude_deg)
@@ -113,13 +118,14 @@ def probe_maps(
 
 
 def _level_map(scene: Scene) -> MapView:
+    """Return the map view of a level over its whole extent."""
     view = scene.view("map", scene.default_bounds(scene.map_crs))
     assert isinstance(view, MapView)
     return view
 
 
 def map_block(scene: Scene, pixel_m: float, center_fractions: tuple[float, float] = (0.5, 0.5)) -> MapView:
-    """Return a block of a level's map with pixels of ``pixel_m`` metres.
+    """Return a block of a level's map: a view of as many pixels as are drawn at once, each with a side of ``pixel_m`` metres.
 
     ``center_fractions`` is its centre, as fractions of the level's sides from the west and from the south.
     """

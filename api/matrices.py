@@ -94,7 +94,7 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
 
 
 def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y: int) -> None:
-    """Raise ``NotServedError`` for a tile outside the zoom range or the tile matrix."""
+    """Raise ``NotServedError`` for a tile (column ``x``, row ``y``) outside the zoom range or the tile matrix."""
     if not zooms.first <= zoom <= zooms.last:
         raise NotServedError("z", f"z: zoom {zoom} is not served. Served: zooms {zooms.first} to {zooms.last}.")
     matrix = matrix_set.matrix(zoom)
@@ -112,7 +112,7 @@ def is_quadtree_zoom(matrix_set: TileMatrixSet, zoom: int) -> bool:
 
 
 def tile_view(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, scale: int) -> MapView:
-    """Return the map view of a tile with ``scale`` times 256 pixels a side."""
+    """Return the map view of a tile with ``scale`` times 256 pixels a side, on the zoom ``zoom`` in column ``x`` and row ``y``."""
     grid, side = tile_grid(matrix_set, zoom + scale - 1), scale * TILE_PX
     return MapView(grid, float(y * side), float(x * side), 1.0, 1.0, side, side)
 
@@ -120,7 +120,7 @@ def tile_view(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, scale: int) 
 def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds) -> tuple[int, int, int, int]:
     """Return the first and last row, and the first and last column, of a zoom's tiles that may show data.
 
-    Returns the whole matrix if the bounds cannot be transformed.
+    All four are inclusive. Returns the whole matrix if the bounds of the data, in degrees, cannot be transformed.
     """
     matrix = matrix_set.matrix(zoom)
     rows, cols = (0, matrix.matrixHeight - 1), (0, matrix.matrixWidth - 1)
@@ -142,15 +142,18 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
 
 
 def shows_no_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
-    """Return whether a tile certainly shows no data."""
+    """Return whether a tile (column ``x``, row ``y``) certainly shows no data.
+
+    ``data_lon_lat`` are the bounds of the data in degrees.
+    """
     return is_extent_without_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
 
 
 def is_extent_without_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
     """Return whether an extent (west, south, east, north in a CRS) certainly shows no data.
 
-    The comparison uses longitudes and latitudes, with a margin for curved edges. Returns ``False`` if the extent cannot be
-    transformed; the picture is then drawn and may be empty.
+    ``data_lon_lat`` are the bounds of the data in degrees. The comparison uses longitudes and latitudes, with a margin for curved
+    edges. Returns ``False`` if the extent cannot be transformed; the picture is then drawn and may be empty.
     """
     west, south, east, north = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*edges, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
@@ -168,6 +171,7 @@ def is_extent_without_data(crs: CRS, edges: tuple[float, float, float, float], d
 
 
 def _intersects_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
+    """Return whether bounds in degrees lie partly in the area of use of a tile matrix set's CRS; true if the area is unknown."""
     code = matrix_set.rasterio_crs.to_epsg()
     area = None if code is None else CRS.from_epsg(code).area_of_use
     if area is None:

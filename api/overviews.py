@@ -71,7 +71,7 @@ def make_overviews(
     units, positive
         Unit and direction of the heights. They override the raster's own metadata.
     on_part
-        Called as ``on_part(done, total)`` after each part.
+        Called as ``on_part(done, total)`` after each window of cells, with the number of finished windows and their total.
 
     Raises
     ------
@@ -119,6 +119,7 @@ def make_overviews(
 
 
 def _write_window(half_raster: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
+    """Write the cells of a window of the first overview. Raises ``OSError``, which names the file ``path``."""
     try:
         half_raster.write(values, 1, window=window)
     except RasterioError as error:
@@ -126,6 +127,7 @@ def _write_window(half_raster: DatasetWriter, values: np.ndarray, window: Window
 
 
 def _build_coarser_overviews(half_raster: DatasetWriter, factors: list[int], path: Path) -> None:
+    """Add overviews of the first overview, each with cells ``factors`` times as long. Raises ``OSError``, which names ``path``."""
     try:
         half_raster.build_overviews(factors, Resampling.average)
     except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
@@ -133,6 +135,7 @@ def _build_coarser_overviews(half_raster: DatasetWriter, factors: list[int], pat
 
 
 def _open_raster(raster: Path) -> rasterio.DatasetReader:
+    """Open a raster of heights, with the axes that its vertical CRS declares. Raises ``SourceError``."""
     try:
         with rasterio.Env(**GTIFF_VERTICAL_CRS_OPTIONS), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
@@ -163,7 +166,7 @@ def _check_supported(raster: Path, target: Path, dataset: rasterio.DatasetReader
 
 
 def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
-    """Return the range of cell values that count as plausible heights."""
+    """Return the lowest and the highest cell value that count as plausible heights, in the raster's own unit."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit_m = vertical_axis(dataset.name, dataset, units, positive).metres_per_stored_unit
     low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_heights_m(checked_crs(dataset.name, dataset)))
@@ -171,7 +174,10 @@ def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, posit
 
 
 def _nodata_value(dtype: np.dtype, plausible_range: tuple[float, float], nodata: float | None) -> float | None:
-    """Return the overviews' nodata value, which no valid height has; ``None`` if all values of the type are plausible heights."""
+    """Return the overviews' nodata value, which no valid height has; ``None`` if all values of the type are plausible heights.
+
+    ``dtype`` is the type of the cells, and ``nodata`` is the raster's own nodata value; ``None`` without one.
+    """
     if nodata is not None:
         return nodata
     if dtype.kind == "f":
@@ -181,7 +187,10 @@ def _nodata_value(dtype: np.dtype, plausible_range: tuple[float, float], nodata:
 
 
 def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
-    """Yield windows of whole tiles that cover a raster."""
+    """Yield windows that cover an overview of ``rows`` x ``cols`` cells.
+
+    Each window is one tile high and up to ``TILES_PER_WINDOW`` tiles wide.
+    """
     window_cols = TILE_SIDE_CELLS * TILES_PER_WINDOW
     for row in range(0, rows, TILE_SIDE_CELLS):
         for col in range(0, cols, window_cols):
@@ -195,7 +204,11 @@ def _read_first_overview(
     nodata: float | None,
     empty_value: float | None,
 ) -> np.ndarray:
-    """Return a window of the first overview, computed from twice as many rows and columns of the raster."""
+    """Return a window of the first overview, computed from twice as many rows and columns of the raster.
+
+    ``window`` counts cells of the overview. ``nodata`` is a further nodata value of the raster, and ``empty_value`` is the
+    overview's nodata value; both may be ``None``. Cells outside ``plausible_range`` are invalid.
+    """
     row, col = 2 * window.row_off, 2 * window.col_off
     source_window = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
     try:
@@ -212,7 +225,11 @@ def _read_first_overview(
 
 @compiled
 def _means(values, low, high, nodata, other_nodata, empty):
-    """Return the means of the valid cells of each 2 x 2 cells, of fewer at the border; ``empty`` where none is valid."""
+    """Return the means of the valid cells of each 2 x 2 cells, of fewer at the border; ``empty`` where none is valid.
+
+    ``values`` are the raster's cells, (rows, cols). Valid cells lie from ``low`` to ``high`` and are neither ``nodata`` nor
+    ``other_nodata``.
+    """
     rows, cols = values.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2))
     for i in range(out.shape[0]):

@@ -9,7 +9,7 @@ from skugga.shadows.plan import Plan
 from skugga.terrain.level.level import SUN
 
 SLOW_PICTURE_MS = 5000.0
-"""Expected time from which on reports name a cheaper setting."""
+"""Expected milliseconds from which on reports name a cheaper setting."""
 
 
 ESTIMATE_MARGIN = 3.0
@@ -49,14 +49,14 @@ def cost_remedy(plan: Plan) -> str | None:
 
 
 def is_over_limit(plan: Plan, limit_ms: float) -> bool:
-    """Return whether a picture is expected to take longer than a limit, also where its time is estimated only."""
+    """Return whether a picture is expected to take longer than a limit in milliseconds, also where its time is estimated only."""
     if plan.predicted is None:
         return False
     return plan.predicted.ms > limit_ms * (ESTIMATE_MARGIN if plan.predicted.is_estimate else 1.0)
 
 
 def check_cost(plan: Plan, subject: str, limit_ms: float | None, limit_name: str, has_free_size: bool = True) -> None:
-    """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``.
+    """Raise ``TooCostlyError`` if a picture is expected to take longer than ``limit_ms``, milliseconds; ``None``: no limit.
 
     On a device that is not calibrated the time must exceed ``ESTIMATE_MARGIN`` times the limit. The message calls the picture
     ``subject``, and the setting of the limit ``limit_name``. ``has_free_size`` says whether the caller can choose the picture's

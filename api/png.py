@@ -45,4 +45,5 @@ def encode_png(array: np.ndarray) -> bytes:
 
 
 def _chunk(chunk_type: bytes, data: bytes) -> tuple[bytes, ...]:
+    """Return the pieces of a PNG chunk: the length of its data, its four-byte type, the data, and their CRC-32."""
     return struct.pack(">I", len(data)), chunk_type, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type)))

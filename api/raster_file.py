@@ -21,6 +21,7 @@ from rasterio.windows import Window
 from skugga.terrain.atomic_files import atomic_path, write_error
 
 TILE_SIDE_CELLS = 512
+"""Side of a tile of the file, cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +85,16 @@ RGBA_INTERPRETATION = ColorInterp.red, ColorInterp.green, ColorInterp.blue, Colo
 
 
 class RasterFile:
-    """A raster open for writing."""
+    """A raster file open for writing only: arrays can be written, but not read back, until ``open_cog`` has finished it."""
 
     def __init__(self, dataset: DatasetWriter) -> None:
         self._dataset = dataset
 
     def write(self, row: int, col: int, array: np.ndarray) -> None:
-        """Write an array (rows, cols) or (rows, cols, bands) at a row and column. Raises ``OSError``."""
+        """Write an array (rows, cols) or (rows, cols, bands) whose first cell lies at ``row`` and ``col`` of the raster.
+
+        Raises ``OSError``.
+        """
         bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
         try:
             self._dataset.write(bands, window=Window(col, row, array.shape[1], array.shape[0]))
@@ -112,7 +116,8 @@ def open_cog(
 ) -> Iterator[RasterFile]:
     """Open a cloud-optimised GeoTIFF for writing.
 
-    If ``is_smooth``, overviews are means; otherwise they take the nearest cell. The file replaces ``path`` after it has been
+    ``transform`` is GDAL's geotransform, and ``shape`` is (rows, cols). ``nodata`` is the value of cells without data; ``None`` for
+    none. If ``is_smooth``, overviews are means; otherwise they take the nearest cell. The file replaces ``path`` after it has been
     written and read back. A failure leaves the previous file in place. Raises ``OSError``.
     """
     rows, cols = shape

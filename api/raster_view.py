@@ -19,6 +19,7 @@ from skugga.terrain.level.rasters import open_raster
 from skugga.terrain.scene import Scene
 
 Bounds = tuple[float, float, float, float]
+"""West, south, east and north in units of a CRS."""
 
 ASPECT_TOLERANCE = 1e-6
 """Tolerance of a square cell's aspect ratio."""
@@ -92,13 +93,19 @@ class RasterView:
         return first_row, first_col, cells
 
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
-        """Return a part of the raster, given its first row and column in the view, which may be negative, and its size."""
+        """Return a rectangular section of the raster, as a raster of its own.
+
+        ``row`` and ``col`` are its first row and column in the view, which may be negative.
+        """
         first_row, first_col, _ = self.window_in_raster_order(row, col, np.empty((rows, cols), np.bool_))
         transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
     def raster_part(self, top: int, left: int, rows: int, cols: int) -> RasterView:
-        """Return a part of the raster, given its first row and column in the raster, and its size."""
+        """Return a rectangular section of the raster as a raster of its own.
+
+        ``top`` and ``left`` are its first row and column in the raster's own order.
+        """
         all_rows, all_cols = self.shape
         if self.order.are_rows_reversed:
             top = all_rows - top - rows
@@ -169,6 +176,7 @@ def raster_view(
 
 
 def _level_raster_view(scene: Scene) -> RasterView | None:
+    """Return the cells of the level's own raster; ``None`` if its rows and columns do not run along the axes of its CRS."""
     elevation = scene.elevation
     return _view_of(RasterCells(elevation.name, elevation.crs, elevation.geotransform, elevation.rows, elevation.cols))
 
@@ -186,6 +194,10 @@ def cells_of_raster(path: Path) -> RasterCells:
 
 
 def _view_like(scene: Scene, cells: RasterCells) -> RasterView:
+    """Return the grid of another raster.
+
+    Raises ``SourceError`` if it is rotated, ``InputError`` if it does not overlap the level.
+    """
     scene.check_crs(cells.name, cells.crs)
     view = _view_of(cells)
     if view is None:
@@ -242,7 +254,7 @@ def _view_of(cells: RasterCells) -> RasterView | None:
 def _cell_center_view(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
     """Return a map view whose nodes are the centres of cells. Shade is then computed at the cells' own heights.
 
-    ``x0`` and ``y0`` are the centre of the first cell. The steps are the sides of a cell.
+    ``x0`` and ``y0`` are the centre of the first cell. ``col_step`` and ``row_step`` are the sides of a cell, in units of the CRS.
     """
     stretch = row_step / col_step
     grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= ASPECT_TOLERANCE else stretch)
@@ -250,7 +262,7 @@ def _cell_center_view(crs: CRS, x0: float, y0: float, col_step: float, row_step:
 
 
 def _crop(raster: RasterView, bounds: Bounds) -> RasterView:
-    """Return the part of a raster whose cells intersect bounds in its CRS."""
+    """Return the section of a raster whose cells intersect bounds in its CRS."""
     west, south, east, north = bounds
     view = raster.view
     rows = ((view.grid.row(y) - view.row0) / view.row_step + 0.5 for y in (north, south))

@@ -48,6 +48,7 @@ class RequestedSettings(_RequestModel):
 
 
 def _parsed_settings(settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return settings by key, with ``algorithm`` parsed from its spelling in queries."""
     return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in settings}
 
 

@@ -54,6 +54,8 @@ def run_in_pool(threads: Executor, function: Callable[..., T], *args: Any) -> as
 
 
 class _CancellableCall:
+    """A call of ``function(*args)`` that does nothing and returns ``None`` once ``is_dropped`` is set."""
+
     def __init__(self, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self._function, self._args = function, args
         self.is_dropped = False
@@ -63,6 +65,7 @@ class _CancellableCall:
 
 
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
+    """Yield an error and its causes, the error first."""
     seen_ids: set[int] = set()
     current: BaseException | None = error
     while current is not None and id(current) not in seen_ids:

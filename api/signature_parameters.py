@@ -35,5 +35,8 @@ def with_parameters(parameters: Sequence[tuple[str, Any]], after_parameter: str 
 def with_shadow_settings(
     front_end: FrontEnd, annotation_of: Callable[[Setting], Any], after_parameter: str | None = None
 ) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator that replaces the ``**`` parameter in a function's signature by a front end's shadow settings."""
+    """Return a decorator that replaces the ``**`` parameter in a function's signature by a front end's shadow settings.
+
+    ``annotation_of`` returns the annotation of the parameter for a setting. ``after_parameter`` is as in ``with_parameters``.
+    """
     return with_parameters([(setting.name, annotation_of(setting)) for setting in settings_of(Shadows, front_end)], after_parameter)

@@ -26,6 +26,7 @@ from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 
 SUN_FIELDS = ("view:sun_azimuth", "view:sun_elevation")
+"""Fields of the sun's angles in degrees: clockwise from true north, and above the horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ def read_stac_item(path: Path) -> StacItem:
 
 
 def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
+    """Return the sun of an item from its ``properties``: by its angles, or by the acquisition time. Raises ``InputError``."""
     azimuth, elevation = (properties.get(name) for name in SUN_FIELDS)
     if azimuth is not None and elevation is not None:
         try:
@@ -89,6 +91,7 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
 
 
 def _sun_at_time(path: Path, name: str, text: Any) -> SunSpec:
+    """Return the sun at the time ``text`` of the field ``name``. Raises ``InputError``."""
     try:
         moment = parse_sun(str(text), None, None)
     except InputError as error:
@@ -104,6 +107,7 @@ def _finest_cells(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
 
 
 def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
+    """Yield the cell grids of an item and its assets. Raises ``InputError`` for an invalid one."""
     common = {name: value for name, value in item["properties"].items() if name.startswith("proj:")}
     assets = item.get("assets")
     for asset in ({}, *(assets.values() if isinstance(assets, dict) else ())):

@@ -29,5 +29,6 @@ def encode_terrarium(height_m: np.ndarray) -> np.ndarray:
 
 
 def _encode_three_bytes(codes: np.ndarray) -> np.ndarray:
+    """Return codes (rows, cols), rounded and clamped to 24 bits, as uint8 (rows, cols, 3), the most significant byte first."""
     rounded_codes = np.clip(np.rint(codes), 0, MAX_24_BIT_CODE).astype(np.uint32)
     return np.stack([rounded_codes >> 16, rounded_codes >> 8 & 255, rounded_codes & 255], axis=-1).astype(np.uint8)

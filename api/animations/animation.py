@@ -94,7 +94,10 @@ class Animation:
     def end(
         self, status: AnimationStatus, retention_s: float, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Record the animation's end with a final status. The animation expires after ``retention_s`` seconds."""
+        """Record the animation's end with a final status. The animation expires after ``retention_s`` seconds.
+
+        ``message`` is the reason of a dismissal, and ``error`` that of a failure.
+        """
         self.status, self.message, self.error, self.finished = status, message, error, utc_now()
         self.updated, self.expires = self.finished, self.finished + timedelta(seconds=retention_s)
 

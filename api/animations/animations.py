@@ -124,7 +124,12 @@ class Animations:
         return ended_animation
 
     def dismiss(self, animation: Animation, message: str) -> None:
-        """Stop drawing an animation, or delete its film. A failed or dismissed animation stays as it is."""
+        """End an animation at the request of a client, because no client asks about it, or when the service stops.
+
+        A queued or running animation is no longer drawn, and its status becomes ``dismissed``. A successful animation loses its
+        film, and its status becomes ``dismissed``, too. A failed or already dismissed animation does not change. Clients read
+        ``message``, the reason, in the animation's status document.
+        """
         if animation.status in ("failed", "dismissed"):
             return
         if animation.drawing_task is not None:
@@ -134,7 +139,7 @@ class Animations:
         self._end(animation, "dismissed", message)
 
     def seconds_left(self, animation: Animation) -> float:
-        """Return the expected seconds until an animation is finished, including animations that precede it in the queue."""
+        """Return the expected seconds until a queued or running animation is finished, with those that precede it in the queue."""
         if animation.has_ended:
             return 0.0
         queued_s = []
@@ -156,6 +161,10 @@ class Animations:
         self._threads.shutdown(wait=True)
 
     def _drawing_seconds_left(self, animation: Animation) -> float:
+        """Return the expected seconds for the frames of an animation that are not drawn yet, without waiting in the queue.
+
+        The time of a frame is the mean of the drawn frames; before the first one it is ``expected_frame_s``.
+        """
         frames_done, spec, expected_frame_s = animation.frames_done, animation.spec, animation.expected_frame_s
         if frames_done and animation.running_since_s is not None:
             expected_frame_s = (asyncio.get_running_loop().time() - animation.running_since_s) / frames_done
@@ -218,13 +227,17 @@ class Animations:
         raise InputError.over_limit("size", f"the film has {film.nbytes} bytes", limit, remedy)
 
     def _fail(self, animation: Animation, error: SkuggaError) -> None:
+        """Log the error of an animation, and end it with the status ``failed``."""
         log.warning("animation %s of level %s failed: %s", animation.id, animation.spec.level.path.stem, error)
         self._end(animation, "failed", error=error)
 
     def _end(
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Record the end of an animation and cache it. If it has no film, the next request for it draws it anew."""
+        """Record the end of an animation and cache it. If it has no film, the next request for it draws it anew.
+
+        ``message`` is the reason of a dismissal, and ``error`` that of a failure.
+        """
         if not animation.has_ended:
             self.ended_counts[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)
@@ -238,10 +251,12 @@ class Animations:
         animation.expiry_timer = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
 
     def _release(self, animation: Animation) -> None:
+        """Release an animation that the cache evicts: delete its film. The next request for its specification draws it anew."""
         animation.release()
         self._drop_spec(animation)
 
     def _drop_spec(self, animation: Animation) -> None:
+        """Forget that an animation answers requests for its specification, unless a newer animation answers them."""
         if self._by_spec.get(animation.spec) is animation:
             del self._by_spec[animation.spec]
 

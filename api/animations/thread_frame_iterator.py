@@ -15,6 +15,8 @@ class DrawingStoppedError(Exception):
 
 
 class _EndOfFrames:
+    """Type of the value that marks the end of the frames, because ``StopAsyncIteration`` cannot be the result of a task."""
+
     pass
 
 
@@ -52,9 +54,14 @@ class ThreadFrameIterator(Generic[T]):
         await self._frames.aclose()
 
     def _request_next(self) -> Future[T | _EndOfFrames]:
+        """Start to draw the next frame in the event loop, from any thread, and return its future."""
         return asyncio.run_coroutine_threadsafe(self._next_frame(), self._loop)
 
     async def _next_frame(self) -> T | _EndOfFrames:
+        """Return the next frame, or the mark of the end.
+
+        Raises ``DrawingStoppedError`` if ``stop`` was called, or cancels the drawing.
+        """
         if self._stopped:
             raise DrawingStoppedError
         self._pending_frame = asyncio.ensure_future(self._draw_next_frame())
@@ -64,6 +71,7 @@ class ThreadFrameIterator(Generic[T]):
             raise DrawingStoppedError from None
 
     async def _draw_next_frame(self) -> T | _EndOfFrames:
+        """Return the next item of the generator, or the mark of the end, and report the number of items so far."""
         frame = await anext(self._frames, _END_OF_FRAMES)
         if not isinstance(frame, _EndOfFrames):
             self._frame_count += 1

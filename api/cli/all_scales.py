@@ -34,8 +34,9 @@ def probe_all_scales(
 ) -> tuple[list[tuple[int, Plan]], str | None]:
     """Return the plans of a level's maps by scale, and a message about the file of saved probes.
 
-    A pixel has a side of ``2 ** scale`` metres. ``budget`` is the time of each probe as text, such as 3s. The message is ``None``
-    unless ``write`` is true. Raises ``SkuggaError``.
+    A pixel has a side of ``2 ** scale`` metres. ``policy`` names the policy that chooses, and ``overrides`` replace settings of the
+    level's ``shadows``. ``budget`` is the time of each probe as text, such as 3s. The message is ``None`` unless ``write`` is true.
+    Raises ``SkuggaError``.
     """
     if policy != "probe":
         raise InputError("--policy", policy, "probe, the only policy of --all-scales")
@@ -61,6 +62,10 @@ def probe_all_scales(
 
 
 def _save_probes(version: str, probes: MapProbes) -> str:
+    """Save the probes of the level with this version for the device in use, and return a message that names the file.
+
+    Raises ``LevelError`` if the file cannot be written.
+    """
     renderer, driver = gl.renderer_and_version()
     try:
         path = save_probes(renderer, driver, version, probes)

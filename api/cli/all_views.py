@@ -27,7 +27,11 @@ from skugga.terrain.level.parts import SunSpec
 
 
 def check_conflicts(option: str, view: str, other_options: dict[str, object]) -> None:
-    """Raise ``InputError`` for options of a single view that are combined with an option for many views."""
+    """Raise ``InputError`` for options of a single view that are combined with an option for many views.
+
+    ``option`` is the flag of the option for many views. ``view`` is the requested view. ``other_options`` are the values of further
+    options of a single view by name, without dashes; ``None`` for an unused one.
+    """
     for name, value in ({"view": None if view == "map" else view} | other_options).items():
         if value is not None:
             raise InputError.conflict(f"--{name}", option, f"Leave out --{name}: the views are those of the level file")
@@ -44,8 +48,9 @@ def plan_all_views(
 ) -> list[PlannedView]:
     """Plan each view of a level, and ``map``, the view of its tiles.
 
-    ``ignore_pins`` ignores the choices that the level file fixes. ``budget`` is the time of each probe as text, such as 3s. Raises
-    ``SkuggaError``.
+    ``policy`` names the policy that chooses. ``overrides`` replace settings of the level's ``shadows``. ``seconds`` is a
+    reading of the level's clock. ``ignore_pins`` ignores the choices that the level file fixes. ``budget`` is the time of
+    each probe as text, such as 3s. Raises ``SkuggaError``.
     """
     scene, _ = scene_and_view(level, "map", sun, seconds=seconds)
     if ignore_pins:
@@ -136,8 +141,10 @@ def algorithms_label(plan: Plan) -> str:
 
 
 def _casts_shadows(plan: Plan) -> bool:
+    """Return whether a plan draws cast shadows from any light and any kind of caster."""
     return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 
 def _level_spec(planned_view: PlannedView) -> Any:
+    """Return the parsed level file of a planned view."""
     return planned_view.scene.loaded.level

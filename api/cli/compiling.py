@@ -15,7 +15,10 @@ from skugga.terrain.errors import RenderError
 
 
 def compile_for_command(products: Sequence[str]) -> int:
-    """Compile the loops that a command needs and that the on-disk cache lacks. Return the number of compiled loops."""
+    """Compile the loops that a command needs and that the on-disk cache lacks. Return the number of compiled loops.
+
+    ``products`` are groups of loops, of ``skugga.terrain.compiling.ahead_of_time.PRODUCTS``.
+    """
     bars: list[AdvanceCallback] = []
     total_loops = 0
     with ExitStack() as stack:

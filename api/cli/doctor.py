@@ -47,6 +47,7 @@ def run_checks() -> list[Finding]:
 
 
 def _check_package(name: str) -> Finding:
+    """Check that a Python package is installed, and report its version."""
     try:
         return Finding(name, True, version(name))
     except PackageNotFoundError:
@@ -54,6 +55,7 @@ def _check_package(name: str) -> Finding:
 
 
 def _check_opengl() -> Finding:
+    """Check that this process gets an OpenGL device, and report its renderer, version and texture size."""
     from skugga.terrain.gl.device import device
 
     try:
@@ -139,5 +141,6 @@ def _check_compiled_loops() -> Finding:
 
 
 def _check_viewer() -> Finding:
+    """Check that the web viewer has been built. Tiles are served without it."""
     built = files("skugga.api").joinpath("static", "index.html").is_file()
     return Finding("viewer", built, "built" if built else "not built: make viewer (tiles are served without it)")

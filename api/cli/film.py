@@ -94,8 +94,11 @@ def render_film(
 ) -> None:
     """Render a film of a level to a file. All frames are checked before the first is rendered.
 
-    Raises ``SkuggaError`` and ``OSError``. The error is ``TooCostlyError`` if a frame, or a block of it, is expected to take longer
-    than ``max_ms``. Without ``max_ms`` the time limit of a service applies.
+    ``layer`` names the product. ``overrides`` replace settings of the level's ``shadows``. ``size`` is (width, height) in
+    pixels. ``bounds`` are west, south, east and north in units of ``crs``. ``seconds`` is the level's clock at the first
+    frame of a film whose ends are dates. ``stats`` is a file for statistics of the frames, as JSON. Raises ``SkuggaError``
+    and ``OSError``. The error is ``TooCostlyError`` if a frame, or a block of it, is expected to take longer than ``max_ms``,
+    in milliseconds. Without ``max_ms`` the time limit of a service applies.
     """
     if layer != "color":
         raise InputError("--layer", layer, "color, the only layer of films")
@@ -139,9 +142,10 @@ def render_film(
 def _check_costs(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], device: DeviceProfile | None, max_ms: float | None
 ) -> None:
-    """Raise ``TooCostlyError`` if the first, middle or last frame is expected to take too long.
+    """Raise ``TooCostlyError`` if the first, middle or last frame is expected to take longer than ``max_ms``, milliseconds.
 
-    A day's first and last frames often have no sun, so that the middle one is the most costly.
+    A day's first and last frames often have no sun, so that the middle one is the most costly. ``device`` is the calibration of the
+    OpenGL device, if any. Without ``max_ms`` the time limit of a service applies.
     """
     for number in sorted({0, len(moments) // 2, len(moments) - 1}):
         moment = moments[number]
@@ -163,6 +167,7 @@ class _FilmProgress:
         self.statistics: dict[str, list[dict[str, Any]]] = {"frames": [], "switches": []}
 
     def recorded_colors(self, frames: Iterator[FilmFrame]) -> Iterator[np.ndarray]:
+        """Yield the colours of the frames, uint8 (rows, cols, 3); report and record each frame on its way to the encoder."""
         begin = clock.perf_counter()
         for frame in frames:
             drawn_s, moment = clock.perf_counter() - begin, frame.moment
@@ -183,7 +188,8 @@ class _FilmProgress:
     def report_estimate(self, frames_written: int, file_bytes: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
-        The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
+        ``file_bytes`` is the size of these frames in the file. The first estimate follows ``FRAMES_BEFORE_ESTIMATE`` frames. A
+        new one is printed if it changes by ``NEW_ESTIMATE_RATIO``.
         """
         if not FRAMES_BEFORE_ESTIMATE <= frames_written < self._frame_count or file_bytes == 0:
             return
@@ -202,6 +208,10 @@ class _FilmProgress:
             self._lines.print_line(f"{self._frame_count} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
 
     def _record_statistics(self, frame: FilmFrame, drawn_s: float) -> None:
+        """Append a frame, and a switch of algorithms at this frame, to the statistics.
+
+        ``drawn_s`` is its drawing time in seconds.
+        """
         moment = frame.moment
         self.statistics["frames"].append({
             "frame": moment.number + 1,

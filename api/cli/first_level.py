@@ -118,7 +118,10 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
 
 
 def _key_lines(name: str, lines: list[str] | None, example_lines: list[str]) -> list[str]:
-    """Return the lines of one key of the level file; without ``lines``, return a commented example of the key."""
+    """Return the lines of the key ``name`` of the level file.
+
+    Without ``lines``, return ``example_lines`` as a commented example.
+    """
     return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example_lines)]
 
 
@@ -129,4 +132,5 @@ def _quoted_path(folder: Path, file: Path) -> str:
 
 
 def _quoted(text: str) -> Any:
+    """Return a text in double quotes, which YAML reads as the same text."""
     return json.dumps(text, ensure_ascii=False)

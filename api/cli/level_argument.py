@@ -99,6 +99,11 @@ def with_level_argument(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _level_sources(names: list[str] | None, raster_options: dict[str, Any]) -> list[LevelSource]:
+    """Return the levels of ``serve`` from their names or files. Raises ``InputError``.
+
+    ``raster_options`` has the values of the options that describe a raster, by name; ``None`` for an unused option. A used
+    one needs exactly one level.
+    """
     for name, value in raster_options.items():
         if value is not None and len(names or ()) != 1:
             raise InputError(
@@ -120,6 +125,10 @@ def _named_level_source(text: str, raster_options: dict[str, Any]) -> LevelSourc
 
 
 def _level_source(name: str, raster_options: dict[str, Any]) -> LevelSource:
+    """Return a level from its name or path, with the options that describe a raster. Raises ``InputError``.
+
+    ``raster_options`` has their values by name, as the user wrote them.
+    """
     from skugga.terrain.level.level_source import LevelSource, parse_positive, parse_units
 
     parsed = {

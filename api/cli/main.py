@@ -36,6 +36,7 @@ _UsageError: Any = typer.BadParameter.__mro__[1]
 
 
 def _print_version(is_requested: bool) -> None:
+    """Print the version and exit, if the option ``--version`` is used."""
     if is_requested:
         typer.echo(f"skugga {version('skugga')}")
         raise typer.Exit
@@ -89,6 +90,7 @@ def main() -> None:
 
 
 def _compile_products(products: Sequence[str]) -> None:
+    """Compile the loops that products need, when the engine first declares them. ``compile_for_command`` shows the progress."""
     from skugga.api.cli.compiling import compile_for_command
 
     compile_for_command(products)

@@ -40,6 +40,7 @@ def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[st
 
 
 def _shadow_option(setting: Setting) -> Any:
+    """Return the annotation of a shadow setting as a command option, with its help text and completion."""
     help_text = setting.description.replace("`", "")
     if setting.allowed_text:
         help_text = f"{help_text.removesuffix('.')} ({setting.allowed_text})."

@@ -29,6 +29,7 @@ def check_output_files(level: LevelSource, option_files: Iterable[tuple[str, Pat
 
 
 def _input_files(level: LevelSource, input_paths: tuple[Path | None, ...]) -> Iterator[Path]:
+    """Yield the files that a command reads: the level's files, all files that they refer to, and ``input_paths``."""
     yield from (path for path in (level.path, level.canopy, level.buildings, *input_paths) if path is not None)
     try:
         sources = load_level(level).linked_sources

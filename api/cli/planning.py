@@ -70,8 +70,10 @@ def plan_level_view(
 ) -> PlannedView:
     """Plan a view of a level.
 
-    ``ignore_pin`` ignores the choice that the level file fixes for the view. ``budget`` is the time of the policy ``probe`` as
-    text, such as 3s. Raises ``SkuggaError``.
+    ``policy`` names the policy that chooses. ``overrides`` replace settings of the level's ``shadows``. ``size`` is (width,
+    height) in pixels. ``bounds`` are west, south, east and north in units of ``crs``. ``seconds`` is a reading of the level's
+    clock. ``ignore_pin`` ignores the choice that the level file fixes for the view. ``budget`` is the time of the policy
+    ``probe`` as text, such as 3s. Raises ``SkuggaError``.
     """
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
@@ -88,7 +90,10 @@ def plan_scene_view(
     overrides: dict[str, Any],
     budget: str | None = None,
 ) -> PlannedView:
-    """Plan a view of a scene whose level file is ``level_path``. Raises ``SkuggaError``."""
+    """Plan a view of a scene whose level file is ``level_path``. The other parameters are those of ``plan_level_view``.
+
+    ``view_name`` is the view's name in the plan. Raises ``SkuggaError``.
+    """
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     if budget is not None and policy != "probe":
@@ -128,7 +133,7 @@ def without_pins(scene: Scene) -> Scene:
 
 
 def with_shadow_settings(scene: Scene, changes: dict[str, Any]) -> Scene:
-    """Return a scene with changed shadow settings, by keys of ``shadows``."""
+    """Return a scene with changed shadow settings: ``changes`` has the new values by keys of ``shadows``."""
     level = scene.loaded.level
     shadows = LevelShadows.model_validate({**level.shadows.model_dump(exclude_unset=True), **changes})
     loaded = scene.loaded.model_copy(update={"level": level.model_copy(update={"shadows": shadows})})
@@ -136,6 +141,10 @@ def with_shadow_settings(scene: Scene, changes: dict[str, Any]) -> Scene:
 
 
 def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
+    """Raise ``UnsupportedError`` if the view ``name`` of the scene cannot be drawn with the settings of ``scene``.
+
+    ``plan`` is the choice for another view, which is to be pinned; the error names its algorithms.
+    """
     try:
         choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:

@@ -80,7 +80,10 @@ class PointOptions:
 
 
 def check_point_options(options: PointOptions, points: Path | None, line: Path | None, start: str | None) -> None:
-    """Raise ``InputError`` for options that exclude or need each other, before any work."""
+    """Raise ``InputError`` for options that exclude or need each other, before any work.
+
+    ``points`` and ``line`` are the files of points or of a track, and ``start`` is the time at the start of the track, as text.
+    """
     batch_option = "--points" if points is not None else "--line" if line is not None else None
     if batch_option is None:
         if options.at is None:
@@ -143,6 +146,7 @@ def report_points(level: LevelSource, file: Path, options: PointOptions) -> None
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
     """Print the sun along a line at the times of arrival. Without ``start`` the time is the level's own everywhere.
 
+    ``speed_kmh`` is the speed along the line in km/h. ``every_m`` is the maximum distance of two reported points in metres.
     Raises the errors of ``report_point``.
     """
     points = read_track(file, every_m, options.height)
@@ -152,6 +156,10 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
 
 
 def _report_track_points(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
+    """Print the sun at points, as a table or as JSON. The points either all have a time or all have none.
+
+    Points without times also get the day's hours of direct sun. Raises ``SkuggaError``.
+    """
     if not points:
         raise InputError("--points", Problem("the file has no points"), "Give at least one point")
     declare_product(POINTS)
@@ -169,6 +177,10 @@ def _report_track_points(level: LevelSource, points: list[TrackPoint], options: 
 
 
 def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:
+    """Return the query of a point at a longitude and latitude in degrees, with the date, clock, year and height of the options.
+
+    In a flat world ``lon`` and ``lat`` are metres east and north. Raises ``InputError``.
+    """
     day = None if options.date is None else parse_date("--date", options.date)
     if options.clock is not None:
         parse_clock("--clock", options.clock)
@@ -180,6 +192,7 @@ def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:
 
 
 def _read_coordinate_pair(text: str) -> tuple[float, float]:
+    """Return the two numbers of ``--at``, in the order in which they are written. Raises ``InputError``."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -188,6 +201,7 @@ def _read_coordinate_pair(text: str) -> tuple[float, float]:
 
 
 def _read_crs(text: str | None) -> CRS | None:
+    """Return the CRS of ``--crs``; ``None`` without the option. Raises ``InputError``."""
     if text is None:
         return None
     try:
@@ -197,10 +211,12 @@ def _read_crs(text: str | None) -> CRS | None:
 
 
 def _horizon_text(surroundings: Surroundings, format: str) -> str:
+    """Return the horizon of a point as the text of a horizon file; ``format`` is a key of ``HORIZON_FORMATS``."""
     return horizon_file(format, horizon_profile(surroundings, azimuths_of_format(format)), surroundings.place)
 
 
 def _sky_picture_file(surroundings: Surroundings, query: PointQuery, file: Path) -> bytes:
+    """Return the content of a sky chart in the format that the suffix of ``file`` names."""
     scene: Scene = surroundings.scene
     day = requested_day(scene, query, surroundings.place.lon_deg)
     clock = requested_clock(scene, query, surroundings.place.lon_deg, day)
@@ -261,6 +277,7 @@ def _print_report(report: PointReport, has_requested_time: bool) -> None:
 
 
 def _print_rows(points: list[TrackPoint], rows: list[PointRow]) -> None:
+    """Print a table with one row for each point."""
     from rich.table import Table
 
     table = Table("longitude", "latitude", "time", "ground, m", "sun", "direct sun, h", box=None)
@@ -274,12 +291,17 @@ def _print_rows(points: list[TrackPoint], rows: list[PointRow]) -> None:
 
 
 def _format_state(is_lit: bool, altitude_deg: float, occluder: ReportedCaster | None) -> str:
+    """Return whether a point is lit, in shadow and of what caster, or at night.
+
+    ``altitude_deg`` is the sun's altitude; at most 0 means night. ``occluder`` is the caster that hides the sun, if any.
+    """
     if altitude_deg <= 0.0:
         return _NIGHT_TEXT
     return _LIT_TEXT if is_lit else f"{_DARK_TEXT}, {_format_caster(occluder)}"
 
 
 def _format_caster(caster: ReportedCaster | None) -> str:
+    """Return a caster's kind, distance, position and height as text; ``-`` without a caster."""
     if caster is None:
         return "-"
     distance_text = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
@@ -288,4 +310,5 @@ def _format_caster(caster: ReportedCaster | None) -> str:
 
 
 def _format_time(moment: datetime | None) -> str:
+    """Return the time of day as text; ``-`` for ``None``."""
     return "-" if moment is None else f"{moment:%H:%M:%S}"

@@ -42,6 +42,7 @@ def split_product_options(product: Product, declared_options: dict[str, Any]) ->
 
 
 def _option_flag(name: str) -> str:
+    """Return the command-line flag of a product option, such as ``--min-altitude`` for ``min_altitude``."""
     return f"--{name.replace('_', '-')}"
 
 

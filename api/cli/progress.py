@@ -46,6 +46,7 @@ class ProgressBar:
             self._bar[0].stop()
 
     def _advance(self, done: int, total: int) -> None:
+        """Show the number of finished blocks of ``total``. Fewer than four blocks show no bar."""
         if total < 4 or not sys.stderr.isatty():
             return
         if self._bar is None:
@@ -67,6 +68,7 @@ class ProgressLines:
 
     @cached_property
     def _console(self) -> Console:
+        """The console of standard error."""
         from rich.console import Console
 
         return Console(stderr=True)
@@ -96,7 +98,7 @@ class ProgressLines:
             self._console.print(text, highlight=False, markup=False)
 
     def advance(self, done: int, total: int) -> None:
-        """Set the number of finished units."""
+        """Show the number of finished units of work, and their total, in the progress bar of a terminal."""
         if not self.is_terminal:
             return
         if self._bar is None:

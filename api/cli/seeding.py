@@ -149,6 +149,7 @@ class _Workers:
 
 
 def _parse_zooms(text: str | None) -> ZoomRange | None:
+    """Return the first and last zoom of ``--zooms``, such as ``8-13`` or ``8``; ``None`` without a text. Raises ``InputError``."""
     if text is None:
         return None
     match = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
@@ -194,6 +195,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
 
 
 def _format_bytes(byte_count: float) -> str:
+    """Return a number of bytes as text with three significant digits and a decimal unit."""
     for unit in ("B", "kB", "MB", "GB"):
         if byte_count < 1000.0:
             return f"{byte_count:.3g} {unit}"
@@ -258,12 +260,14 @@ class _RunProgress:
             typer.echo(f"Nothing to do: all {record['tasks']} tasks are done, and the output is up to date.")
 
     def _write_record(self, record: dict[str, Any]) -> None:
+        """Append a record to the log file as one line of JSON. The first record opens the file."""
         if self._file is None:
             self._file = self._log_path.open("a", encoding="utf-8")
         self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
     def _print_line(self, text: str, completion: TaskCompletion) -> None:
+        """Print a line about a finished task and advance the bar, unless the output is quiet."""
         if not self._is_quiet:
             self._lines.print_line(text)
             self._lines.advance(completion.done_count, completion.total_count)

@@ -59,7 +59,12 @@ def write_product(
     on_step: ProgressCallback | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
-    """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``."""
+    """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``.
+
+    ``output`` is the path of the raster; with several suns ``{time}`` in its name is replaced. ``overrides`` replace settings
+    of the level's ``shadows``. ``on_step(done, total)`` is called after each step. ``contours`` is the file of contours of
+    the first raster, and their values.
+    """
     product, suns = requests[0].product_record, [request.sun for request in requests]
     for name, value in overrides.items():
         if value is not None and product.when != "sun":

@@ -77,8 +77,11 @@ def snapshot(
 ) -> Snapshot:
     """Compute a product of a level's view.
 
-    The request sets the sun, and ``style_overrides`` sets the style. Raises ``SkuggaError``, also if a block or a view is expected
-    to take longer than ``max_ms``. Without ``max_ms`` the time limit of a service applies.
+    The request sets the sun, and ``style_overrides`` sets the style. ``overrides`` replace settings of the level's
+    ``shadows``. ``size`` is (width, height) in pixels. ``bounds`` are west, south, east and north in units of ``crs``.
+    ``on_block(done, total)`` is called after each block of pixels. ``seconds`` is a reading of the level's clock. ``light``
+    names the light whose visibility is computed; ``None`` takes the first. Raises ``SkuggaError``, also if a block or a view
+    is expected to take longer than ``max_ms``, milliseconds. Without ``max_ms`` the time limit of a service applies.
     """
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
     if request.sun is None and request.product_record.when == "sun":
@@ -101,7 +104,11 @@ def scene_and_view(
     crs: str | None = None,
     seconds: float | None = None,
 ) -> tuple[Scene, MapView | PerspectiveView]:
-    """Return a level's scene under a sun at a second of its clock, and the view of that name. Raises ``SkuggaError``."""
+    """Return a level's scene under a sun at a second of its clock, and the view of that name. Raises ``SkuggaError``.
+
+    ``size`` is (width, height) in pixels, and ``bounds`` are west, south, east and north in units of ``crs``; ``None`` keeps
+    the view's own. ``seconds`` is a reading of the level's clock; ``None``: the level's own.
+    """
     check_seconds(seconds)
     loaded = load_level(level)
     declare_view_loops(loaded, view)
@@ -146,6 +153,7 @@ def snapshot_statistics(result: Snapshot) -> dict[str, Any]:
 
 
 def _view_facts(view: MapView | PerspectiveView) -> dict[str, Any]:
+    """Return a view as values for JSON: a map's CRS, bounds and size, or the eye, focal length and size of a perspective view."""
     size = [view.cols, view.rows]
     if isinstance(view, MapView):
         return {"crs": view.grid.crs.to_string(), "bounds": view.bounds, "size": size, "node_step": view.grid.step}

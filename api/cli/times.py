@@ -12,6 +12,7 @@ from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 
 MAX_TIMES = 10_000
+"""Maximum number of times of one command."""
 
 TIME_PLACEHOLDER = "{time}"
 """Placeholder of the time in a file name."""
@@ -61,7 +62,10 @@ def suns_from_options(
 
 
 def time_for_file_name(sun: SunSpec | None, sun_number: int) -> str:
-    """Return the time of a sun for a file name, in UTC such as 20240321T090000Z; its number if it has no time."""
+    """Return the time of a sun for a file name, in UTC such as 20240321T090000Z.
+
+    A sun without a time has ``sun_number`` instead.
+    """
     if sun is None or sun.time is None:
         return str(sun_number)
     return sun.time.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
@@ -80,7 +84,7 @@ def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
 
 
 def read_time(name: str, text: str) -> datetime:
-    """Return a time from text with an offset. Raises ``InputError``, which names the option."""
+    """Return a time from text with an offset. Raises ``InputError``, which names the option ``name``."""
     try:
         sun = parse_sun(text, None, None)
     except InputError as error:
@@ -90,7 +94,10 @@ def read_time(name: str, text: str) -> datetime:
 
 
 def read_duration(name: str, text: str, min_s: float = 1.0) -> timedelta:
-    """Return a duration from text such as 15m. Raises ``InputError``, which names the option."""
+    """Return a duration from text such as 15m. Raises ``InputError``, which names the option ``name``.
+
+    ``min_s`` is the shortest allowed duration in seconds.
+    """
     try:
         length = parse_duration(text)
     except ValueError:

@@ -48,7 +48,7 @@ def print_default_sun(scene: Scene) -> None:
 
 
 def print_written_files(paths: Sequence[Path], content: str, raster: RasterView) -> None:
-    """Print one line on the written files, on a terminal only."""
+    """Print one line on the written files, on a terminal only. ``content`` says in words what they contain."""
     if sys.stderr.isatty():
         names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"
         rows, cols = raster.shape

@@ -19,12 +19,14 @@ _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,4})?")
 
 
 def _check_integer(value: Any) -> Any:
+    """Return a value unchanged. Raises a pydantic error for a text that is not spelled in plain digits with an optional minus."""
     if isinstance(value, str) and not _INTEGER.fullmatch(value):
         raise PydanticCustomError("int_parsing", "Input should be a whole number")
     return value
 
 
 def _check_decimal(value: Any) -> Any:
+    """Return a value unchanged. Raises a pydantic error for a text that is not a finite number in decimal digits."""
     if not isinstance(value, str):
         return value
     if value.strip().lstrip("+-").lower() in NON_FINITE_WORDS:  # before pydantic reports bounds
@@ -35,6 +37,7 @@ def _check_decimal(value: Any) -> Any:
 
 
 def _parse_integer_or_word(value: Any) -> Any:
+    """Return a text of digits as an integer, and any other value unchanged."""
     return int(value) if isinstance(value, str) and _INTEGER.fullmatch(value) else value
 
 

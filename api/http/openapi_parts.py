@@ -52,6 +52,7 @@ def problem_docs(*statuses: int) -> ResponseDocs:
 
 
 def _problem_content(status: int) -> dict[str, Any]:
+    """Return the schema and the examples of the problem documents with an HTTP status."""
     kinds = [kind for kind in problem_kinds() if kind.status == status]
     return {
         "schema": PROBLEM_SCHEMA,

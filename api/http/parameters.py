@@ -201,6 +201,7 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
 
 
 def _product_descriptions(names: Iterable[str]) -> str:
+    """Return the descriptions of products as text for the documentation of a query parameter."""
     return "; ".join(f"`{name}` is {PRODUCTS[name].description}" for name in names)
 
 

@@ -33,12 +33,14 @@ MAX_CURRENT_AGE_S = 60
 """Upper bound in seconds of the freshness lifetime of an answer for ``current``."""
 
 _ROUNDING_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+"""The time from which multiples of the rounding interval are counted."""
 
 
 _DATE = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 
 def _parse_date(value: Any) -> Any:
+    """Return a date from ISO 8601 text; ``None`` and dates stay. Raises a pydantic error for other values."""
     if value is None or isinstance(value, date):
         return value
     try:
@@ -55,6 +57,7 @@ def _parse_date(value: Any) -> Any:
 
 
 def _parse_time(value: Any) -> Any:
+    """Return a time from ISO 8601 text with an offset; ``None`` and times stay. Raises a pydantic error for other values."""
     try:
         return (
             parse_time(value)

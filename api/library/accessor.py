@@ -145,7 +145,10 @@ class SkuggaAccessor:
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
     def _compute_data_array(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
-        """Return a DataArray on the array's coordinates. ``compute_array`` computes its values from an open level."""
+        """Return a DataArray with the name ``name`` and values of the type ``dtype``, on the coordinates of the array.
+
+        ``compute_array`` computes the values, (rows, cols) in north-up order, from an open level.
+        """
         grid = north_up_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
@@ -172,6 +175,7 @@ class _StagedRaster:
         )  # fmt: skip
 
     def __setitem__(self, slices: tuple[slice, slice], chunk: np.ndarray) -> None:
+        """Write a chunk of heights to the cells of the raster that ``slices``, of rows and of columns, select. Dask calls it."""
         rows, cols = slices
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
         with self._lock:
@@ -199,6 +203,10 @@ class _StagedRaster:
 
 
 def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
+    """Return a lazy dask array of the type ``dtype`` with the grid's chunks, whose tasks open the written raster as a level.
+
+    ``compute_array`` computes the values of the cells that ``cells``, slices of rows and of columns, select.
+    """
     import dask.array
     from dask.delayed import delayed
 

@@ -74,7 +74,11 @@ def validate_arguments(function: Callable[ParametersT, ResultT]) -> Callable[Par
 
 
 def _raise_input_error(error: ValidationError, argument_values: dict[str, Any], name: str | None = None) -> NoReturn:
-    """Raise an error of pydantic as an ``InputError`` of a parameter."""
+    """Raise a pydantic error as an ``InputError`` about a parameter.
+
+    ``argument_values`` are the values by parameter, for the message. ``name`` is the parameter; ``None``: the one that
+    pydantic names.
+    """
     detail = error.errors()[0]
     cause = detail.get("ctx", {}).get("error")
     if isinstance(cause, SkuggaError):
@@ -85,6 +89,7 @@ def _raise_input_error(error: ValidationError, argument_values: dict[str, Any], 
 
 
 def _check_shadows(signature: inspect.Signature, shadow_settings: dict[str, Any]) -> None:
+    """Raise ``InputError`` for an argument of ``**shadows`` that is no shadow setting. The error lists all parameters."""
     for key in shadow_settings:
         if key not in Shadows.model_fields:
             parameter_names = [
@@ -103,7 +108,10 @@ DATETIME64_UNITS_WITHOUT_TIME = (*DATETIME64_UNITS_WITHOUT_DAY, "D")
 
 
 def _as_datetime64(value: Any, rejected_units: Collection[str]) -> np.ndarray | None:
-    """Return a datetime64 as an array without dimensions; ``None`` for other types, for NaT and for ``rejected_units``."""
+    """Return a datetime64 as an array without dimensions; ``None`` for other types, for NaT and for ``rejected_units``.
+
+    ``rejected_units`` are codes of numpy's units, such as ``D``.
+    """
     if getattr(getattr(value, "dtype", None), "kind", "") != "M" or np.ndim(value) != 0:
         return None
     moment = np.asarray(value)
@@ -111,6 +119,7 @@ def _as_datetime64(value: Any, rejected_units: Collection[str]) -> np.ndarray | 
 
 
 def _parse_time(value: Any) -> str:
+    """Return a time as ISO 8601 text. A text stays as it is, for the engine to check."""
     moment = _as_datetime64(value, DATETIME64_UNITS_WITHOUT_TIME)
     if moment is not None:
         return f"{np.datetime_as_string(moment.astype('datetime64[s]'))}Z"
@@ -122,6 +131,7 @@ def _parse_time(value: Any) -> str:
 
 
 def _parse_day(value: Any) -> datetime.date:
+    """Return the date of a date, a time, a datetime64 or a text. Raises a pydantic error for other values."""
     moment = _as_datetime64(value, DATETIME64_UNITS_WITHOUT_DAY)
     if moment is not None:
         value = str(moment.astype("datetime64[D]"))
@@ -138,6 +148,7 @@ def _parse_day(value: Any) -> datetime.date:
 
 
 def _parse_bounds(value: Any) -> tuple[float, float, float, float]:
+    """Return west, south, east and north. Raises a pydantic error for anything but four numbers."""
     try:
         numbers = [] if isinstance(value, str) else [float(number) for number in value]
     except (TypeError, ValueError, OverflowError):
@@ -149,6 +160,7 @@ def _parse_bounds(value: Any) -> tuple[float, float, float, float]:
 
 
 def _parse_crs(value: Any) -> CRS:
+    """Return a CRS of pyproj. Raises a pydantic error for an unknown CRS, and for one without x and y."""
     try:
         if isinstance(value, str) and value.isascii() and value.strip().isdigit():
             value = int(value)
@@ -161,6 +173,7 @@ def _parse_crs(value: Any) -> CRS:
 
 
 def _parse_transform(value: Any) -> Affine:
+    """Return a geotransform from its six numbers. Raises a pydantic error for other values."""
     try:
         numbers = [float(number) for number in tuple(value)[:6]]
     except (TypeError, ValueError, OverflowError):
@@ -171,6 +184,7 @@ def _parse_transform(value: Any) -> Affine:
 
 
 def _parse_size(value: Any) -> tuple[int, int]:
+    """Return (columns, rows). Raises a pydantic error for anything but two whole numbers up to ``MAX_PICTURE_PX``."""
     try:
         sides = [] if isinstance(value, str) else [operator.index(number) for number in value]
     except (TypeError, ValueError, OverflowError):
@@ -181,6 +195,7 @@ def _parse_size(value: Any) -> tuple[int, int]:
 
 
 def _parse_cells(value: Any) -> tuple[slice, slice]:
+    """Return the slices of rows and of columns unchanged. Raises a pydantic error for other values, and for steps other than 1."""
     parts = value if isinstance(value, tuple) else ()
     ends = [end for part in parts if isinstance(part, slice) for end in (part.start, part.stop) if end is not None]
     if len(parts) != 2 or not all(isinstance(part, slice) and part.step in (None, 1) for part in parts):
@@ -191,6 +206,10 @@ def _parse_cells(value: Any) -> tuple[slice, slice]:
 
 
 def _parse_cell_sides(value: Any) -> tuple[float, float]:
+    """Return the row side and the column side of a cell, metres, from one number or two.
+
+    Raises a pydantic error for other values.
+    """
     try:
         sides = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -206,9 +225,10 @@ def _parse_cell_sides(value: Any) -> tuple[float, float]:
 
 
 MIN_CELL_SIDE_M, MAX_CELL_SIDE_M = 1e-6, 1e6
+"""Smallest and largest side of a cell that is accepted, metres."""
 
 MAX_PICTURE_PX = 16384
-"""Largest side of a picture, as for ``--size``."""
+"""Largest side of a picture in pixels, as for ``--size``."""
 
 Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_parse_time)]
 """A time with an offset from UTC, or datetime64 in UTC with a time of day. The function receives ISO 8601 text."""

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 Hook = Callable[[ModuleType], object]
+"""Function that is called once with a module that has been imported."""
 
 
 def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
@@ -45,15 +46,18 @@ class _Finder(MetaPathFinder):
         self._thread_state = threading.local()
 
     def add_hook(self, name: str, hook: Hook) -> None:
+        """Call ``hook`` with the module ``name`` after its import."""
         self._hooks.setdefault(name, []).append(hook)
         if self not in sys.meta_path:
             sys.meta_path.insert(0, self)
 
     def cancel_hook(self, name: str, hook: Hook) -> None:
+        """Do not call ``hook`` after the import of the module ``name``. Does nothing if it has been called."""
         if hook in self._hooks.get(name, ()):
             self._hooks[name].remove(hook)
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Return the spec that the other finders find, with a loader that calls the hooks; ``None`` for modules without hooks."""
         if not self._hooks.get(name) or getattr(self._thread_state, "name", None) == name:
             return None
         self._thread_state.name = name
@@ -66,6 +70,7 @@ class _Finder(MetaPathFinder):
         return spec
 
     def _call_hooks(self, name: str, module: ModuleType) -> None:
+        """Call the hooks of the module ``name`` once, in the order in which they were added."""
         for hook in self._hooks.pop(name, ()):
             hook(module)
 

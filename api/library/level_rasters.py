@@ -227,7 +227,10 @@ class LevelRasters(LevelState):
         cells: tuple[slice, slice] | None,
         bytes_per_cell: int,
     ) -> RasterView:
-        """Return the cell grid of an array. Raises ``InputError`` for an array that does not fit into memory."""
+        """Return the cell grid of an array. Raises ``InputError`` for an array that does not fit into memory.
+
+        The other parameters are those of ``shade``. ``bytes_per_cell`` is the memory that the array needs for each cell.
+        """
         if cells is None:
             raster = raster_view(self._scene, bounds, crs_text(crs), resolution, like)
             if like is not None and (text := extent_warning(self._scene, raster)) is not None:

@@ -27,6 +27,7 @@ class LevelState:
 
     @property
     def _scene(self) -> Scene:
+        """The scene. Raises ``InputError`` if the level is closed."""
         if self._open_scene is None:
             raise InputError("level", Problem("it is closed"), "Open it again")
         return self._open_scene
@@ -69,6 +70,7 @@ class LevelState:
                 warn_caller(text)
 
     def _close_scene(self) -> None:
+        """Close the scene and its files. Further calls do nothing."""
         if self._open_scene is not None:
             self._open_scene.close()
             self._open_scene = None

@@ -47,6 +47,7 @@ def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy:
 
 
 def _free_byte_counts() -> Iterator[int]:
+    """Yield the free bytes of the machine and of each cgroup with a limit, as far as the system reports them."""
     try:
         fields = dict(line.split(":", 1) for line in MEMINFO_PATH.read_text(encoding="ascii").splitlines())
         yield int(fields["MemAvailable"].split()[0]) * 1024

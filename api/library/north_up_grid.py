@@ -129,7 +129,7 @@ def _nodata(array: xarray.DataArray) -> float | None:
 
 
 def _single_number(name: str, value: object) -> float:
-    """Return the number of an attribute: a number, or a list of equal numbers. Raises ``InputError``."""
+    """Return the number of the attribute ``name``: a number, or a list of equal numbers. Raises ``InputError``."""
     try:
         (number,) = np.unique(np.asarray(value, np.float64))
     except (TypeError, ValueError, OverflowError):
@@ -138,7 +138,10 @@ def _single_number(name: str, value: object) -> float:
 
 
 def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.DataArray:
-    """Return heights in metres upwards, NaN for nodata. A dask array stays lazy. Raises ``InputError``."""
+    """Return heights (y, x) in metres upwards, NaN for nodata. A dask array stays lazy. Raises ``InputError``.
+
+    ``nodata`` is the stored value of cells without ground; ``None`` without one. ``crs`` may define the unit and the direction.
+    """
     heights = array.astype(np.promote_types(array.dtype, np.float32))
     if nodata is not None and not np.isnan(nodata):
         with np.errstate(over="ignore", invalid="ignore"):
@@ -153,6 +156,7 @@ def _heights(array: xarray.DataArray, crs: CRS, nodata: float | None) -> xarray.
 
 
 def _vertical_axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
+    """Return the unit and the direction of an array's heights, from its attributes and its CRS. Raises ``InputError``."""
     unit, positive = array.attrs.get("units"), parse_positive(f"{ARRAY_NAME}: positive", positive_word(array.attrs))
     try:
         return axis_of_band(ARRAY_NAME, unit if isinstance(unit, str) else "", array.attrs, crs, positive=positive)
@@ -161,6 +165,7 @@ def _vertical_axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
 
 
 def _crs(array: xarray.DataArray) -> CRS:
+    """Return the CRS that an array declares. Raises ``InputError`` without one, and for a vertical CRS."""
     try:
         crs = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
@@ -195,6 +200,7 @@ def _declared_transform(array: xarray.DataArray) -> Affine:
 
 
 def _as_number(value: Any) -> float:
+    """Return a value as a number; 0 if it is not one."""
     return float(value) if np.asarray(value).dtype.kind in "iuf" else 0.0
 
 

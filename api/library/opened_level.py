@@ -117,6 +117,7 @@ class OpenLevel(LevelPictures, LevelRasters, LevelPoints):
         )  # fmt: skip
 
     def _service(self) -> TileService:
+        """Return the tile service of the level, and start it at the first call. A raster in memory is written to a file for it."""
         if self._tile_service is None:
             source = self._source
             if self._memory_file is not None:  # another process cannot read this memory
@@ -240,7 +241,11 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLe
 
 
 def level_of_source(source: LevelSource, ground_name: str | None = None, memory_file: MemoryFile | None = None) -> OpenLevel:
-    """Open a level and issue the warnings about its ground under a name; ``None`` for that of its raster. Raises ``InputError``."""
+    """Open a level and issue the warnings about its ground. Raises ``InputError``.
+
+    ``ground_name`` is the name of the ground in warnings; ``None``: that of its raster. ``memory_file`` holds a raster in
+    memory and is closed with the level.
+    """
     level = OpenLevel(build_scene(load_level(source)), source, memory_file)
     for text in level.warnings:
         if ground_name is None:

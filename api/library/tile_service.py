@@ -19,11 +19,14 @@ from skugga.terrain.errors import RenderError
 from skugga.terrain.level.level_source import LevelSource
 
 START_TIMEOUT_S = 600.0
-"""Timeout of the start. With empty caches the service compiles for some minutes."""
+"""Seconds within which the service must be ready. With empty caches it compiles loops (functions that numba compiles to machine
+code) for some minutes."""
 
 IDLE_WORK_VARIABLES = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
+"""Environment variables that switch off calibrations and probes while a service is idle."""
 
 POLL_INTERVAL_S = 0.1
+"""Seconds between two checks whether the service is ready."""
 
 
 class TileService:
@@ -62,6 +65,7 @@ class TileService:
         self._stop_process()
 
     def _wait_until_ready(self, process: subprocess.Popen[bytes]) -> None:
+        """Wait until the service answers that it can draw. Raises ``RenderError`` if it ends, or after ``START_TIMEOUT_S``."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline and process.poll() is None:
             try:
@@ -76,12 +80,14 @@ class TileService:
 
 
 def _free_port() -> int:
+    """Return a TCP port of this machine that is free now."""
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
 
 
 def _stop_process(process: subprocess.Popen[bytes], log_file: IO[str]) -> None:
+    """Close the log file, and end the process: by SIGTERM, and by SIGKILL if it has not ended after ten seconds."""
     log_file.close()
     process.terminate()
     try:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from skugga.shadows.point.place import PointPlace
 
 Writer = Callable[["PointHorizon", "PointPlace"], str]
+"""Function that returns the text of a horizon file, for a horizon profile and the place that it belongs to."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,10 @@ class HorizonFormat:
 
 
 def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
-    """Return the text of a horizon file.
+    """Return the text of a horizon file in the format ``name``. Raises ``InputError``.
 
     ``horizon`` must have the azimuths that ``azimuths_of_format`` returns for the format. They are evenly spaced and begin in the
-    north. Raises ``InputError``.
+    north. ``place`` is the point that the horizon belongs to.
     """
     return horizon_format(name).write(horizon, place)
 
@@ -74,6 +75,7 @@ def azimuths_of_format(name: str) -> np.ndarray | None:
 
 
 def _heights_above_horizontal(horizon: PointHorizon) -> np.ndarray:
+    """Return the horizon angles in degrees (n,), with 0 for angles below the level plane."""
     return np.maximum(horizon.elevation_deg, 0.0)
 
 
@@ -85,6 +87,7 @@ def _azimuths_from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]
 
 
 def _place_lines(place: PointPlace) -> list[str]:
+    """Return lines of text with the position and the elevation of a place."""
     if place.lon_deg is None:
         position_lines = [f"East of the centre (m): {place.x:.2f}", f"North of the centre (m): {place.y:.2f}"]
     else:
@@ -93,6 +96,7 @@ def _place_lines(place: PointPlace) -> list[str]:
 
 
 def _pvgis_csv(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return a horizon as PVGIS prints it: azimuth from the south and horizon angle, in columns that tabs separate."""
     azimuth, height = _azimuths_from_south(horizon)
     rows = [f"{a:.2f}\t\t{h:.2f}" for a, h in zip([*azimuth, 180.0], [*height, height[0]], strict=True)]
     notes = ["A_hor: Azimuth (0 = S, 90 = W, -90 = E), ascending from -180 (N)", "H_hor: Horizon height (degrees)"]
@@ -100,6 +104,7 @@ def _pvgis_csv(horizon: PointHorizon, place: PointPlace) -> str:
 
 
 def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return a horizon as JSON with the keys of PVGIS's ``horizon_profile``."""
     azimuth, height = _azimuths_from_south(horizon)
     pairs = zip([*azimuth, 180.0], [*height, height[0]], strict=True)
     profile = [{"A": round(float(a), 3), "H_hor": round(float(h), 3)} for a, h in pairs]
@@ -114,19 +119,23 @@ def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
 
 
 def _pvgis_upload(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return one horizon angle in each line, clockwise from north, for an upload to PVGIS."""
     return "".join(f"{height:.2f}\n" for height in _heights_above_horizontal(horizon))
 
 
 def _forecast_solar(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return horizon angles that are separated by commas, clockwise from north."""
     return ",".join(f"{height:.1f}" for height in _heights_above_horizontal(horizon)) + "\n"
 
 
 def _pvlib_csv(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return a CSV with azimuths clockwise from north and horizon angles, with the column names of pvlib."""
     rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights_above_horizontal(horizon), strict=True)]
     return "\n".join(["horizon_azimuth,horizon_elevation", *rows]) + "\n"
 
 
 def _hor_text(horizon: PointHorizon, place: PointPlace) -> str:
+    """Return an azimuth from the south and a horizon angle in each line, as PVsyst and PV*SOL read them."""
     azimuth, height = _azimuths_from_south(horizon)
     return "".join(f"{a:.0f} {h:.2f}\n" for a, h in zip(azimuth, height, strict=True))
 

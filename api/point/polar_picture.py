@@ -29,6 +29,7 @@ MIN_OUTWARD_LABEL_ALTITUDE_DEG = 6.0
 """Altitude above which an hour's number lies on the outer side of its mark, degrees."""
 
 CHART_SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
+"""Side of the square chart, and resolution of its PNG file."""
 
 _PAPER_COLOR, _INK_COLOR, _GRID_COLOR, _SKY_COLOR = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
 _RELIEF_COLOR, _SOLIDS_COLOR, _FOREST_COLOR = "#8d8373", "#b3705c", "#6f8f5f"
@@ -41,7 +42,8 @@ def sky_picture(
 ) -> bytes:
     """Return the chart as an SVG or PNG file: the horizon and the sun's paths of a day, the solstices and the equinox.
 
-    The chart of a flat world has only the horizon.
+    ``day`` is a day of ``clock``, whose hours are marked. ``title`` stands above the chart. The chart of a flat world has only the
+    horizon.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -129,11 +131,12 @@ def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[np.
 
 
 def _unwrap_azimuth(azimuth_deg: np.ndarray) -> np.ndarray:
+    """Return azimuths in degrees without jumps of 360 degrees."""
     return np.unwrap(azimuth_deg, period=360.0)
 
 
 def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
-    """Label a path at its highest point."""
+    """Write ``name`` at the highest point of a path. ``azimuth`` and ``altitude`` are the path's points (n,) in degrees."""
     top = int(np.nanargmax(altitude))
     axes.annotate(
         name, (np.radians(azimuth[top]), 90.0 - altitude[top]), xytext=(0, 5), textcoords="offset points", fontsize=7.5,
@@ -143,7 +146,10 @@ def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str)
 
 
 def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo, has_path: bool) -> None:
-    """Mark full hours on all paths, and number them on the day's path."""
+    """Mark full hours on all paths, and number them on the day's path.
+
+    ``has_path`` is false if the sun does not rise on the day; no hours are numbered then.
+    """
     days = [date(day.year, 6, 21), date(day.year, 3, 20), date(day.year, 12, 21), day]
     for path_day in days:
         first = day_bounds(path_day, clock)[0]
@@ -179,6 +185,7 @@ def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, floa
 
 
 def _subtitle(surroundings: Surroundings, day: date, clock: tzinfo) -> str:
+    """Return the line below the title: the position, the height, the day and its clock."""
     place = surroundings.place
     height = f"{place.ground_m:.0f} m" + (f", {place.height_m:g} m above the ground" if place.height_m else "")
     if place.lon_deg is None or place.lat_deg is None:
@@ -189,6 +196,7 @@ def _subtitle(surroundings: Surroundings, day: date, clock: tzinfo) -> str:
 
 
 def _clock_label(day: date, clock: tzinfo) -> str:
+    """Return the name of a clock and its offset from UTC on a day, as text."""
     noon = datetime(day.year, day.month, day.day, 12, tzinfo=clock)
     name = noon.tzname() or ""
     if name == "solar":
@@ -200,6 +208,7 @@ def _clock_label(day: date, clock: tzinfo) -> str:
 
 
 def _draw_legend(figure: Any, horizon: PointHorizon, is_flat_world: bool) -> None:
+    """Draw the legend of the chart. Roofs and trees are listed only if they rise above the ground's horizon somewhere."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

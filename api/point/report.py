@@ -23,7 +23,10 @@ NO_SUN_REMARK = "the level has no default sun. Give a time"
 
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
-    """Return the report of a point of a level under the scene's sun. Raises ``InputError``."""
+    """Return the report of a point of a level under the scene's sun. Raises ``InputError``.
+
+    ``crs`` is the CRS of the query's ``lon`` and ``lat``; ``None``: degrees, or metres in a flat world.
+    """
     surroundings = point_surroundings(scene, query, crs)
     place = surroundings.place
     day = requested_day(scene, query, place.lon_deg)
@@ -66,7 +69,10 @@ def report_with_remark(scene: Scene, query: PointQuery) -> PointReport:
 
 
 def point_surroundings(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
-    """Return a point's place and its surroundings. Raises ``InputError``."""
+    """Return a point's place and its surroundings. Raises ``InputError``.
+
+    ``crs`` is the CRS of the query's ``lon`` and ``lat``; ``None``: degrees, or metres in a flat world.
+    """
     return load_surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
 
 
@@ -84,8 +90,9 @@ def reported_sun(surroundings: Surroundings) -> ReportedMoment | None:
 def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     """Return the day of a query: its date, or the day of the sun's time, or today, in this order.
 
-    Days are those of the query's clock, or of the offset of the sun's time, or of solar time, in this order. Raises ``InputError``
-    for a date outside the supported years, and for an unknown clock.
+    Days are those of the query's clock, or of the offset of the sun's time, or of solar time, in this order. ``lon_deg`` is the
+    longitude for solar time; ``None`` in a flat world. Raises ``InputError`` for a date outside the supported years, and for an
+    unknown clock.
     """
     if query.date is not None:
         check_date(query.date)
@@ -98,7 +105,10 @@ def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> dat
 
 
 def requested_clock(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
-    """Return the clock of a query: its own, or the offset of the sun's time, or solar time. Raises ``InputError``."""
+    """Return the clock of a query: its own, or the offset of the sun's time, or solar time. Raises ``InputError``.
+
+    ``lon_deg`` is the longitude for solar time; ``None`` in a flat world. ``day`` is the day on which solar time is taken.
+    """
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
     return clock_of("solar" if query.clock is None else query.clock, lon_deg, day)
@@ -115,6 +125,7 @@ def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
 
 
 def _reported_day(day: SunDay, clock: str) -> ReportedDay:
+    """Return the report of a day's sun. ``clock`` is the clock's name."""
     intervals = tuple(
         ReportedInterval(
             begin=interval.begin, end=interval.end, after=reported_caster(interval.occluder_before),
@@ -130,4 +141,5 @@ def _reported_day(day: SunDay, clock: str) -> ReportedDay:
 
 
 def _clock_name(query: PointQuery, clock: tzinfo) -> str:
+    """Return the name of a clock as the query spells it, or else the clock's own name."""
     return str(clock.tzname(datetime.now(UTC))) if query.clock is None else query.clock

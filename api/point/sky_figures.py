@@ -62,6 +62,7 @@ def sky_figures(surroundings: Surroundings, horizon: PointHorizon, day: date, cl
 
 
 def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
+    """Return the sun above the level horizon on a day of a clock, every ``SUN_PATH_STEP_S`` seconds."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     times_s, to_sun = sun_samples(surroundings.scene.world, begin, end, SUN_PATH_STEP_S)
     azimuth, altitude = sun_angles_at(surroundings.place, to_sun)
@@ -77,4 +78,5 @@ def _sun_path(surroundings: Surroundings, day: date, clock: tzinfo) -> tuple[Sun
 
 
 def _rounded(degrees: np.ndarray) -> tuple[float, ...]:
+    """Return angles in degrees, rounded to ``ANGLE_DECIMALS`` decimals."""
     return tuple(np.round(np.asarray(degrees, np.float64), ANGLE_DECIMALS).tolist())

@@ -20,7 +20,9 @@ from skugga.terrain.level.level import parse_sun
 from skugga.terrain.scene import Scene
 
 TIME_FIELDS, HEIGHT_FIELDS = ("time", "arrival", "datetime"), ("height", "height_m")
+"""Names of columns or attributes for the time of a point and for its height above the ground, in order of preference."""
 LON_FIELDS, LAT_FIELDS = ("lon", "longitude", "lng", "x"), ("lat", "latitude", "y")
+"""Names of columns for longitude and latitude in degrees, in order of preference."""
 
 
 def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
@@ -66,7 +68,10 @@ def read_track(path: Path, max_spacing_m: float, height_m: float = 0.0) -> list[
 
 
 def with_arrival_times(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
-    """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``."""
+    """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``.
+
+    ``start`` is the time at the first point, and ``speed_kmh`` is the speed in km/h.
+    """
     if not speed_kmh > 0.0:
         raise InputError("--speed", speed_kmh, "more than 0 km/h")
     lon, lat = np.array([(point.lon_deg, point.lat_deg) for point in points]).T
@@ -118,6 +123,7 @@ def _suns_of(scene: Scene, points: list[TrackPoint]) -> list[Sun | None]:
 
 
 def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
+    """Return the points of a CSV. ``height_m`` is the height above the ground of points without one. Raises ``SourceError``."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
@@ -143,6 +149,10 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
+    """Return the points of a vector file.
+
+    ``height_m`` is the height above the ground of points without one. Raises ``SourceError``.
+    """
     from skugga.terrain.geo.vectors import attribute_names, numeric_attribute, read_features, vector_layer
     from skugga.terrain.ground.length_text import length_m
 
@@ -165,7 +175,10 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _parse_moment(path: Path, location: str, value: object) -> datetime | None:
-    """Convert a time attribute of a file; an empty one gives ``None``. Raises ``SourceError`` for a time without an offset."""
+    """Convert a time attribute of a file; an empty one gives ``None``. Raises ``SourceError`` for a time without an offset.
+
+    ``location`` names the row of the file in the error.
+    """
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):
         return None

@@ -21,6 +21,7 @@ class _ReportModel(BaseModel):
 
 
 def _rounded(decimals: int) -> BeforeValidator:
+    """Return a pydantic validator that rounds a number to ``decimals`` decimals and leaves ``None``."""
     return BeforeValidator(lambda value: None if value is None else round(float(value), decimals))
 
 

@@ -18,6 +18,7 @@ LEADING_PRODUCTS = "color", "shadow", "mask", "visibility", "height", "terrain-r
 
 
 def _products() -> Iterator[Product]:
+    """Yield the products that the modules of this folder define."""
     for module in iter_modules(__path__, f"{__name__}."):
         product_module = import_module(module.name)
         yield from getattr(product_module, "PRODUCTS", ())
@@ -26,6 +27,7 @@ def _products() -> Iterator[Product]:
 
 
 def _sort_key(product: Product) -> tuple[bool, int, str]:
+    """Return the key by which products are sorted in lists."""
     return (
         product.pass_layer is not None,
         LEADING_PRODUCTS.index(product.name) if product.name in LEADING_PRODUCTS else len(LEADING_PRODUCTS),

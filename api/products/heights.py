@@ -31,6 +31,8 @@ def encode_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncod
 
 
 def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> Product:
+    """Return a product of heights in an encoding as colours. ``name`` and ``description`` are those of the product."""
+
     def compute(product_input: ProductInput) -> np.ndarray:
         return encode_heights(height_m(product_input), nodata_height_m(product_input.scene.height_range_m[0]), encoding)
 

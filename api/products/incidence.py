@@ -8,6 +8,7 @@ from skugga.api.products.product import Product, ProductInput
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:
+    """Return the cosine of the sun's angle of incidence on a map's ground, float32 (rows, cols); NaN without ground."""
     from skugga.shadows.sunlit_ground import cosine_of_incidence
 
     return cosine_of_incidence(product_input.scene, product_input.map_view)

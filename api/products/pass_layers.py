@@ -19,19 +19,25 @@ FACE_OPACITY, MAX_OPACITY = 0.12, 0.8
 
 
 def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Return depths as gray, uint16: brightest nearest to the light, black where no caster is."""
+    """Return depths as gray, uint16: brightest nearest to the light, black where no caster is.
+
+    ``array`` has the depths. The parameter ``color``, the frame's colours, is not used.
+    """
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
 def _stretch_to_gray(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Return values as gray, uint8, scaled so that the largest value is bright."""
+    """Return the values of ``array`` as gray, uint8, scaled so that the largest value is bright.
+
+    The parameter ``color``, the frame's colours, is not used.
+    """
     return array * np.uint8(255 // max(int(array.max()), 1))
 
 
 def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return translucent shadow volumes over the frame's colours, uint8 (rows, cols, 3).
 
-    The colours are repeated if ``array`` holds the volumes of several algorithms side by side.
+    ``color`` has the frame's colours. They are repeated if ``array`` holds the volumes of several algorithms side by side.
     """
     background = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
     opacity = (MAX_OPACITY * (1.0 - (1.0 - FACE_OPACITY) ** np.arange(256)))[array, None]
@@ -41,6 +47,11 @@ def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 def _pass_product(
     layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
 ) -> Product:
+    """Return the product that shows a layer of an algorithm's render pass, such as a shadow map.
+
+    ``to_picture`` returns a picture for PNG from the layer and the frame's colours; ``None`` if the layer itself is shown.
+    """
+
     def compute(product_input: ProductInput) -> np.ndarray:
         """Return the pass layer of the frame's first light. Raises ``InputError`` if the light has none."""
         frame = product_input.frame

@@ -41,7 +41,9 @@ HeightEncoding = Literal["mapbox", "terrarium"]
 """Encodings of heights in colours, by MapLibre's names."""
 
 NEEDS_FRAME: Needs = frozenset({"frame", "reach"})
+"""Needs of a product that is computed from a whole frame: the rendered view with all its buffers."""
 NEEDS_NOTHING: Needs = frozenset()
+"""Needs of a product that no picture is drawn for."""
 
 
 class ProductOptions(BaseModel):
@@ -102,12 +104,13 @@ class ProductInput:
 
     @property
     def frame(self) -> Frame:
-        """The frame, for a product that needs one."""
+        """The rendered frame of the view, with all its buffers, for a product that needs one."""
         assert self.picture is not None and self.picture.frame is not None
         return self.picture.frame
 
     @cached_property
     def _ground(self) -> tuple[np.ndarray, np.ndarray]:
+        """Heights of a map's ground in metres, float32 (rows, cols), and its valid mask, bool (rows, cols)."""
         view = self.map_view
         return self.scene.surface(view.grid).heights(int(view.row0), int(view.col0), view.rows, view.cols)
 
@@ -150,7 +153,7 @@ class Product:
     needs, perspective_needs
         The images to draw for a map, and for a perspective view (``None``: the same). If none, ``compute`` uses the scene only.
     margin_px
-        Margin in pixels around a part that ``compute`` needs. It is computed and cropped, so that blocks and tiles have no seams.
+        Margin in pixels around a block or tile that ``compute`` needs. It is computed and cropped, so that there are no seams.
     options
         The model of its options.
     dtype
@@ -285,12 +288,18 @@ class Product:
             raise InputError(name, first["input"], allowed_phrase(first)) from None
 
     def empty_array(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
-        """Return the array of a map without data."""
+        """Return the array (rows, cols) or (rows, cols, bands) of a map without data.
+
+        ``lowest_ground_m`` is the height of the level's lowest ground in metres. Encoded heights show it.
+        """
         if self.empty is not None:
             return self.empty(rows, cols, lowest_ground_m)
         shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
         return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
 
     def empty_picture(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
-        """Return the picture of a map without data, which is transparent for a product with a colour scale."""
+        """Return the picture of a map without data, which is transparent for a product with a colour scale.
+
+        The parameters are those of ``empty_array``.
+        """
         return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_ground_m)

@@ -27,6 +27,7 @@ TILE_STEP_MIN = 5.0
 """Minutes between two suns of a tile. The mean error is half a minute in mountains, and a block takes seconds."""
 
 MAX_LEGEND_TICKS = 7
+"""Approximate maximum number of ticks of a legend."""
 
 BARE_BLOCK_SIDE_NODES = 2048
 """Side of a block of bare ground: twice that of a picture, because each sun reads the casters around the block again."""
@@ -35,8 +36,10 @@ LARGE_RASTER_CELLS = 16_000_000
 """Limit of the cells of a raster with large blocks. Smaller blocks bound memory, since casters around a block may exceed it."""
 
 LARGE_RASTER_BLOCK_SIDE_NODES = 1024
+"""Side of a block of bare ground of a raster with at least that many cells."""
 
 MIN_BLOCK_SIDE_NODES = 64
+"""Minimum side of a block of bare ground, where the curved earth limits blocks."""
 
 Date = datetime.date  # an alias, because the model has a field called ``date``
 
@@ -92,12 +95,13 @@ class SunHoursOptions(ProductOptions):
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:
-    """Return the requested quantity of sun, float32 (rows, cols)."""
+    """Return the requested quantity of sun, float32 (rows, cols), in the unit of ``QUANTITIES``."""
     values: np.ndarray = getattr(_sun_hours(product_input), product_input.options.quantity)
     return values
 
 
 def _sun_hours(product_input: ProductInput) -> SunHours:
+    """Return hours of sun, first and last sun, and the other quantities of a map, over the dates of the options."""
     from skugga.shadows.sun_hours.sun_hours import sun_hours
     from skugga.shadows.sun_hours.suns import window_suns
 
@@ -142,11 +146,16 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
 
 
 def _ticks(low: float, high: float, unit: float, format_tick: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
+    """Return the ticks of a legend from ``low`` to ``high``: numbers and their labels.
+
+    Ticks are 1, 2, 3, 4, 6 or 12 times ``unit`` apart, as few as ``MAX_LEGEND_TICKS`` needs.
+    """
     tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS)
     return tuple((float(value), format_tick(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
 
 
 def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
+    """Return the metadata tags of a raster: the quantity, its dates, window and clock, and the rules."""
     from skugga.terrain.geo.daily_windows import clock_text
 
     windows = options.windows(scene.world)
@@ -168,6 +177,7 @@ def _date_count(options: SunHoursOptions) -> int:
 
 
 def _check(scene: Scene) -> None:
+    """Raise ``UnsupportedError`` for a level with objects on its ground, which would need a picture for each of many suns."""
     from skugga.terrain.gbuffer.supersampling import is_terrain_only
 
     if not is_terrain_only(scene):  # each of many suns would be a picture

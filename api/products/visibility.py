@@ -8,6 +8,7 @@ from skugga.api.products.product import Product, ProductInput
 from skugga.shadows.picture import Needs
 
 NEEDS_VISIBILITY: Needs = frozenset({"visibility", "reach"})
+"""Needs of a product that is computed from the visibility of one light, 0 to 1."""
 
 
 def visibility_of(product_input: ProductInput) -> np.ndarray:

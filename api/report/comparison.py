@@ -28,7 +28,7 @@ from skugga.terrain.scene import Scene
 
 
 def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
-    """Create the folder and check the file before the comparison, which takes minutes. Raises ``InputError``."""
+    """Create the folder and check the file of rows before the comparison, which takes minutes. Raises ``InputError``."""
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -111,7 +111,10 @@ def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> N
 
 
 def commands_of_left_out(comparison: Comparison, base_command: str) -> list[str]:
-    """Return the command lines that measure the rows for which the time limit left no time."""
+    """Return the command lines that measure the rows for which the time limit left no time.
+
+    ``base_command`` is that of ``print_comparison``.
+    """
     return [f"{base_command} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
@@ -135,6 +138,7 @@ def comparison_facts(scene: Scene, comparison: Comparison, view: str) -> dict[st
 
 
 def _table_cells(row: ComparisonRow) -> list[str]:
+    """Return the figures of a row as texts, in the order of the table's columns."""
     f = row.figures
     return [
         f["name"],

@@ -79,7 +79,7 @@ def format_plan(plan: Plan, title: str) -> str:
 
 def format_choices(plan: Plan) -> list[str]:
     """Return a sentence for each light and caster kind with shadows: the algorithm and its reason."""
-    reasons = {reasoned.name: reasoned.reason for reasoned in _with_display_names(plan).reasons}
+    reasons = {entry.name: entry.reason for entry in _with_display_names(plan).reasons}
     return [
         f"{_capitalized(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: "
         f"{reasons[f'{light}/{kind}: {name}']}."
@@ -130,9 +130,7 @@ def format_overshoot(plan: Plan) -> str:
         over.append(f"{format_percent(error)} of {'coverage' if plan.predicted.is_coverage else 'the cast shadow'}")
     if plan.target.max_ms is not None and (ms := plan.predicted.ms - plan.target.max_ms) > 0.0:
         over.append(format_duration(ms))
-    missed_reasons = (
-        reasoned.reason.removeprefix("expected: ") for reasoned in plan.reasons if reasoned.name.endswith(TARGET_MISSED)
-    )
+    missed_reasons = (entry.reason.removeprefix("expected: ") for entry in plan.reasons if entry.name.endswith(TARGET_MISSED))
     return " and ".join(over) or "; ".join(missed_reasons)
 
 
@@ -149,7 +147,7 @@ class _ReasonList:
 
     def take_notes(self, name_part: str) -> list[str]:
         """Take the reasons whose name contains a word, and return them as sentences."""
-        return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: name_part in name.split(" "))]
+        return [_sentence(entry.reason) for entry in self._take(lambda name: name_part in name.split(" "))]
 
     def light_lines(self, light: str) -> list[str]:
         """Return the lines about a light: heading, algorithms and settings."""
@@ -161,9 +159,10 @@ class _ReasonList:
 
     def take_remaining(self) -> list[str]:
         """Take all remaining reasons, and return them as sentences."""
-        return [f"{_capitalized(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
+        return [f"{_capitalized(entry.name)}: {entry.reason}." for entry in self._take(lambda _: True)]
 
     def _step_lines(self, step: Step) -> Iterator[str]:
+        """Yield the lines about a step (one algorithm for some caster kinds): its algorithm and its settings, with reasons."""
         kinds_by_reason: dict[str, list[str]] = {}
         for kind in step.kinds:
             reasons = self._take_named(f"{step.light}/{kind}: {step.algorithm}")
@@ -179,11 +178,12 @@ class _ReasonList:
 
     def _take_named(self, *names: str) -> list[str]:
         """Take the reasons that have one of some names."""
-        return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
+        return [entry.reason for entry in self._take(lambda name: name in names)]
 
     def _take(self, matches: Callable[[str], bool]) -> list[NamedReason]:
-        matching = [reasoned for reasoned in self._unused if matches(reasoned.name)]
-        self._unused = [reasoned for reasoned in self._unused if not matches(reasoned.name)]
+        """Take the reasons whose name fulfils a condition, and return them."""
+        matching = [entry for entry in self._unused if matches(entry.name)]
+        self._unused = [entry for entry in self._unused if not matches(entry.name)]
         return matching
 
 
@@ -203,6 +203,7 @@ def _matched_display_name(match: re.Match[str]) -> str:
 
 
 def _setting_phrase(key: str, value: object) -> str:
+    """Return the setting ``key`` with its value as a phrase, such as ``2048 x 2048 texels``."""
     match key, value:
         case "map_size", _:
             return f"{value} x {value} texels"
@@ -229,9 +230,10 @@ def _setting_phrase(key: str, value: object) -> str:
 def _with_display_names(plan: Plan) -> Plan:
     """Return a plan whose reasons use the display names of algorithms and effects."""
 
-    def renamed(reasoned: list[NamedReason]) -> list[NamedReason]:
+    def renamed(named_reasons: list[NamedReason]) -> list[NamedReason]:
         return [
-            NamedReason(name=entry.name, reason=_SNAKE_CASE_WORD.sub(_matched_display_name, entry.reason)) for entry in reasoned
+            NamedReason(name=entry.name, reason=_SNAKE_CASE_WORD.sub(_matched_display_name, entry.reason))
+            for entry in named_reasons
         ]
 
     lists = ("effects", "left_out", "rejected", "reasons")
@@ -240,34 +242,39 @@ def _with_display_names(plan: Plan) -> Plan:
 
 def _rejected_algorithms(plan: Plan) -> list[NamedReason]:
     """Return the rejected algorithms; reasons that repeat a listed reason are shortened."""
-    reported = {f": {reasoned.reason}" for reasoned in plan.reasons}
-    ends = {reasoned.name: next((end for end in reported if reasoned.reason.endswith(end)), "") for reasoned in plan.rejected}
-    return [NamedReason(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
+    reported = {f": {entry.reason}" for entry in plan.reasons}
+    ends = {entry.name: next((end for end in reported if entry.reason.endswith(end)), "") for entry in plan.rejected}
+    return [NamedReason(name=entry.name, reason=entry.reason.removesuffix(ends[entry.name])) for entry in plan.rejected]
 
 
-def _reason_section(title: str, reasoned: list[NamedReason]) -> list[str]:
+def _reason_section(title: str, named_reasons: list[NamedReason]) -> list[str]:
+    """Return lines that list names by their common reason, below a title; an empty list without reasons."""
     names: dict[str, list[str]] = {}
-    for entry in reasoned:
+    for entry in named_reasons:
         names.setdefault(entry.reason, []).append(display_name(entry.name))
     return (
         [title, *(f"  {_capitalized(format_list(listed_names, max_items=9))}: {reason}." for reason, listed_names in names.items())]
-        if reasoned
+        if named_reasons
         else []
     )
 
 
 def _sentence(text: str) -> str:
+    """Return a text as a sentence."""
     return f"{_capitalized(text)}."
 
 
 def _capitalized(text: str) -> str:
+    """Return a text with an upper-case first letter."""
     return text[:1].upper() + text[1:]
 
 
 def _format_degrees(degrees: float) -> str:
+    """Return an angle with one decimal, or with none if that is 0."""
     return f"{degrees:.1f}".removesuffix(".0")
 
 
 def _wrapped(line: str) -> str:
+    """Return a line broken into lines of at most ``LINE_WIDTH`` characters. Further lines are indented by two spaces more."""
     indent = " " * (len(line) - len(line.lstrip()))
     return textwrap.fill(line.strip(), LINE_WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_on_hyphens=False)

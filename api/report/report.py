@@ -121,6 +121,7 @@ def report_html(
 
 
 def _template_text(name: str) -> str:
+    """Return the text of a file of the page's template, style or script."""
     return (files("skugga.api.report.page") / name).read_text(encoding="utf-8")
 
 
@@ -145,6 +146,7 @@ def _left_out_note(commands: Sequence[str]) -> list[str]:
 
 
 def _share_texts(comparison: Comparison) -> dict[str, str]:
+    """Return sentences on parts of the surface, by heading: cast shadow, uncertain pixels, and the errors of truth itself."""
     return {
         "cast shadow": f"{format_percent(comparison.cast_share)} of the surface, by truth",
         "boundary": f"{format_percent(comparison.undecided_share)} of the surface: errors are not counted there, because "
@@ -156,6 +158,7 @@ def _share_texts(comparison: Comparison) -> dict[str, str]:
 
 
 def _results(comparison: Comparison) -> dict[str, str]:
+    """Return the parts of the page that show the rows, by the names of the template's placeholders."""
     figures = [row.figures for row in comparison.rows]
     cold = [f["name"] for f in figures if f["cold"]]
     return {
@@ -190,6 +193,7 @@ def _error_pictures(comparison: Comparison) -> list[ErrorPicture]:
 
 
 def _pictures_note(encoded_pictures: ReportPictures) -> str:
+    """Return a note on the size and the gray steps of the pictures."""
     steps = f"Visibility is shown in {encoded_pictures.gray_levels} steps."
     if encoded_pictures.shrink_factor == 1:
         return f"Pictures have the pixels of the view. {steps}"
@@ -201,6 +205,10 @@ def _pictures_note(encoded_pictures: ReportPictures) -> str:
 
 
 def _data_script(comparison: Comparison, encoded_pictures: ReportPictures) -> str:
+    """Return the script element with the pictures and the palette, and with the two rows that are compared first.
+
+    These are the fastest and the slowest row on the Pareto front.
+    """
     figures = [row.figures for row in comparison.rows]
     row_numbers = [k for k, f in enumerate(figures) if is_on_front(f, comparison.light)] or list(range(len(figures)))
     row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error_metric]))
@@ -217,12 +225,14 @@ def _data_script(comparison: Comparison, encoded_pictures: ReportPictures) -> st
 
 
 def _thumbs(comparison: Comparison, encoded_pictures: ReportPictures) -> str:
+    """Return the small error pictures of all rows, smallest error first."""
     figures = [row.figures for row in comparison.rows]
     order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error_metric], figures[k]["ms_median"]))
     return "".join(_thumb(k, figures[k], comparison.error_metric, encoded_pictures) for k in order)
 
 
 def _thumb(row_index: int, figures: RowFigures, error: str, encoded_pictures: ReportPictures) -> str:
+    """Return the small error picture of a row with its caption. ``error`` is the key of the error among the figures."""
     caption = f"{format_percent(figures[error])}, {format_duration(figures['ms_median'])}"
     shares = f"{format_percent(figures['false_shadow'])} false and {format_percent(figures['missed_shadow'])} missed shadow"
     alt = f"Errors of {figures['name']}: {shares}"

@@ -11,6 +11,7 @@ from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 RowFigures = dict[str, Any]
+"""Measured figures of a row by key, as ``skugga.api.report.page.table.COLUMNS`` explains them; errors are fractions of 1."""
 
 
 MAX_EXACT_NOISE_FLOORS = 3.0
@@ -71,12 +72,15 @@ class _SummaryWriter:
     max_exact_error: float
 
     def error_of(self, figures: RowFigures) -> float:
+        """Return the error of a row as a fraction of 1."""
         return float(figures[self.error_key])
 
     def is_exact(self, figures: RowFigures) -> bool:
+        """Return whether the error of a row lies within the noise of truth."""
         return self.error_of(figures) <= self.max_exact_error
 
     def extreme_sentences(self, rows: list[RowFigures]) -> list[str]:
+        """Return sentences on the fastest and the most accurate row."""
         fastest = min(rows, key=lambda f: (f["ms_median"], self.error_of(f)))
         best = min(rows, key=lambda f: (0.0 if self.is_exact(f) else self.error_of(f), f["ms_median"]))
         exact_count = sum(map(self.is_exact, rows))
@@ -94,6 +98,7 @@ class _SummaryWriter:
         return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{accuracy_sentence}{times}."]
 
     def cost_sentences(self, front: list[RowFigures]) -> list[str]:
+        """Return a sentence on the cost of each step of accuracy along a Pareto front, from the fastest row on."""
         sentences, current = [], front[0] if front else None
         while current is not None and not self.is_exact(current):
             next_ = next((f for f in front if self.is_exact(f) or self.error_of(f) <= self.error_of(current) / 2.0), None)
@@ -103,6 +108,7 @@ class _SummaryWriter:
         return sentences
 
     def _cost_sentence(self, current: RowFigures, better: RowFigures) -> str:
+        """Return a sentence on the time that the more accurate row ``better`` takes, compared with the row ``current``."""
         ratio = better["ms_median"] / current["ms_median"]
         cost_clause = (
             f"{f'costs {_format_ratio(ratio)} the' if ratio >= EQUAL_TIME_RATIO else 'takes hardly more'} time "
@@ -118,6 +124,7 @@ class _SummaryWriter:
         )
 
     def failure_sentences(self, rows: list[RowFigures]) -> list[str]:
+        """Return a sentence on rows with a small error that are wrong far from shadow edges; an empty list without such rows."""
         failing_rows = [f for f in rows if f["interior"] > MAX_INTERIOR_SHARE and self.error_of(f) <= DEFAULT_MAX_ERROR]
         if not failing_rows:
             return []
@@ -129,6 +136,7 @@ class _SummaryWriter:
         ]
 
     def _result(self, figures: RowFigures) -> str:
+        """Return the error and the time of a row as text."""
         error_phrase = "of the cast shadow wrong" if self.error_key == "wrong_cast" else "difference in shadow share"
         error_text = (
             "exact within the noise of truth"
@@ -166,6 +174,7 @@ def _softest_sentences(rows: list[RowFigures], error: str) -> list[str]:
 
 
 def _dominated_sentences(rows: list[RowFigures], light: str) -> list[str]:
+    """Return a sentence on algorithms that are never on the Pareto front; an empty list if all are."""
     on_front_names = {name for f in rows if f["pareto"] for name in _algorithms(f, light)}
     dominated = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_front_names]
     if not dominated or not on_front_names:
@@ -178,8 +187,10 @@ def _dominated_sentences(rows: list[RowFigures], light: str) -> list[str]:
 
 
 def _algorithms(figures: RowFigures, light: str) -> list[str]:
+    """Return the names of a row's algorithms for a light; ``none`` if none casts."""
     return algorithm_family(figures, light).split(" + ")
 
 
 def _format_ratio(ratio: float) -> str:
+    """Return a ratio of times as text, such as ``2.5 times``."""
     return f"{format_two_digits(ratio)} times"

@@ -25,6 +25,7 @@ from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.errors import InputError, Problem
 
 DIGEST_BYTES = 16
+"""Size of a tile's digest in bytes."""
 
 DEDUPLICATION_LIMIT_BYTES = 2048
 """Equal tiles of fewer bytes are stored once. Such tiles have one colour, or nearly so.
@@ -180,6 +181,10 @@ def write_archive(
 
 
 def _layout(indexes: Sequence[ShardIndex], archive_metadata: ArchiveMetadata) -> _Layout:
+    """Return the positions of all tiles of an archive, and its directory entries. Equal neighbouring tiles form one run.
+
+    Raises ``InputError`` without any tile, and ``ValueError`` for unordered ids, ids outside of the zooms, or a tile without bytes.
+    """
     ids = np.concatenate([np.empty(0, np.uint64), *(index.ids for index in indexes)])
     lengths = np.concatenate([np.empty(0, np.uint32), *(index.lengths for index in indexes)])
     digests = np.concatenate([np.empty((0, DIGEST_BYTES), np.uint8), *(index.digests for index in indexes)])
@@ -271,9 +276,10 @@ def _directories(layout: _Layout) -> tuple[bytes, bytes]:
         leaf_entries *= 2
 
 
-def _entries(layout: _Layout, first: int, end: int) -> list[Entry]:
-    part = slice(first, end)
-    columns = (column[part].tolist() for column in (layout.ids, layout.offsets, layout.lengths, layout.run_lengths))
+def _entries(layout: _Layout, first_entry: int, end_entry: int) -> list[Entry]:
+    """Return the directory entries with the indexes ``first_entry`` to before ``end_entry`` of a layout."""
+    indexes = slice(first_entry, end_entry)
+    columns = (column[indexes].tolist() for column in (layout.ids, layout.offsets, layout.lengths, layout.run_lengths))
     return [Entry(*row) for row in zip(*columns, strict=True)]
 
 
@@ -300,6 +306,7 @@ def _copy_shard(file: BinaryIO, shard_number: int, index: ShardIndex, shard: byt
 
 
 def _digest(tile: bytes | memoryview) -> bytes:
+    """Return the BLAKE2b digest of a tile, ``DIGEST_BYTES`` bytes."""
     return blake2b(tile, digest_size=DIGEST_BYTES).digest()
 
 

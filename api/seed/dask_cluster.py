@@ -74,7 +74,10 @@ class DaskCluster:
         self._warm_up()
 
     def prepare_run(self, spec: RunSpec, store_address: str) -> DaskCluster:
-        """Prepare the workers for a run, and return this cluster. Raises ``OSError`` if the shard store is not writable."""
+        """Prepare the workers for a run, and return this cluster. ``store_address`` is the folder or address of the shard store.
+
+        Raises ``OSError`` if the shard store is not writable.
+        """
         content = spec.model_dump_json().encode()
         name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
         open_store(store_address).write(name, content)
@@ -145,6 +148,10 @@ class DaskCluster:
             log.warning("%s: render processes cannot warm up before their first tasks: %s", self._address, _one_line(error))
 
     def _outcome(self, task: Task, future: Any) -> list[TaskResult | TaskFailure]:
+        """Return the result or failure of a task from its finished Dask future. The list is empty if the task is submitted again.
+
+        That happens after the scheduler was lost, or if a worker cannot draw this run. Raises ``GraphicsError`` if no worker can.
+        """
         try:
             if future.status != "finished":
                 reason = _one_line(future.exception(timeout=5.0))
@@ -165,6 +172,7 @@ class DaskCluster:
         return [message]
 
     def _eligible_workers(self) -> list[str]:
+        """Return the addresses of the present workers that have not been refused for this run."""
         return [worker for worker in self._workers if worker not in self._refusal_reasons]
 
     def _update_workers(self) -> None:
@@ -216,4 +224,5 @@ class DaskCluster:
 
 
 def _one_line(error: object) -> str:
+    """Return the text of an error in one line of up to 200 characters, or the name of its type if it has no text."""
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -35,7 +35,7 @@ class PersistentProcess:
                 self._lock.release()
 
     def draw(self, store_address: str, spec: str, task: Task) -> TaskResult | TaskFailure:
-        """Draw a task of a run."""
+        """Draw a task of a run. ``spec`` names the file in the shard store at ``store_address`` that holds the ``RunSpec``."""
         with self._lock:
             try:
                 process = self._process_for((store_address, spec))
@@ -59,6 +59,10 @@ class PersistentProcess:
                 self._lock.release()
 
     def _process_for(self, run: tuple[str, str]) -> RenderProcess:
+        """Return the process, ready for a run. A process that was prepared for another run is replaced.
+
+        ``run`` has the address of the shard store and the name of the file in it that holds the ``RunSpec``.
+        """
         if self._run not in (None, run):
             self._end()
         if self._process is None:
@@ -70,6 +74,7 @@ class PersistentProcess:
         return self._process
 
     def _end(self) -> None:
+        """Kill the process, if there is one."""
         if self._process is not None:
             self._process.end()
         self._process = self._run = None
@@ -92,5 +97,8 @@ class WarmUpPlugin(WorkerPlugin):
 
 
 def draw_on_worker(store_address: str, spec: str, task: tuple[Any, ...]) -> TaskResult | TaskFailure:
-    """Draw a task on a Dask worker. ``spec`` names the file in the shard store that holds the ``RunSpec``."""
+    """Draw a task on a Dask worker. ``spec`` names the file in the shard store that holds the ``RunSpec``.
+
+    ``task`` has the fields of a ``Task``.
+    """
     return replace(persistent_process.draw(store_address, spec, Task(*task)), worker=get_worker().address)

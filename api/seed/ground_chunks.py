@@ -24,6 +24,7 @@ MAX_READ_CELLS = 2**23
 """Number of cells read at once."""
 
 CHUNK_DIGEST_BYTES = 16
+"""Size of a chunk's digest in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class GroundChunks:
 
     @cached_property
     def digest(self) -> bytes:
-        """Digest of the whole ground."""
+        """Digest of the whole ground: of the side and the digests of all chunks. Modification times of files do not affect it."""
         return hashlib.blake2b(np.int64(self.side).tobytes() + self.digests.tobytes(), digest_size=CHUNK_DIGEST_BYTES).digest()
 
     def to_bytes(self) -> bytes:
@@ -102,6 +103,9 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
 
 
 def _overview_cells(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
-    """Return an overview's factor of decimation, and its cells in a window of the raster."""
+    """Return ``factor``, and the cells of the overview with that factor of decimation, in a window of the raster.
+
+    ``rows`` and ``cols`` are the window's slices of the raster's rows and columns.
+    """
     shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
     return factor, elevation.stored_values(rows, cols, shape)[0]

@@ -154,13 +154,20 @@ class GroundDependencies:
         return shares
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
-        """Return first and last row, and first and last column, of the raster below a block and its margin; infinite if unknown."""
+        """Return first and last row, and first and last column, of the raster below a block and its margin; infinite if unknown.
+
+        ``x`` and ``y`` are the block's column and row in the tile matrix, counted in blocks.
+        """
         key = grid, x, y
         if key not in self._cells:
             self._cells[key] = self._compute_cells(grid, x, y)
         return self._cells[key]
 
     def _compute_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
+        """Return what ``_cells_of`` returns, without its cache.
+
+        ``x`` and ``y`` are the block's column and row in the tile matrix, counted in blocks.
+        """
         elevation = self._scene.elevation
         map_x, map_y = _lattice(grid, x, y)
         if grid.crs != elevation.crs:
@@ -176,6 +183,7 @@ class GroundDependencies:
         return row.min() - margins[0], row.max() + margins[0], col.min() - margins[1], col.max() + margins[1]
 
     def _visible_chunks(self, grid: Grid, x: int, y: int) -> np.ndarray:
+        """Return the chunks whose ground a block shows, with a margin, as a bool mask (rows, cols) of chunks."""
         top, bottom, left, right = self._cells_of(grid, x, y)
         rows, cols = self._chunks.low_m.shape
         first_row, first_col = np.arange(rows) * self._chunks.side, np.arange(cols) * self._chunks.side
@@ -197,7 +205,11 @@ class GroundDependencies:
         return _SunlitChunks(light, top_points_light_m, object_height_m, is_terrain_only(scene) and not uses_fitted_maps)
 
     def _shading_chunks(self, grid: Grid, x: int, y: int, visible_chunks: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
-        """Return the chunks that can cast a shadow on a block whose ground lies in ``visible_chunks``."""
+        """Return the chunks that can cast a shadow on a block whose ground lies in ``visible_chunks``.
+
+        Both are bool masks (rows, cols) of chunks. ``x`` and ``y`` are the block's column and row in the tile matrix, counted in
+        blocks.
+        """
         scene, with_heights = self._scene, visible_chunks & np.isfinite(self._chunks.low_m)
         if not with_heights.any():
             return np.zeros(visible_chunks.shape, np.bool_)
@@ -248,6 +260,7 @@ class _SkyDigests:
 
 
 def _chunk_points(scene: Scene, chunks: GroundChunks) -> _ChunkPoints:
+    """Return the chunks of a raster as points on the earth, in rows from the first chunk on."""
     elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
     ends = [np.minimum(np.arange(count + 1) * side, size) - 0.5 for count, size in ((rows, elevation.rows), (cols, elevation.cols))]
     corner_col, corner_row = np.meshgrid(ends[1], ends[0])
@@ -262,12 +275,18 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _ChunkPoints:
 
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return map coordinates x and y of a regular lattice of points over a block and a small margin."""
+    """Return map coordinates x and y of a regular lattice of points over a block and a small margin.
+
+    ``x`` and ``y`` are the block's column and row in the tile matrix of ``grid``, counted in blocks.
+    """
     steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_INTERVALS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 
 
 def _unit_vectors(point_earth_m: np.ndarray) -> np.ndarray:
-    """Return unit vectors from the earth's centre. They approximate the vertical well enough to place the tops of tall objects."""
+    """Return unit vectors (n, 3) from the earth's centre to points (n, 3) in earth-fixed coordinates, metres.
+
+    They approximate the vertical well enough to place the tops of tall objects.
+    """
     return point_earth_m / np.linalg.norm(point_earth_m, axis=-1, keepdims=True)

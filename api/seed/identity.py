@@ -20,10 +20,14 @@ KEYS_WITHOUT_EFFECT = {"title", "attribution", "views", "shadows", "sun", "archi
 """Keys of a level that do not affect tiles directly. The plans include ``shadows``, and the sun has its own digest."""
 
 READ_BLOCK_BYTES = 2**20
+"""Number of bytes of a file that are read at once."""
 
 
 def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
-    """Return the digest of everything in a level that affects its tiles, except the ground's heights. Raises ``OSError``."""
+    """Return the digest of everything in a level that affects its tiles, except the ground's heights. Raises ``OSError``.
+
+    Contents of files affect it; their paths and their modification times do not. ``table`` caches digests of files.
+    """
     settings = loaded.level.model_dump(mode="json", exclude=KEYS_WITHOUT_EFFECT)
     terrain = loaded.level.terrain.source
     contents = {name: contents_digest(loaded.resolve(name), table) for name in _source_names(loaded) if name != terrain}
@@ -57,7 +61,8 @@ def cached_ground_chunks(loaded: LoadedLevel, scene: Scene, table: TaskTable) ->
 def contents_digest(source: str, table: TaskTable) -> str:
     """Return the digest of a file's bytes, including linked files and sidecar files. For a remote file it is that of its address.
 
-    Files with unchanged stamps (times, size and inode) are not read again. Raises ``OSError``.
+    Modification times do not affect the digest. They only save work: ``table`` stores digests of files by their stamps (times, size
+    and inode), and files with unchanged stamps are not read again. Raises ``OSError``.
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in _files_of(source):
@@ -74,7 +79,10 @@ def contents_digest(source: str, table: TaskTable) -> str:
 
 
 def plan_digest(plan: Plan | None) -> str:
-    """Return the digest of what a plan does. Its reasons and expected costs do not count."""
+    """Return the digest of what a plan does: its algorithms, settings and effects. Its reasons and expected costs do not count.
+
+    ``None`` stands for a product that needs no plan.
+    """
     return digest_of_json(None if plan is None else plan.model_dump(mode="json", include={"algorithm", "settings"}) | {
         "effects": sorted(plan.effect_names)
     })  # fmt: skip
@@ -95,7 +103,10 @@ def _source_names(loaded: LoadedLevel) -> list[str]:
 
 
 def _without_paths(value: Any, contents: dict[str, str]) -> Any:
-    """Return a value with names of files replaced by the digests of their contents."""
+    """Return a JSON value with names of files replaced by the digests of their contents.
+
+    ``contents`` has the digests by the names of files, as written in the level file.
+    """
     if isinstance(value, dict):
         return {key: _without_paths(item, contents) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -104,16 +115,22 @@ def _without_paths(value: Any, contents: dict[str, str]) -> Any:
 
 
 def _files_of(source: str) -> list[Path]:
+    """Return the files that belong to a source: itself, the files that it links to, and their sidecar files, if they exist.
+
+    ``source`` is a path or an address. Remote files are included without a check.
+    """
     files = [Path(source), *map(Path, linked_files(source))]
     sidecars = [file for path in files if not is_remote(str(path)) for file in sidecar_files(path)]
     return [path for path in dict.fromkeys([*files, *sidecars]) if is_remote(str(path)) or path.is_file()]
 
 
 def _stamp_of_source(source: str) -> str:
+    """Return the stamps (times, size and inode) of the files that belong to a source, as text."""
     return repr(file_stamps(_files_of(source)))
 
 
 def _digest_of_bytes(path: Path) -> str:
+    """Return the digest of a file's bytes as 32 hexadecimal digits. Raises ``OSError``."""
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as file:
         for part in _file_blocks(file):
@@ -122,5 +139,6 @@ def _digest_of_bytes(path: Path) -> str:
 
 
 def _file_blocks(file: Any) -> Iterable[bytes]:
+    """Yield the bytes of an open file in pieces of ``READ_BLOCK_BYTES``."""
     while part := file.read(READ_BLOCK_BYTES):
         yield part

@@ -49,7 +49,7 @@ class LocalPool:
         self._processes = [self._start_process(number) for number in range(workers)]
 
     def prepare_run(self, spec: RunSpec, store_address: str) -> LocalPool:
-        """Prepare the processes for a run, and return this pool."""
+        """Prepare the processes for a run, and return this pool. ``store_address`` is the folder or address of the shard store."""
         self._run = spec.model_dump_json(), store_address
         for process in self._processes:
             process.prepare_run(*self._run)
@@ -97,9 +97,14 @@ class LocalPool:
         return [process.pid for process in self._processes]
 
     def _start_process(self, number: int) -> RenderProcess:
+        """Start a render process without waiting for it. ``number`` counts the processes of the pool from 0."""
         return RenderProcess(self._environment, self._start_timeout_s, number)
 
     def _replace(self, process: RenderProcess, reason: str) -> list[TaskFailure]:
+        """Replace a process that has died or hangs. Return the failure of the task that it was drawing, or an empty list.
+
+        ``reason`` is the text of the failure. Raises ``GraphicsError`` after too many starts in a row that draw nothing.
+        """
         lost_task = process.task
         process.end()
         self._failed_starts += 1

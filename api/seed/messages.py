@@ -85,7 +85,7 @@ class StartRun:
 
 @dataclass(frozen=True)
 class RunReady:
-    """Answer of a process that it is ready to draw tasks of the run."""
+    """Answer of a process that it is ready to draw tasks of the run. ``renderer`` is OpenGL's name of its renderer."""
 
     renderer: str
 
@@ -115,6 +115,6 @@ class TaskFailure:
 
 @dataclass(frozen=True)
 class RunRefused:
-    """Answer of a process that it cannot draw tasks of the run."""
+    """Answer of a process that it cannot draw tasks of the run. ``error`` is the reason in words."""
 
     error: str

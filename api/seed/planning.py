@@ -129,7 +129,7 @@ def local_renderer() -> str:
 def plan_run(table: TaskTable, request: SeedRequest, on_status: Callable[[str], None]) -> PlannedRun:
     """Fill a table with the tasks of a run. Tasks whose inputs have not changed keep their state, done or failed.
 
-    Raises ``SkuggaError`` and ``OSError``.
+    ``on_status`` is called with each step in words. Raises ``SkuggaError`` and ``OSError``.
     """
     loaded = load_level(request.level)
     files = watched_files(loaded)
@@ -164,6 +164,12 @@ def _make_spec(
     suns: Sequence[str],
     on_status: Callable[[str], None],
 ) -> RunSpec:
+    """Fill the table with the tasks of a run, and return the run as workers read it.
+
+    ``scene`` is the level's, and ``version`` is the version of its files. ``renderer`` is the OpenGL renderer of the plans.
+    ``bounds`` are those of the level's data in degrees. ``suns`` are the names of the request's suns in the table, in the
+    same order. ``on_status`` is called with each step in words.
+    """
     table.put(asked=b"")  # an interrupted planning is repeated
     on_status("Reading the ground")
     ground = GroundDependencies(scene, cached_ground_chunks(loaded, scene, table))
@@ -251,7 +257,10 @@ def _renderer_of(table: TaskTable) -> str:
 
 
 def _zooms_and_bounds(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
-    """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
+    """Return the zooms of a run, and the bounds of the level's data in degrees. Raises ``InputError`` for zooms beyond the data.
+
+    ``requested`` are the zooms of the request; ``None``: from the zoom that shows the whole level to the zoom of its cells.
+    """
     data_bounds = scene.bounds_lon_lat
     if data_bounds is None or scene.world.off_earth_reason is not None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")
@@ -273,7 +282,7 @@ def _zooms_and_bounds(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRa
 
 
 def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
-    """Return the blocks (x, y) of a zoom that may show data within some bounds."""
+    """Return the blocks of a zoom that may show data within some bounds in degrees: (column, row), counted in blocks."""
     matrix_set, side = matrix_set_of(MATRIX_SET), 2**zoom
     top, bottom, left, right = tile_limits(matrix_set, zoom, bounds)
     blocks = [
@@ -288,7 +297,10 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
 
 
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
-    """Return the smallest tile id of a block. The ids of its tiles are consecutive."""
+    """Return the smallest PMTiles tile id of the block in column ``x`` and row ``y`` of a zoom.
+
+    The ids of its tiles are consecutive.
+    """
     first = first_tile_id(zoom)
     if 2**zoom < BLOCK_SIDE_TILES:
         return first
@@ -297,7 +309,10 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
 
 
 def _full_block_task_s(plan: Plan | None, zoom: int, measured_costs: dict[int, tuple[float, float]]) -> float:
-    """Return the expected seconds of a task whose block is full of data: measured at its zoom, or predicted by the plan."""
+    """Return the expected seconds of a task whose block is full of data: measured at its zoom, or predicted by the plan.
+
+    ``measured_costs`` has seconds and bytes of such a task by zoom.
+    """
     if zoom in measured_costs:
         return measured_costs[zoom][0]
     if plan is None or plan.predicted is None:

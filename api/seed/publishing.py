@@ -49,7 +49,7 @@ def check_output(output: Path) -> None:
 
 
 def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mapping[str, Path]) -> list[Path]:
-    """Write the outputs that are out of date, and return their paths. ``outputs`` holds them by names of suns.
+    """Write the outputs that are out of date, and return their paths. ``outputs`` holds the paths by names of suns.
 
     If a shard is missing or broken, its task is queued again and ``BrokenShardError`` is raised. Raises ``OSError``.
     """
@@ -86,7 +86,10 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
 
 def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, str, bytes]]) -> str:
-    """Return a digest of all that determines the content of an output."""
+    """Return a digest of all that determines the content of an output: its metadata and its tiles.
+
+    ``finished_tasks`` has number, key and shard index of each task of the sun.
+    """
     digest = hashlib.blake2b(repr(_archive_metadata(run, sun)).encode(), digest_size=16)
     for _, key, tiles in finished_tasks:
         digest.update(key.encode() + tiles)
@@ -94,10 +97,12 @@ def _content_digest(run: PlannedRun, sun: str, finished_tasks: list[tuple[int, s
 
 
 def _output_stamp(output: Path) -> str:
+    """Return the stamp (times, size and inode) of an archive, or of a folder's manifest, as text."""
     return repr(file_stamps([output if is_archive(output) else output / MANIFEST_NAME]))
 
 
 def _archive_metadata(run: PlannedRun, sun: str) -> ArchiveMetadata:
+    """Return the metadata of the archive for the sun with this name."""
     spec, level = run.spec, run.loaded.level
     title = level.title or run.loaded.name
     query = spec.request(run.sun_names.index(sun)).product_query()
@@ -120,7 +125,11 @@ def _write_folder(
     run: PlannedRun,
     sun: str,
 ) -> None:
-    """Write the tiles that a folder lacks, delete those that are no longer requested, and write the manifest last."""
+    """Write the tiles that a folder lacks, delete those that are no longer requested, and write the manifest last.
+
+    ``task_numbers``, ``task_keys`` and ``indexes`` belong to the same finished tasks. ``read_shard(i)`` returns the bytes of
+    the i-th shard.
+    """
     with suppress(FileNotFoundError):
         (output / MANIFEST_NAME).unlink()
     published_tasks = table.published_tasks(str(output))
@@ -144,11 +153,13 @@ def _write_folder(
 
 
 def _tile_path(output: Path, tile_id: int, format: str) -> Path:
+    """Return the path of a tile in an output folder: zoom, column and row, with the suffix ``format``."""
     z, x, y = tileid_to_zxy(tile_id)
     return output / str(z) / str(x) / f"{y}.{format}"
 
 
 def _delete_tiles(output: Path, index: ShardIndex, format: str) -> None:
+    """Delete the tiles of a shard from an output folder, if they exist."""
     for tile_id in index.ids.tolist():
         with suppress(FileNotFoundError):
             _tile_path(output, tile_id, format).unlink()

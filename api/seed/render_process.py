@@ -32,14 +32,17 @@ if TYPE_CHECKING:
     from skugga.api.seed.run_spec import RunSpec
 
 START_TIMEOUT_S = 600.0
-"""Timeout of a process's readiness for a run. Compiling missing loops takes minutes."""
+"""Seconds within which a process must be ready for a run. First it compiles the loops (functions that numba compiles to machine
+code) that the cache on disk lacks, which takes minutes."""
 
 DRAW_TASKS_CODE = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
+# Reason of a failed task, in words.
 DIED_REASON = "its render process ended while drawing it"
 
 EXIT_TIMEOUT_S = 10.0
-"""Timeout of a killed process's exit. A process that waits for an unresponsive disk ends when the disk responds."""
+"""Maximum seconds to wait for the exit of a killed process. A process that waits for an unresponsive disk ends when
+the disk responds."""
 
 log = logging.getLogger("skugga.worker")
 
@@ -65,7 +68,10 @@ class RenderProcess:
         self._set_deadline(None)
 
     def prepare_run(self, spec_json: str, store_address: str) -> None:
-        """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness."""
+        """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness.
+
+        ``store_address`` is the folder or address of the shard store.
+        """
         self._set_deadline(self._start_timeout_s)
         try:
             self.connection.send(StartRun(spec_json, store_address))
@@ -121,6 +127,7 @@ class RenderProcess:
         self.connection.close()
 
     def _set_deadline(self, timeout_s: float | None) -> None:
+        """Start the timeout of a request, ``timeout_s`` seconds from now; ``None`` if no request is pending."""
         self._timeout_s, self._deadline = timeout_s, None if timeout_s is None else clock.monotonic() + timeout_s
 
 
@@ -142,6 +149,7 @@ def draw_tasks(file_descriptor: int, process_number: int = 0) -> None:
 
 
 def _draw_until_closed(connection: Connection) -> None:
+    """Warm up, prepare for the run that ``connection`` names, and draw its tasks until the connection is closed."""
     from skugga.api.seed.drawing import TaskDrawer  # imports of drawing code: only in this process, before a run begins
     from skugga.api.seed.run_spec import RunSpec
     from skugga.api.workers.warm_up import warm_up
@@ -165,7 +173,7 @@ def _draw_until_closed(connection: Connection) -> None:
 
 
 def check_renderer(renderer: str, spec: RunSpec) -> None:
-    """Raise ``GraphicsError`` if this process's OpenGL renderer differs from the one for which the run's plans are made."""
+    """Raise ``GraphicsError`` if ``renderer``, OpenGL's name of it in this process, differs from the one of the run's plans."""
     if renderer != spec.renderer:
         raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}', but this worker draws with '{renderer}'")
 

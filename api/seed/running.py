@@ -26,6 +26,7 @@ MAX_FILES_PER_TASK_CHECK = 100
 """Up to this number, files are checked after every task."""
 
 POLL_INTERVAL_S = 1.0
+"""Maximum seconds to wait for results before the run looks for free workers again."""
 
 MAX_BATCH_TASKS, MIN_BATCHES_PER_WORKER_QUEUE = 16, 4
 """Maximum number of tasks in a batch for a worker queue, and minimum number of batches per worker queue in the remaining tasks."""
@@ -33,7 +34,17 @@ MAX_BATCH_TASKS, MIN_BATCHES_PER_WORKER_QUEUE = 16, 4
 
 @dataclass(frozen=True)
 class TaskCompletion:
-    """The result or failure of a task, and the run's progress: the number of tasks done and in total."""
+    """The result or failure of a task, and the run's progress: the number of tasks done and in total.
+
+    Attributes
+    ----------
+    task : Task
+        The task.
+    outcome : TaskResult or TaskFailure
+        Its result, or the reason why it was not drawn.
+    done_count, total_count : int
+        Number of tasks that have ended, and number of all tasks of this run.
+    """
 
     task: Task
     outcome: TaskResult | TaskFailure
@@ -47,7 +58,7 @@ def shard_name(key: str) -> str:
 
 
 def task_of(table: TaskTable, run: PlannedRun, task_number: int, min_timeout_s: float) -> Task:
-    """Return a task of the table in the form that is sent to workers."""
+    """Return a task of the table in the form that is sent to workers. ``min_timeout_s`` is that of ``run_tasks``."""
     sun, zoom, x, y, key, expected_s = table.task_row(task_number)
     return Task(
         task_number,
@@ -63,8 +74,8 @@ def task_of(table: TaskTable, run: PlannedRun, task_number: int, min_timeout_s: 
 class WaitingTasks:
     """The queue of tasks, assigned to worker queues in batches of tasks that are neighbours on the map.
 
-    A worker that draws neighbouring blocks already has most of their ground in memory. A worker queue for which no task is left
-    steals the last task of the longest worker queue.
+    ``tasks`` are numbers of tasks in the table. A worker that draws neighbouring blocks already has most of their ground in
+    memory. A worker queue for which no task is left steals the last task of the longest worker queue.
     """
 
     def __init__(self, tasks: Sequence[int]) -> None:
@@ -75,7 +86,7 @@ class WaitingTasks:
         return len(self._unassigned_tasks) + sum(map(len, self._worker_queues.values()))
 
     def take(self, worker_queue: int) -> int:
-        """Return the next task of a worker queue. Raises ``IndexError`` if none waits."""
+        """Return the number of the next task of a worker queue. Raises ``IndexError`` if none waits."""
         queued_tasks = self._worker_queues.setdefault(worker_queue, deque())
         if not queued_tasks and self._unassigned_tasks:
             # Smaller batches towards the end, so that all worker queues share the remaining heavy tasks.
@@ -86,7 +97,7 @@ class WaitingTasks:
         return queued_tasks.popleft() if queued_tasks else max(self._worker_queues.values(), key=len).pop()
 
     def requeue(self, task: int) -> None:
-        """Queue a task again, behind all tasks that are not assigned to a worker queue."""
+        """Queue a task again by its number, behind all tasks that are not assigned to a worker queue."""
         self._unassigned_tasks.append(task)
 
 

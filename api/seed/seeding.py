@@ -64,11 +64,14 @@ def draw_and_publish(
     min_timeout_s: float = MIN_TASK_TIMEOUT_S,
     max_ms: float | None = None,
 ) -> SeedResult:
-    """Draw all waiting tasks, and write the outputs if none failed. ``min_timeout_s`` is that of ``run_tasks``.
+    """Draw all waiting tasks, and write the outputs if none failed.
+
+    ``store_address`` is the folder or address of ``store``. ``outputs`` has the paths of outputs by names of suns.
+    ``start_runner`` starts the workers, and ``on_progress`` is called after each task. ``retry_failed`` queues failed tasks
+    again. ``min_timeout_s`` is that of ``run_tasks``.
 
     Raises ``InputError`` if more than ``max_tasks`` would run, ``TooCostlyError`` if a block is expected to take longer than
-    ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of
-    ``run_tasks``.
+    ``max_ms`` (default: the time limit of a service), ``RenderError`` if tasks failed, and the errors of ``run_tasks``.
     """
     requeue_lost_shards(table, store)
     if retry_failed:
@@ -98,7 +101,10 @@ def draw_and_publish(
 
 
 def _check_costs(table: TaskTable, run: PlannedRun, max_ms: float | None) -> None:
-    """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take too long."""
+    """Raise ``TooCostlyError`` if a block of a zoom with waiting tasks is expected to take longer than ``max_ms``, milliseconds.
+
+    Without ``max_ms`` the time limit of a service applies.
+    """
     zooms_with_tasks = {(sun, zoom) for sun, zoom, *_ in table.waiting_totals()}
     for planned in run.spec.plans:
         if (run.sun_names[planned.sun], planned.zoom) in zooms_with_tasks:
@@ -118,6 +124,10 @@ def _draw(
     on_progress: Callable[[TaskCompletion], None],
     min_timeout_s: float,
 ) -> int:
+    """Draw all waiting tasks with the workers that ``start_runner`` returns, and return their number.
+
+    No workers start without tasks.
+    """
     waiting_count = len(table.waiting_tasks())
     if waiting_count:
         runner = start_runner()

@@ -126,7 +126,7 @@ def open_store(location: str) -> ShardStore:
 
 
 def check_writable(store: ShardStore, location: str) -> None:
-    """Write a test file and read it again. Raises ``RenderError``, and ``OSError`` that names the place."""
+    """Write a test file and read it again. Raises ``RenderError``, and ``OSError`` that names the place ``location``."""
     name, content = f"check-{secrets.token_hex(4)}", b"skugga"
     try:
         store.write(name, content)

@@ -48,13 +48,13 @@ class PlannedTask(NamedTuple):
     sun : str
         Name of the sun.
     zoom, x, y : int
-        The block.
+        The zoom, and the column and row of the block, counted in blocks.
     first_tile : int
-        Smallest tile id of the block.
+        Smallest PMTiles tile id of the block.
     parts : InputDigests
         Digests of the inputs of its tiles.
     data_share : float
-        Share of the block that shows data.
+        Approximate fraction of the block's area that lies on the raster, up to 1. A minimum stands for the overhead of a task.
     expected_s : float
         Expected duration in seconds.
     """
@@ -70,7 +70,21 @@ class PlannedTask(NamedTuple):
 
 
 class InputDigests(NamedTuple):
-    """Digests of the inputs of a task's tiles, except block and sun. A task is drawn again if one of them changes."""
+    """Digests of the inputs of a task's tiles, except block and sun. A task is drawn again if one of them changes.
+
+    Attributes
+    ----------
+    renderer : str
+        Digest of this package's renderer version and of the OpenGL renderer.
+    settings : str
+        Digest of the level without its ground, and of the request.
+    plan : str
+        Digest of the plan's algorithms, settings and effects.
+    height_range : str
+        Digest of the level's lowest and highest ground.
+    ground : str
+        Digest of the ground that the block's tiles depend on.
+    """
 
     renderer: str
     settings: str
@@ -87,11 +101,22 @@ REASONS = {
 """Reasons to draw finished tasks again, by the changed input."""
 
 NEW_REASON, SHARD_LOST_REASON = "not drawn yet", "the shard is missing or corrupt"
+"""Further reasons to draw a task."""
 
 
 @dataclass(frozen=True)
 class FailedTask:
-    """A failed task with its error."""
+    """A failed task with its error.
+
+    Attributes
+    ----------
+    zoom, x, y : int
+        The zoom, and the column and row of the block, counted in blocks.
+    sun : str
+        Name of the sun.
+    error : str
+        The reason in words.
+    """
 
     zoom: int
     x: int
@@ -159,19 +184,22 @@ class TaskTable:
         return None if row is None else str(row[0])
 
     def put_file(self, path: str, stamp: str, digest: str) -> None:
-        """Store a file's digest."""
+        """Store a file's digest with the file's stamp (times, size and inode)."""
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
     def plan(self, sun: str, zoom: int, request_digest: str) -> str | None:
-        """Return the stored plan of a zoom under a sun for a request, as JSON; ``None`` without one."""
+        """Return the stored plan of a zoom under a sun for a request, as JSON; ``None`` without one.
+
+        ``sun`` is the sun's name, and ``request_digest`` is a digest of the level's settings and the request's.
+        """
         row = self._db.execute(
             "SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, request_digest)
         ).fetchone()
         return None if row is None else str(row[0])
 
     def put_plan(self, sun: str, zoom: int, request_digest: str, plan: str) -> None:
-        """Store a plan."""
+        """Store the plan of a zoom under a sun, as JSON. The parameters are those of ``plan``."""
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, request_digest, plan))
 
@@ -199,6 +227,7 @@ class TaskTable:
             )
 
     def _rows(self, tasks: Iterable[PlannedTask]) -> Iterator[tuple[Any, ...]]:
+        """Yield the row of the table for each planned task, in the order of the columns that ``set_tasks`` writes."""
         for task in tasks:
             parts = ":".join(task.parts)
             yield (
@@ -220,7 +249,7 @@ class TaskTable:
         return [row[0] for row in rows]
 
     def task_row(self, task_number: int) -> tuple[str, int, int, int, str, float]:
-        """Return sun, zoom, block x and y, key and expected duration in seconds of a task."""
+        """Return sun, zoom, block x and y, key and expected duration in seconds of a task, by its number in the table."""
         row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task_number,)).fetchone()
         return tuple(row)
 
@@ -275,7 +304,10 @@ class TaskTable:
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
     def record_published(self, output: str, task_number: int, key: str, tiles: bytes) -> None:
-        """Record that a task's tiles lie in an output folder. ``tiles`` is their shard index."""
+        """Record that a task's tiles lie in an output folder.
+
+        ``key`` is the digest of the task's inputs, and ``tiles`` is the index of its shard.
+        """
         with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task_number, key, tiles))
 
@@ -299,7 +331,7 @@ class TaskTable:
     def waiting_totals(self) -> list[tuple[str, int, str, int, float, float]]:
         """Return a summary of the waiting tasks by sun, zoom and reason.
 
-        Each row holds sun, zoom, reason, number of tasks, the sum of their shares with data, and expected seconds.
+        Each row holds sun, zoom, reason, number of tasks, the sum of their fractions with data, and expected seconds.
         """
         return self._db.execute(
             "SELECT sun, zoom, why, count(*), sum(share), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
@@ -334,6 +366,10 @@ def task_key(task: PlannedTask) -> str:
 
 
 def _reason_of_change(old_digests_json: str, new_digests_json: str) -> str:
+    """Return why a task is drawn again: the text of ``REASONS`` for the first input whose digest differs.
+
+    Both parameters hold the digests of ``InputDigests`` in order, separated by colons.
+    """
     pairs = zip(InputDigests._fields, old_digests_json.split(":"), new_digests_json.split(":"), strict=True)
     return next((REASONS[name] for name, old, new in pairs if old != new), NEW_REASON)
 

@@ -29,7 +29,7 @@ class BackgroundCompile:
 
     Parameters
     ----------
-    processes
+    core_count
         Number of cores to use.
     on_progress
         Called in the event loop with the progress, and with ``None`` when the compilation has ended.
@@ -69,6 +69,8 @@ class BackgroundCompile:
         self._executor.shutdown(wait=True)
 
     async def _run(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Compile the missing loops in a thread, and record whether that succeeded. ``loop`` is the event loop."""
+
         def report(task: str, done: int, total: int) -> None:
             loop.call_soon_threadsafe(self._on_progress, PreparationProgress(task, done, total))
 
@@ -82,9 +84,11 @@ class BackgroundCompile:
             self._on_progress(None)
 
     def _compile(self, report: Progress) -> None:
+        """Compile the missing loops in a separate process, and wait for its end. ``report`` is called in this thread."""
         compile_ahead(PRODUCTS, self._core_count, report, background=True, on_start=self._note_start)
 
     def _note_start(self, process: subprocess.Popen[str]) -> None:
+        """Remember the compiling process, so that ``close`` can kill it; kill it at once if that has happened already."""
         self._compile_process = process
         if self._closed:
             process.kill()

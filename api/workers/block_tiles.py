@@ -19,15 +19,17 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
 
 BLOCK_SIDE_TILES = BLOCK_PX // TILE_PX
+"""Number of tiles along a side of a block."""
 
 TilePosition = tuple[int, int]
-"""Row and column of a tile in its block, from the north-west, in units of the tile's own size."""
+"""Row and column of a file in its block, counted from 0 at the north-west. The unit is the side of the file, in tiles."""
 
 
 def block_and_position(x: int, y: int, tiles_per_side: int) -> tuple[TilePosition, TilePosition]:
     """Return the column and row of the block that holds tile (``x``, ``y``) of a zoom, and the tile's position in the block.
 
-    The position is that of the file with the tile, if each file covers ``tiles_per_side`` x ``tiles_per_side`` tiles.
+    ``x`` is the tile's column and ``y`` its row in the tile matrix. The position, (row, col), is that of the file with the
+    tile. Each file covers a square of ``tiles_per_side`` x ``tiles_per_side`` tiles.
     """
     return (x // BLOCK_SIDE_TILES, y // BLOCK_SIDE_TILES), (
         y % BLOCK_SIDE_TILES // tiles_per_side,
@@ -38,9 +40,11 @@ def block_and_position(x: int, y: int, tiles_per_side: int) -> tuple[TilePositio
 def tiles_of_picture(
     picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles_per_side: int = 1
 ) -> dict[TilePosition, bytes | None]:
-    """Return the encoded files of a drawn block by position. Each file covers ``tiles_per_side`` squared tiles.
+    """Return the encoded files of a drawn block, by the (row, col) position of each file in the block.
 
-    ``view`` is the view of the block. A part without data is ``None``, except in array formats, where every part has a file.
+    Each file shows a square of ``tiles_per_side`` x ``tiles_per_side`` tiles of 256 x 256 pixels. ``tiles_per_side`` is 1, or
+    2 for tiles of twice the side. ``view`` is the map view of the whole block. A file without data is ``None``. In array
+    formats, every position has a file.
     """
     files: dict[TilePosition, bytes | None] = {}
     for position, part_view, window in _tiles_of(view, tiles_per_side):
@@ -51,7 +55,7 @@ def tiles_of_picture(
 
 
 def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat) -> bytes:
-    """Return a product's encoded file of one part of a drawn block. ``picture`` and ``view`` are those of the part."""
+    """Return a product's encoded file of a section of a drawn block. ``picture`` and ``view`` show that section only."""
     product = request.product_record
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque_mask.all():
         array = picture.color  # avoids an alpha channel that encoding would drop
@@ -63,7 +67,11 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
 def tiles_of_array(
     array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles_per_side: int = 1
 ) -> dict[TilePosition, bytes]:
-    """Return the encoded files of a block's array by position. Each file covers ``tiles_per_side`` squared tiles."""
+    """Return the encoded files of a block's array, by the (row, col) position of each file in the block.
+
+    ``array`` has the block's pixels, (rows, cols) or (rows, cols, bands). ``world`` is the level's, which colour scales depend on.
+    ``tiles_per_side`` and ``view`` are as in ``tiles_of_picture``.
+    """
     colored_array = apply_color_scale(array, request.product_record, request.options, world, format)
     return {
         position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
@@ -72,7 +80,10 @@ def tiles_of_array(
 
 
 def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition, MapView, tuple[slice, slice]]]:
-    """Yield the position, the view, and the rows and columns of pixels of each file of ``tiles_per_side`` squared tiles."""
+    """Yield for each file of a block its (row, col) position, its map view, and its slices of the block's pixels: rows, columns.
+
+    ``view`` is the map view of the block. Each file covers a square of ``tiles_per_side`` x ``tiles_per_side`` tiles.
+    """
     side = tiles_per_side * TILE_PX
     for row in range(BLOCK_SIDE_TILES // tiles_per_side):
         for col in range(BLOCK_SIDE_TILES // tiles_per_side):
@@ -82,7 +93,10 @@ def _tiles_of(view: MapView, tiles_per_side: int) -> Iterator[tuple[TilePosition
 
 @cached("process", 4 * MIB)
 def empty_tile(request: ProductRequest, format: MapFormat, tiles_per_side: int = 1, lowest_ground_m: float = 0.0) -> bytes:
-    """Return the file of a tile without data. ``lowest_ground_m`` is as in ``empty_file``."""
+    """Return the file of ``tiles_per_side`` x ``tiles_per_side`` tiles without data.
+
+    ``lowest_ground_m`` is as in ``empty_file``.
+    """
     return empty_file(request, (tiles_per_side * TILE_PX, tiles_per_side * TILE_PX), format, lowest_ground_m)
 
 

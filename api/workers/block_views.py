@@ -18,5 +18,8 @@ def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
 
 
 def block_of_grid(grid: Grid, x: int, y: int) -> MapView:
-    """Return the view of the block in column ``x`` and row ``y`` of a tile matrix's grid, at the grid's own pixels."""
+    """Return the map view of the block in column ``x`` and row ``y`` of a tile matrix's grid, at the grid's own pixels.
+
+    ``x`` and ``y`` are counted in blocks from the top left corner of the tile matrix.
+    """
     return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)

@@ -23,6 +23,18 @@ INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
 
 @dataclass(frozen=True)
 class _CircuitRecord:
+    """The state of a circuit.
+
+    Attributes
+    ----------
+    failures : int
+        Number of failures in a row.
+    open_until_s : float
+        Time until which the circuit is open, seconds of the breaker's clock.
+    next_open_s : float
+        Seconds for which the circuit opens next time.
+    """
+
     failures: int = 0
     open_until_s: float = 0.0
     next_open_s: float = INITIAL_OPEN_S
@@ -62,11 +74,13 @@ class CircuitBreaker:
             self._records.drop(key)
 
     def _record(self, key: Hashable) -> _CircuitRecord:
+        """Return the state of the circuit with a key; a circuit without a record is closed."""
         record = self._records.get(key)
         return _CircuitRecord() if isinstance(record, Missing) else record
 
 
 def _circuit_keys(job: Job) -> list[Hashable]:
+    """Return the keys of the circuits that can reject a job: that of its kind, and that of its level."""
     keys = [kind_of_job(job)]
     return keys if isinstance(job, DescriptorPlanJob) else [*keys, ("level", str(job.level.path), job.level.version)]
 

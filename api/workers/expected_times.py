@@ -34,6 +34,7 @@ INITIAL_ESTIMATE_OF_DAY_PRODUCT_S = 3.0
 """Expected seconds, before any measurement, of a block of a product of whole dates (hours of sun), which needs many suns."""
 
 REFERENCE_PIXELS = 1280 * 1024
+"""Number of pixels to which durations of snapshots, maps and frames are scaled."""
 
 SMOOTHING_FACTOR = 0.3
 """Weight of the newest duration in the exponential moving average."""
@@ -74,6 +75,7 @@ class ExpectedTimes:
             )
 
     def _average_s(self, job: Job) -> float | None:
+        """Return the average duration of the job's variant, or else of its kind, in seconds; ``None`` without measurements."""
         for key in _keys_of(job):
             average_s = self._averages_s.get(key)
             if not isinstance(average_s, Missing):
@@ -82,6 +84,7 @@ class ExpectedTimes:
 
 
 def _initial_estimate_s(job: Job) -> float:
+    """Return the expected seconds of a job whose kind was not measured yet, without scaling to its pixels."""
     return (
         INITIAL_ESTIMATE_OF_DAY_PRODUCT_S if isinstance(job, BlockJob) and _has_whole_dates(job) else INITIAL_ESTIMATE_S[type(job)]
     )

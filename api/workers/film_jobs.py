@@ -39,5 +39,6 @@ def draw_film_frame(job: FrameJob, scene: Scene, measurements: PlanMeasurements)
 def _replanner(
     film: Film, moment: FrameMoment, scene: Scene, measurements: PlanMeasurements, previous_plan_state: FilmPlanState | None = None
 ) -> Replanner:
+    """Return the planner of a film's frames, with the planning state after the previous frame; ``None`` for the first frame."""
     plans = view_plan_selector(moment.scene(scene), moment.view, film.level, measurements)
     return Replanner(plans=plans, state=None if previous_plan_state is None else previous_plan_state.state)

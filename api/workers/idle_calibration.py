@@ -25,6 +25,7 @@ CHECK_INTERVAL_S = 2.0
 CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
 
 ProfileStamp = tuple[int, int, int]
+"""Modification time in nanoseconds, inode number and size in bytes of a calibration's file."""
 
 log = logging.getLogger("skugga")
 
@@ -41,15 +42,15 @@ class IdleCalibration:
 
     Parameters
     ----------
-    enabled
+    is_enabled
         Whether a device without a calibration is calibrated.
-    idle
+    idle_work
         The queue of idle work.
-    device
+    current_device
         Returns the calibration that the service's plans use; ``None`` without one.
     set_profile
         Sets the calibration that the service's plans use.
-    measure
+    measure_device
         Measures and returns the calibration of the device, in a process of its own.
     """
 
@@ -120,6 +121,7 @@ class IdleCalibration:
         return "fixed rules choose the algorithms" if self._current_device() is None else "plans use estimated times"
 
     def _request_calibration(self) -> None:
+        """Queue the measurement of the calibration as idle work, or log that it must be measured by a command."""
         if not self._is_enabled:
             log.info(
                 "%s is not calibrated, so %s. Run skugga calibrate to measure it (SKUGGA_CALIBRATE_WHEN_IDLE is false)",
@@ -133,6 +135,10 @@ class IdleCalibration:
         self._idle_work.add(IdleJob(self._measure, (), self._save_result, self._note_failure, lambda: self.is_expected))
 
     async def _save_result(self, profile: DeviceProfile) -> None:
+        """Use a measured calibration for plans from now on, and save it to its file.
+
+        A calibration of another device is a failure.
+        """
         if (profile.renderer, profile.version) != (self._renderer, self._version):
             self._note_failure(f"the calibration is of another device, {profile.renderer}")
             return
@@ -148,6 +154,7 @@ class IdleCalibration:
             log.info("%s; saved to %s", message, path)
 
     def _note_failure(self, reason: str) -> None:
+        """Record and log that the device cannot be calibrated. It is not tried again."""
         self._is_expected, self._failed = False, True
         log.warning("%s could not be calibrated, so %s: %s", self._renderer, self._consequence, reason)
 
@@ -184,6 +191,7 @@ class IdleCalibration:
 
 
 def _file_stamp(path: Path) -> ProfileStamp | None:
+    """Return the stamp of a calibration's file; ``None`` if it does not exist."""
     try:
         status = path.stat()
     except OSError:

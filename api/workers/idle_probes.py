@@ -52,11 +52,11 @@ class IdleProbes:
 
     Parameters
     ----------
-    enabled
+    is_enabled
         Whether missing probes are made.
-    idle
+    idle_work
         The queue of idle work.
-    device
+    current_device
         Returns the calibration that the service's plans use; ``None`` without one.
     probes_in_use
         Returns the probes that the service's plans use, as JSON by the version of their level.
@@ -142,6 +142,10 @@ class IdleProbes:
         self._idle_work.add(IdleJob(self._probe, (level, unprobed_class.sun, device), on_result, on_failure))
 
     async def _save_result(self, level: LevelKey, device: DeviceProfile, probes: MapProbes, name: str) -> None:
+        """Use new probes of a level for plans from now on, and save them to the user's cache folder.
+
+        ``device`` is the calibration with which they were made, and ``name`` is the level's name, for the log.
+        """
         known_probes = MapProbes.model_validate_json(self._probes_in_use().get(level.version, "{}"))
         self._add_probes({level.version: known_probes.merged_with(probes).model_dump_json()})
         text = f"maps of {name} were probed at {len(probes.classes)} scales, and their plans use the probes from now on"
@@ -158,6 +162,7 @@ class IdleProbes:
             log.info("%s; saved to %s", text, path)
 
     async def _watch(self) -> None:
+        """Read probes that another process has written, every ``READ_INTERVAL_S`` seconds, for ever."""
         while True:
             await asyncio.sleep(READ_INTERVAL_S)
             try:
@@ -183,6 +188,10 @@ class IdleProbes:
         return changed_probes
 
     def _add_new_probes(self, probes_by_version: Mapping[str, MapProbes]) -> None:
+        """Use probes for plans, unless plans use equal ones already.
+
+        ``probes_by_version`` has them by the version of their level.
+        """
         new = {version: probes.model_dump_json() for version, probes in probes_by_version.items()}
         probes_in_use = self._probes_in_use()
         if new := {version: text for version, text in new.items() if probes_in_use.get(version) != text}:

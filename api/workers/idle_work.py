@@ -117,6 +117,7 @@ class IdleWork:
         self._threads.shutdown(wait=True)
 
     async def _process_jobs(self) -> None:
+        """Run the queued jobs one after another, each when the service is idle, for ever."""
         while True:
             job = await self._jobs.get()
             while job.is_wanted() and not self._is_idle():
@@ -131,6 +132,7 @@ class IdleWork:
                 job.on_failure(_failure_reason(error))
 
     def _is_idle(self) -> bool:
+        """Return whether no request has waited or run for ``IDLE_DELAY_S`` seconds. Stop the running job if one does now."""
         if self._is_busy():
             self.pause_for_requests()
         return asyncio.get_running_loop().time() - self._last_activity_s >= IDLE_DELAY_S
@@ -179,6 +181,7 @@ class IdleWork:
                     raise _JobFailedError(f"it took longer than {JOB_TIMEOUT_S:g} s")
 
     def _set_paused(self, is_paused: bool) -> None:
+        """Stop or resume the process of the running job, if there is one."""
         if self.pid is not None and is_paused != self.is_paused:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGSTOP if is_paused else signal.SIGCONT)
@@ -188,7 +191,8 @@ class IdleWork:
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
     """Run ``function(*args)`` in a process for idle work, and send the outcome through the pipe.
 
-    The outcome is ``(True, result)`` or ``(False, reason)``. Temporary files go to ``folder``.
+    The outcome is ``(True, result)`` or ``(False, reason)``. Temporary files go to ``folder``. ``gl_threads`` is the number
+    of threads of a software rasteriser.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
@@ -207,5 +211,6 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
 
 
 def _failure_reason(error: Exception) -> str:
+    """Return the message of an error; errors of unexpected types include the type."""
     has_message = isinstance(error, SkuggaError | OSError | _JobFailedError)
     return str(error) if has_message else f"{type(error).__name__}: {error}"

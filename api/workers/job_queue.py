@@ -120,7 +120,10 @@ class JobQueue:
         self.waiting[pending.job] = pending
 
     def start_next(self, now_s: float) -> PendingJob | None:
-        """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start."""
+        """Move the job whose turn it is from the waiting to the running ones, and return it; ``None`` if no job may start.
+
+        ``now_s`` is the time in seconds, by the event loop's clock.
+        """
         long_count = sum(not self._is_short(pending_job) for pending_job in self.running)
         may_be_long = long_count < max(self.process_count - 1, 1)
         pending = self._choose_next(
@@ -166,6 +169,7 @@ class JobQueue:
         return (client_work_s + other_clients_s + running_left_s) / self.process_count
 
     def _choose_next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
+        """Return the job of ``candidates`` whose turn it is; ``None`` without candidates. ``now_s`` is the event loop's time."""
         background: PendingJob | None = None
         first_jobs: dict[str, PendingJob] = {}
         for pending_job in candidates:
@@ -178,7 +182,10 @@ class JobQueue:
         return self._first_by_deficit(first_jobs) if first_jobs else None
 
     def _first_by_deficit(self, first_jobs: dict[str, PendingJob]) -> PendingJob:
-        """Choose one of the clients' first jobs by deficit round robin, and update the credit of all clients."""
+        """Choose one of the clients' first jobs by deficit round robin, and update the credit of all clients.
+
+        ``first_jobs`` has the job with the lowest sort key of each client.
+        """
         ordered_clients = [client for client in self.credit_s if client in first_jobs]  # ordered by last turn
         deficits_s = {
             client: first_jobs[client].cost_s - self.credit_s.get(client, 0.0)
@@ -199,4 +206,5 @@ class JobQueue:
         return first_jobs[chosen]
 
     def _is_short(self, pending: PendingJob) -> bool:
+        """Return whether a job may use the process that is kept free for short jobs."""
         return not pending.is_background and self.expected_times.is_short(pending.job)

@@ -127,6 +127,7 @@ class MapJob(_Value):
 
 
 PointProduct = Literal["report", "horizon", "sky"]
+"""What a point job computes: the sun report, the horizon file or the sky chart."""
 
 
 class PointJob(_Value):
@@ -395,7 +396,7 @@ class Failure:
 
     @classmethod
     def from_error(cls, error: SkuggaError, is_fatal: bool = False) -> Failure:
-        """Return an error as data."""
+        """Return an error as data. ``is_fatal`` says whether the render process ends after it."""
         kind = type(error).__name__
         if isinstance(error, InputError):
             value = error.value if isinstance(error.value, str | int | float | None) else repr(error.value)

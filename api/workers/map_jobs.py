@@ -65,7 +65,8 @@ def requested_map_view(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
 def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
     """Return the key of a map's CRS and scale, and a block at the level's middle in that CRS and scale.
 
-    All maps of the level with this key share the plan of this block, as the tiles of a zoom share one plan.
+    All maps of the level with this key share the plan of this block, as the tiles of a zoom share one plan. The block is a
+    map view of ``BLOCK_PX`` pixels a side.
     """
     row_step, col_step = (float(f"{step:.{PIXEL_STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
     rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
@@ -99,7 +100,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
 
 
 def _only_pass(name: str, start_s: float) -> PassRecord:
-    """Return the only pass record of a product without render passes.
+    """Return the only pass record of a product without render passes, with the name ``name``.
 
     ``start_s`` is the begin of its computation, in seconds of the performance counter.
     """
@@ -109,6 +110,7 @@ def _only_pass(name: str, start_s: float) -> PassRecord:
 def _map_file(
     job: MapJob, array: np.ndarray, view: MapView, headline: str, passes: tuple[PassRecord, ...], reach: Reach | None
 ) -> EncodedMap:
+    """Encode a map as a file. ``array`` has its values, and ``headline`` names the algorithms of its plan or its product."""
     start = time.perf_counter()
     body = encode(_composite_over(array, job.background), job.request.product_record, job.format, view)
     return EncodedMap(body, (time.perf_counter() - start) * 1000.0, headline, passes, reach)

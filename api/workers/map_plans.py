@@ -88,6 +88,7 @@ def unprobed_class(
 def _observations(
     scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, measurements: PlanMeasurements
 ) -> Mapping[str, tuple[Observation, ...]] | None:
+    """Return the observations of probes of similar maps, by light; ``None`` for a perspective view."""
     return (
         measurements.probes_of(level).observations_of_class(_map_class(scene, view, overrides))
         if isinstance(view, MapView)
@@ -96,6 +97,10 @@ def _observations(
 
 
 def _map_class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:
+    """Return the class (scale and sun) of a map.
+
+    The result is ``None`` without a sun above the horizon, or with shadow settings that probes do not cover.
+    """
     if scene.sun is None or not set(overrides) <= PROBE_SETTINGS:
         return None
     return map_class(map_pixel_m(scene.world, view), scene.sun.altitude_deg)

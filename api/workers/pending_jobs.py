@@ -175,6 +175,7 @@ class PendingJobs:
         self._fail_all(error, list(self._pending.values()))
 
     def _fail_all(self, error: SkuggaError, pending_jobs: list[PendingJob]) -> None:
+        """Answer all requests for some jobs with an error."""
         for pending in pending_jobs:
             self.finish(pending, error)
 
@@ -193,6 +194,7 @@ class PendingJobs:
                 self.counters.jobs_abandoned += 1
 
     def _enqueue(self, job: Job, client: str) -> PendingJob:
+        """Queue a job of a client and return it. Raises ``SkuggaError`` if it is rejected."""
         if self._closed:
             raise BusyError("The service is shutting down.")
         self._before_enqueue()
@@ -217,6 +219,7 @@ class PendingJobs:
         return pending
 
     def _start_expiry_timer(self, pending: PendingJob) -> None:
+        """Start the timer that fails a job after ``queue_timeout_s`` seconds in the queue."""
         pending.expiry_timer = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, pending)
 
     def _expire(self, pending: PendingJob) -> None:
@@ -232,6 +235,7 @@ class PendingJobs:
         self.finish(pending, RetryLaterError(message, retry_after_s(wait_s)))
 
     def _remove(self, pending: PendingJob) -> None:
+        """Remove a job that is answered or dropped, and let another waiting job start."""
         if pending.expiry_timer is not None:
             pending.expiry_timer.cancel()
         if self._pending.get(pending.job) is pending:
@@ -241,6 +245,7 @@ class PendingJobs:
 
 
 def _job_title(job: Job) -> str:
+    """Return words for a job in a message, such as ``A block of level jacksboro``."""
     if isinstance(job, DescriptorPlanJob):
         return "The plan of this descriptor"
     settings_clause = " with these settings" if job.request.overrides.asked else ""
@@ -248,5 +253,9 @@ def _job_title(job: Job) -> str:
 
 
 def _circuit_open_error(job: Job, open_s: float) -> CircuitOpenError:
+    """Return the error for a job that a circuit breaker rejects.
+
+    ``open_s`` is the time in seconds until jobs like it are accepted.
+    """
     message = f"{_job_title(job)} took too long, or ended its render process, several times. Try again later."
     return CircuitOpenError(message, retry_after_s(open_s))

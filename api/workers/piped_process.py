@@ -14,6 +14,7 @@ from skugga.api.workers.process_life import EXIT_TIMEOUT_S
 from skugga.api.workers.worker_config import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
+"""Type of the main function of a render process: of the process's end of the pipe, and its start configuration."""
 
 
 class PipedProcess:

@@ -62,6 +62,7 @@ class PlanMeasurements:
 
 @cached("process", 4 * MIB)
 def _parse_probes(text: str) -> MapProbes:
+    """Return the probes that a JSON text describes."""
     from skugga.selector.map_probes import MapProbes
 
     return MapProbes.model_validate_json(text)

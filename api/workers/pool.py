@@ -52,11 +52,11 @@ class Pool:
     ----------
     settings
         The service's settings.
-    target
+    worker_target
         Main function of a render process.
     preload_blocks
         Returns a block of each level. Idle processes open these levels for later requests.
-    measure
+    measure_device
         Calibrates the device (measures the costs of algorithms) in idle time, if it has no calibration.
     probe
         Probes a level (observes errors and times of algorithms on its maps) in idle time, once its maps are requested.
@@ -220,18 +220,23 @@ class Pool:
         self.supervisor.shut_down_threads()
 
     def _plan_version_of(self, job: Job) -> str:
+        """Return the present version of the plans that a job uses."""
         return self.plan_version(None if isinstance(job, DescriptorPlanJob) else job.level)
 
     def _device(self) -> DeviceProfile | None:
+        """Return the calibration that plans use; ``None`` without one."""
         return None if self.measurements is None else self.measurements.device
 
     def _set_device(self, device: DeviceProfile) -> None:
+        """Set the calibration that plans use."""
         self.measurements = replace(self.measurements or PlanMeasurements(), device=device)
 
     def _known_probes(self) -> Mapping[str, str]:
+        """Return the probes that plans use, as JSON by the version of their level."""
         return {} if self.measurements is None else self.measurements.probes_json_by_version
 
     def _add_probes(self, probes: Mapping[str, str]) -> None:
+        """Add probes to those that plans use, as JSON by the version of their level."""
         self.measurements = (self.measurements or PlanMeasurements()).with_probes(probes)
 
     def _is_busy(self) -> bool:
@@ -249,6 +254,7 @@ class Pool:
         self.idle_work.pause_for_requests()
 
     def _note_preparation_progress(self, preparing: PreparationProgress | None) -> None:
+        """Record the progress of a preparation; ``None`` records its end."""
         if self.preparing is None:
             self.preparing_since_s = time.monotonic()
         self.preparing = preparing
@@ -262,6 +268,7 @@ class Pool:
         self.idle_probes.start_watching(ready.renderer, ready.version)
 
     def _note_result(self, job: Job, result: Result) -> None:
+        """Report a finished block or snapshot, and request a probe if it would improve the map's plan."""
         if isinstance(result, BlockTiles | Snapshot):
             self.on_picture_finished(result)
         if isinstance(result, BlockTiles) and isinstance(job, BlockJob) and result.unprobed_class is not None:

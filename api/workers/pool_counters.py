@@ -11,7 +11,7 @@ class PoolCounters:
 
     Attributes
     ----------
-    jobs_answered, failed : int
+    jobs_answered, jobs_failed : int
         Jobs that ended with an answer, and jobs that ended with an error.
     jobs_abandoned : int
         Jobs dropped because no request waited for them any more.

@@ -167,6 +167,7 @@ def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) ->
 
 
 def _plan_of_descriptor(job: DescriptorPlanJob, state: WorkerState) -> PlanResult:
+    """Return the plan for a client's descriptor, with default shadow settings except those of the request."""
     descriptor = Descriptor.model_validate_json(job.descriptor_json)
     plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in descriptor.light_kinds if lamp != SUN)))
     plan = select(descriptor, plan_request, job.request.overrides.for_selector(), job.policy, state.device)
@@ -182,6 +183,7 @@ def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
+    """Return the encoded tiles of a block, drawn or from the cache of drawn blocks."""
     product = job.request.product_record
     if not product.needs or product.margin_px:
         return _tiles_of_array(job, scene, state)
@@ -235,6 +237,7 @@ def _block_record(
 
 
 def _map_snapshot(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
+    """Return the encoded map of a job. Maps of one CRS and scale share a plan."""
     overrides = job.request.overrides.for_selector()
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
@@ -343,6 +346,7 @@ def _process_jobs_of_pipe(pipe: Connection, state: WorkerState, idle_steps: Sequ
 
 
 def _try_job(job: Job, state: WorkerState) -> Answer:
+    """Run a job and return its result, or its error as data. After an error of OpenGL or an unexpected one the process must end."""
     try:
         return run_job(job, state)
     except SkuggaError as error:

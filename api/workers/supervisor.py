@@ -47,13 +47,13 @@ class WorkerSupervisor:
         The service's settings.
     jobs
         The pending jobs.
-    target
+    worker_target
         Main function of a render process.
     preload_blocks
         Returns a block of each level. Idle processes open these levels for later requests.
     spawned_worker
         The first render process, if it has been started already, with ``first_config``.
-    measurements
+    current_measurements
         Returns the measurements that plans use; ``None`` before a process is ready.
     on_ready
         Called with each process that has become ready, and its message.
@@ -173,6 +173,7 @@ class WorkerSupervisor:
             await worker.end()
 
     async def _start_and_serve(self, worker: WorkerProcess) -> bool:
+        """Start a render process and run jobs in it until it ends. Return whether it became ready and ran at least one job."""
         try:
             began_s = asyncio.get_running_loop().time()
             self.starting_count += 1
@@ -195,6 +196,7 @@ class WorkerSupervisor:
         return await self._run_jobs(worker)
 
     def _note_start_failure(self, error: SkuggaError) -> None:
+        """Record that a render process cannot be started. If no process is ready, fail the waiting jobs with its error."""
         self._start_error = error
         self.first_process_event.set()
         if not self.ready_pids:

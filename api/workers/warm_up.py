@@ -109,6 +109,7 @@ def _visibility_beside_wall(algorithm: str) -> tuple[float, float]:
 
 
 def _wall_scene(source: str, algorithm: str) -> Scene:
+    """Return the scene of the test picture, with shadows by ``algorithm``. ``source`` is the raster of heights in metres."""
     level = Level.model_validate(
         {
             "version": 1,
@@ -141,5 +142,6 @@ def _view_around(grid: Grid, center_row_col: tuple[float, float]) -> MapView:
 
 
 def _mercator_m(lon_deg: float, lat_deg: float) -> tuple[float, float]:
+    """Return the Web Mercator coordinates x and y, in metres, of a longitude and latitude in degrees."""
     point = matrix_sets.get("WebMercatorQuad").xy(lon_deg, lat_deg)
     return point.x, point.y

@@ -191,11 +191,13 @@ class WorkerProcess:
                 raise TimeoutError
 
     def _note_death(self) -> None:
+        """Record that the process has ended by itself, and report it."""
         self._unwatch()
         self.has_ended = True
         self._on_death()
 
     def _unwatch(self) -> None:
+        """Stop watching for the end of the process."""
         if self._watched_sentinel is not None:
             asyncio.get_running_loop().remove_reader(self._watched_sentinel)
             self._watched_sentinel = None

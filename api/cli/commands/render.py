@@ -34,6 +34,7 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import StyleName
 
+# Names of layers: products of a moment, and intermediate pictures of an algorithm's render passes.
 _LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is None and product.when != "days"]
 _PASS_LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is not None]
 _LayerOption = Annotated[

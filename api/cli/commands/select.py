@@ -117,6 +117,10 @@ def _select_all(
     as_json: bool,
     write: bool,
 ) -> None:
+    """Choose for all views of a level and print the choices. ``write`` pins them into the level file.
+
+    ``budget`` is the time of each probe as text, ``seconds`` a reading of the level's clock in seconds.
+    """
     from skugga.api.cli.all_views import choices_table, json_rows, pin_all_views, plan_all_views
 
     with spinner("Choosing for all views"):
@@ -126,7 +130,7 @@ def _select_all(
 
 
 def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:
-    """Print choices as JSON or as a table; print the message on standard error."""
+    """Print choices as JSON (``rows``) or as a table; print the message on standard error."""
     from rich.console import Console
 
     if as_json:
@@ -140,6 +144,10 @@ def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, mess
 def _probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, as_json: bool, write: bool
 ) -> None:
+    """Probe a level's maps at all scales and print the plans. ``write`` saves the probes to the user's cache.
+
+    ``budget`` is the time of each probe as text, such as 3s.
+    """
     from skugga.api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
 
     with spinner("Probing at all scales"):

@@ -144,6 +144,7 @@ def _fact_rows(level: ServedLevel) -> Iterator[tuple[str, str]]:
 
 
 def _layer_link(level_name: str, layer: str) -> str:
+    """Return an HTML link to a map of a layer of a level."""
     suffix = "png" if "png" in PRODUCTS[layer].map_formats else "tif"
     return f'<a href="{level_name}/map.{suffix}?layer={layer}">{layer}</a>'
 

@@ -21,6 +21,7 @@ Any other time is served, too. The word ``current`` is served, but never listed.
 EQUINOX_MONTH_DAY = 3, 21
 """Month and day of the default date of a level whose sun has no time."""
 
+# Words for the allowed values of TIME in error messages.
 ALLOWED_INSTANTS = "a date, an ISO 8601 time such as 2024-10-21T16:30:00Z, an interval of these, or current"
 
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
@@ -102,6 +103,10 @@ def time_dimension(level: ServedLevel, layer: str, year: int, default_time: str 
 
 
 def _requested_default_time(text: str | None, lon_deg: float) -> str | None:
+    """Return the requested default time in UTC; ``current`` stays, and ``None`` means the time of the level's own sun.
+
+    ``text`` is the TIME of the request. A date means its solar noon at the longitude ``lon_deg``. Raises ``InputError``.
+    """
     instant = requested_instant(text, lon_deg)
     sun = None if instant == CURRENT_TIME else parse_sun(instant, None, None)
     if sun is None or sun.time is None:
@@ -128,4 +133,5 @@ def _step_offset(sun_time: datetime | None) -> timedelta:
 
 
 def _iso_utc(moment: datetime) -> str:
+    """Return a time that is in UTC as ISO 8601 text, to the second, with a final ``Z``."""
     return f"{moment.replace(tzinfo=None).isoformat(timespec='seconds')}Z"

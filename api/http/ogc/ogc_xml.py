@@ -42,7 +42,10 @@ def lon_lat_box(bounds: tuple[float, float, float, float]) -> tuple[float, float
 
 
 def ows_exception(code: str, locator: str | None, text: str) -> bytes:
-    """Return an ``ExceptionReport`` (OWS Common 1.1.0, 8.3). ``locator`` names the wrong parameter."""
+    """Return an ``ExceptionReport`` (OWS Common 1.1.0, 8.3).
+
+    ``code`` is the exception code, such as ``InvalidParameterValue``. ``locator`` names the wrong parameter; ``None`` without one.
+    """
     root = Element(
         "ows:ExceptionReport", {"xmlns:ows": "http://www.opengis.net/ows/1.1", "version": "1.1.0", "xml:lang": "en"}
     )  # fmt: skip
@@ -52,7 +55,10 @@ def ows_exception(code: str, locator: str | None, text: str) -> bytes:
 
 
 def wms_exception(code: str, locator: str | None, text: str) -> bytes:
-    """Return a ``ServiceExceptionReport`` (WMS 1.3.0, 6.11). ``locator`` names the wrong parameter."""
+    """Return a ``ServiceExceptionReport`` (WMS 1.3.0, 6.11).
+
+    ``code`` is the exception code, such as ``LayerNotDefined``. ``locator`` names the wrong parameter; ``None`` without one.
+    """
     root = Element("ServiceExceptionReport", {"xmlns": "http://www.opengis.net/ogc", "version": "1.3.0"})
     add_element(root, "ServiceException", text, code=code, **({} if locator is None else {"locator": locator}))
     return xml_document(root)

@@ -61,6 +61,7 @@ def qgis_matrix_set(level: ServedLevel) -> str:
 
 
 def _crs_of(matrix_set: str) -> str:
+    """Return the code of a tile matrix set's CRS, such as ``EPSG:3857``."""
     return ":".join(crs_of_tiles(matrix_set_of(matrix_set)).to_authority() or ("EPSG", "3857"))
 
 
@@ -79,6 +80,7 @@ def _wmts_source(level: ServedLevel, layer: str, base_url: str, year: int) -> st
 
 
 def _heights_source(level: ServedLevel, base_url: str) -> str:
+    """Return the URI of a level's Terrarium tiles for QGIS's data provider ``wms``."""
     zooms = level.zooms[DEFAULT_MATRIX_SET]
     template = f"{base_url}/levels/{quote(level.name)}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}.png?layer=terrarium"
     options = {"type": "xyz", "interpretation": "terrariumterrain", "zmin": zooms.first, "zmax": zooms.last, "url": template}
@@ -86,6 +88,11 @@ def _heights_source(level: ServedLevel, base_url: str) -> str:
 
 
 def _add_layer(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, is_checked: bool) -> None:
+    """Add a raster layer to the file: to the tree of layers ``group``, and its source to the list ``layers``.
+
+    ``source`` is the URI of the layer for QGIS's data provider ``wms``. ``crs`` is a code such as ``EPSG:3857``.
+    ``is_checked`` says whether QGIS shows the layer at once.
+    """
     add_element(
         group, "layer-tree-layer", id=layer_id, name=title, source=source, providerKey="wms",
         checked="Qt::Checked" if is_checked else "Qt::Unchecked", expanded="1",

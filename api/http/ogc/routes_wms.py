@@ -110,6 +110,7 @@ async def wms_of_level(request: Request, service: ServiceDep, level: LevelPath) 
 
 
 async def _respond(request: Request, service: Service, level: str | None) -> Response:
+    """Answer a WMS request by its operation. ``level`` restricts capabilities to one level; errors become XML exceptions."""
     try:
         parameters = KeyValuePairs(request)
         operation = parameters.require("REQUEST", f"Use one of {WMS_OPERATIONS}")
@@ -132,6 +133,10 @@ async def _respond(request: Request, service: Service, level: str | None) -> Res
 
 
 async def _capabilities_response(request: Request, service: Service, level: str | None) -> Response:
+    """Return the capabilities of one level (``None``: of all levels that lie on earth).
+
+    Raises ``UnsupportedError`` off the earth.
+    """
     levels = await run_in_threadpool(service.levels.current_levels) if level is None else [await service.level(level)]
     if level is not None and (off_earth_reason := levels[0].world.off_earth_reason) is not None:
         raise UnsupportedError("level", level, f"{off_earth_reason}, so the level has no map on earth")
@@ -145,7 +150,7 @@ async def _capabilities_response(request: Request, service: Service, level: str 
 
 
 async def _requested_layer(service: Service, parameters: KeyValuePairs, parameter: str) -> tuple[ServedLevel, str]:
-    """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
+    """Return the level and the layer that the key ``parameter`` of a request names. Raises ``NotServedError`` or ``InputError``."""
     name = parameters.require(parameter, "Give one layer, such as LEVEL:color")
     if "," in name:
         raise NotServedError(
@@ -170,6 +175,7 @@ def _requested_extent(parameters: KeyValuePairs) -> tuple[str, CRS, MapBounds, t
 
 
 async def _map_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+    """Return the answer to ``GetMap``, a picture or a GeoTIFF. Raises ``SkuggaError``."""
     level, layer = await _requested_layer(service, parameters, "LAYERS")
     code, _, bounds, size = await run_in_threadpool(_requested_extent, parameters)
     format = format_of_media_type(parameters.require("FORMAT", "Give a media type, such as image/png"))
@@ -182,6 +188,7 @@ async def _map_response(request: Request, service: Service, parameters: KeyValue
 
 
 def _parse_background(text: str) -> str:
+    """Return the six upper-case hexadecimal digits of a BGCOLOR such as ``0xFFFFFF``. Raises ``InputError``."""
     digits = text[2:].upper() if text[:2].lower() == "0x" else ""
     if len(digits) != 6 or set(digits) - set("0123456789ABCDEF"):
         raise InputError("BGCOLOR", text, "0xRRGGBB")
@@ -189,6 +196,10 @@ def _parse_background(text: str) -> str:
 
 
 async def _feature_info_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+    """Return the answer to ``GetFeatureInfo``: the sun report of the point at the centre of the pixel (I, J).
+
+    Raises ``SkuggaError``.
+    """
     level, layer = await _requested_layer(service, parameters, "QUERY_LAYERS")
     _, crs, (west, south, east, north), (width, height) = await run_in_threadpool(_requested_extent, parameters)
     col, row = (parameters.require_integer(name) for name in ("I", "J"))
@@ -220,10 +231,12 @@ async def _feature_info_response(request: Request, service: Service, parameters:
 
 
 def _info_text(rows: ReportRows, media_type: str) -> str:
+    """Return the rows of a report as an HTML page or as plain text."""
     return report_page(rows) if media_type == "text/html" else report_text(rows)
 
 
 async def _legend_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+    """Return the answer to ``GetLegendGraphic``, a picture. Raises ``SkuggaError``."""
     level, layer = await _requested_layer(service, parameters, "LAYER")
     if parameters.get("STYLE") not in (None, DEFAULT_STYLE):
         raise InputError("STYLE", parameters.get("STYLE"), f"{DEFAULT_STYLE}, or no STYLE")

@@ -133,6 +133,7 @@ async def wmts_by_keys(request: Request, service: ServiceDep) -> Response:
 
 
 async def _tile_response(request: Request, service: Service, parameters: KeyValuePairs) -> Response:
+    """Return the answer to ``GetTile``, a picture. Raises ``SkuggaError``."""
     level_name, layer = split_layer("LAYER", parameters.require("LAYER", "Give a layer, such as LEVEL:color"))
     matrix_set = parameters.require("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
     tile_matrix_set = matrix_set_of(matrix_set)

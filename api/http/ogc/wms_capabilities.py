@@ -94,6 +94,10 @@ def crs_of_maps(level: ServedLevel) -> dict[str, CRS]:
 
 
 def _add_level(root_layer: Element, level: ServedLevel, base_url: str, wms_url: str, year: int) -> None:
+    """Add the layers of a level, which lies on earth, as a group to ``root_layer``.
+
+    ``year`` is the year whose times are listed if the level's sun has no time.
+    """
     assert level.bounds is not None
     group = add_element(root_layer, "Layer")
     add_element(group, "Title", level.loaded.level.title or level.name)
@@ -131,6 +135,10 @@ def _add_level(root_layer: Element, level: ServedLevel, base_url: str, wms_url: 
 
 
 def _add_bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:
+    """Add the bounds of a level in a CRS, in the axis order of the CRS; add nothing if the CRS cannot express them.
+
+    ``code`` is the code of the CRS in the document.
+    """
     try:
         west, south, east, north = bounds_in(level, crs)
     except InputError:
@@ -141,6 +149,7 @@ def _add_bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS)
 
 
 def _add_online_resource(parent: Element, url: str) -> None:
+    """Add a link to a URL as an ``OnlineResource`` element."""
     add_element(parent, "OnlineResource", xlink_type="simple", xlink_href=url)
 
 

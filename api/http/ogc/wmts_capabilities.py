@@ -73,6 +73,7 @@ def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url
 
 
 def _add_operations(root: Element, base_url: str, document_url: str) -> None:
+    """Add the URLs of ``GetCapabilities`` and ``GetTile``, each for keys and values (KVP) and as RESTful URLs."""
     operations = add_element(root, "ows:OperationsMetadata")
     for name, rest_url in (("GetCapabilities", document_url), ("GetTile", f"{base_url}/levels/")):
         http = add_element(add_element(add_element(operations, "ows:Operation", name=name), "ows:DCP"), "ows:HTTP")
@@ -82,6 +83,11 @@ def _add_operations(root: Element, base_url: str, document_url: str) -> None:
 
 
 def _add_layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int, time: str | None) -> None:
+    """Add one layer of a level, which lies on earth, to the document's contents.
+
+    ``year`` is the year whose times are listed if the level's sun has no time. ``time`` is the default time; ``None``: the
+    level's own.
+    """
     assert level.bounds is not None
     west, south, east, north = lon_lat_box(level.bounds)
     element = add_element(contents, "Layer")
@@ -121,7 +127,8 @@ def _add_layer(contents: Element, level: ServedLevel, layer: str, base_url: str,
 def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
     """Return the URL of a layer's legend at the layer's default time.
 
-    It is a WMS request, because QGIS adds keys of WMS to every legend URL.
+    It is a WMS request, because QGIS adds keys of WMS to every legend URL. ``wms_url`` is the URL of the WMS. ``year`` has
+    the default date of levels whose sun has no time.
     """
     query = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
     query["LAYER"] = layer_name(level, layer)
@@ -137,6 +144,7 @@ def layer_abstract(layer: str) -> str:
 
 
 def _query_parameters(layer: str) -> Iterable[str]:
+    """Yield the query parameters of a layer's tile URLs; style and time are variables of the URL template."""
     if layer != "color":
         yield f"layer={layer}"
     if len(styles_of(layer)) > 1:
@@ -146,6 +154,7 @@ def _query_parameters(layer: str) -> Iterable[str]:
 
 
 def _add_matrix_set_links(element: Element, level: ServedLevel) -> None:
+    """Add the tile matrix sets of a level, with the rows and columns of the tiles that have data at each zoom."""
     assert level.data_bounds is not None
     for name, zooms in level.zooms.items():
         link = add_element(element, "TileMatrixSetLink")

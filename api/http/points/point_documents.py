@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 ReportRows = list[tuple[str, str]]
+"""Rows of a report: a name and a text, which is not escaped."""
 
 
 def report_rows(report: dict[str, Any]) -> ReportRows:
@@ -61,8 +62,10 @@ def report_features(lon_lat_deg: tuple[float, float] | None, report: dict[str, A
 
 
 def _occluder_text(caster: dict[str, Any]) -> str:
+    """Return an occluder's kind, distance and elevation angle as text. ``caster`` is its object in the report's JSON."""
     return f"{caster['kind']} {caster['distance_m']:.0f} m away, {caster['elevation']:.1f}° high"
 
 
 def _format_clock_time(moment: str) -> str:
+    """Return the hour and minute of an ISO 8601 time."""
     return datetime.fromisoformat(moment).strftime("%H:%M")

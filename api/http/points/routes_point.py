@@ -247,6 +247,11 @@ async def _run_point_query(
     format: str,
     media_type: str,
 ) -> Response:
+    """Answer a query about one point: fix its time, run its job in a render process, and return the response.
+
+    ``level`` is the level's name. ``time`` is the query's text. ``format`` is the file format of ``product``, and
+    ``media_type`` that of the response. Raises ``SkuggaError``.
+    """
     served_level = await service.level(level)
     sun = request_sun(request, time, None, None, service.settings.time_grain_s)
     point, max_age_s = resolve_current_time(point, sun)
@@ -255,6 +260,7 @@ async def _run_point_query(
 
 
 def _picture_request(time: datetime | None) -> PictureRequest:
+    """Return the request for a picture under the sun of a time; ``None``: the level's own sun. Raises ``InputError``."""
     if time is not None:
         check_times(as_utc([time]))
     return PictureRequest(sun=None if time is None else SunSpec(time=time))

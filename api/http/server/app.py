@@ -204,4 +204,5 @@ class BodyLimitMiddleware:
 
 
 async def _client_disconnected(request: Request, error: Exception) -> Response:
+    """Answer a request whose client has disconnected. Only logs and metrics see the status."""
     return Response(status_code=CLIENT_CLOSED_REQUEST)

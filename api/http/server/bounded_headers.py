@@ -39,6 +39,7 @@ class HeaderLimitProtocol(HttpToolsProtocol):
         self._send_problem_and_close(problem_of(400))
 
     def _send_problem_and_close(self, problem: Problem) -> None:
+        """Send a problem document as the response, and close the connection."""
         answer = problem_response(problem, {"Connection": "close"})
         head = [f"HTTP/1.1 {problem.status} {problem.title}".encode(), *(b": ".join(header) for header in answer.raw_headers)]
         self.transport.write(b"\r\n".join([*head, b"", bytes(answer.body)]))

@@ -74,7 +74,7 @@ class BoundedListener:
         Returns the protocol of a new connection.
     connections
         The server's set of open connections.
-    limit
+    max_connections
         Maximum number of connections.
     client_timeout_s
         Seconds within which a client must send all headers, send the whole body, or read some of its answer.
@@ -121,16 +121,19 @@ class BoundedListener:
             await asyncio.wait(self._connecting_tasks)
 
     def _resume(self) -> None:
+        """Accept connections again, unless the listener is closed."""
         if not self._is_accepting and not self._is_closed:
             self._is_accepting = True
             self._loop.add_reader(self._listening_socket, self._accept)
 
     def _pause(self) -> None:
+        """Accept no connections until ``_resume`` is called. The operating system queues new ones."""
         if self._is_accepting:
             self._is_accepting = False
             self._loop.remove_reader(self._listening_socket)
 
     def _accept(self) -> None:
+        """Accept the connections that wait, until the limit is reached or ``accept`` fails. The event loop calls it."""
         for _ in range(MAX_ACCEPTS_PER_STEP):
             if len(self._connections) + len(self._connecting_tasks) >= self._max_connections and not self._evict_idle():
                 self._pause()
@@ -152,11 +155,13 @@ class BoundedListener:
             task.add_done_callback(self._on_connected)
 
     def _on_connected(self, task: asyncio.Task[Any]) -> None:
+        """Forget the task that has set up a connection, and accept further connections unless ``accept`` has failed lately."""
         self._connecting_tasks.discard(task)
         if self._loop.time() >= self._paused_until_s:
             self._resume()
 
     async def _connect(self, client: socket.socket) -> None:
+        """Set up the HTTP protocol of an accepted connection. ``client`` is its socket."""
         try:
             await self._loop.connect_accepted_socket(self._make_protocol, client)
         except OSError:  # the client has already disconnected
@@ -184,6 +189,7 @@ class BoundedListener:
         self._reap_timer = self._loop.call_later(REAP_INTERVAL_S, self._reap_stalled)
 
     def _update_waiting(self) -> None:
+        """Record the connections whose client has made progress since the last call, and forget closed connections."""
         now_s = self._loop.time()
         for connection in list(self._wait_states):
             if connection not in self._connections:
@@ -194,6 +200,7 @@ class BoundedListener:
                 self._wait_states[connection] = _WaitState(progress, now_s)
 
     def _close_connection(self, connection: HttpConnection) -> None:
+        """Close a connection at once, without sending what is buffered, and count it."""
         self.closed_count += 1
         self._connections.discard(connection)
         self._wait_states.pop(connection, None)

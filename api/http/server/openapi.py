@@ -33,6 +33,7 @@ def install_openapi(app: FastAPI, service: Service) -> None:
 
 
 def _complete_document(document: dict[str, Any], service: Service) -> dict[str, Any]:
+    """Return FastAPI's OpenAPI document with problem documents, the schema of plans, authentication and working examples."""
     has_token, location_examples = service.settings.api_token is not None, level_examples(service.levels.cached_levels())
     document = with_standard_bounds(document)
     schemas = document["components"]["schemas"]
@@ -71,6 +72,7 @@ def _plan_schemas() -> dict[str, Any]:
 
 
 def _with_integer_statuses(responses: dict[str, Any]) -> dict[int | str, Any]:
+    """Return the documented responses by integer status, without those that FastAPI adds for validation errors."""
     return {int(status): answer for status, answer in responses.items() if "HTTPValidationError" not in str(answer)}
 
 
@@ -106,6 +108,7 @@ def archive_examples(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
 
 
 def _set_examples(operation: dict[str, Any], location_examples: dict[str, Any]) -> None:
+    """Write examples into the parameters and the body of an operation. ``location_examples`` are values by parameter."""
     for parameter in operation.get("parameters", ()):
         if parameter["name"] in location_examples:
             parameter["schema"]["examples"] = [location_examples[parameter["name"]]]

@@ -97,11 +97,13 @@ class RequestMiddleware:
             request_id.reset(token)
 
     def _count_request(self, scope: Scope, status: int, duration_s: float) -> None:
+        """Count a request by route, method and status, and record its duration in seconds."""
         route, method = _route_template(scope), scope["method"] if scope["method"] in KNOWN_METHODS else "other"
         self.metrics.requests.labels(route, method, str(status)).inc()
         self.metrics.request_seconds.labels(route).observe(duration_s)
 
     def _log_access(self, scope: Scope, status: int, duration_s: float, sent_bytes: int) -> None:
+        """Write a request to the access log. ``duration_s`` is in seconds; ``sent_bytes`` is the size of the body that was sent."""
         client = scope.get("client") or ("",)
         access_logger.info(
             "request",
@@ -140,6 +142,7 @@ class LogFormatter(logging.Formatter):
 
 
 def _request_id_of(scope: Scope) -> str:
+    """Return the request id that the client has sent, or a new random one if it has sent none or an invalid one."""
     sent_id = dict(scope["headers"]).get(REQUEST_ID_HEADER.lower().encode(), b"").decode("latin-1")
     return sent_id if REQUEST_ID_PATTERN.fullmatch(sent_id) else secrets.token_hex(8)
 

@@ -43,7 +43,9 @@ FOLDER_RETRY_DELAY_S = 5.0
 """Seconds until the next attempt to read the folder of levels, if no thread can be started for it."""
 
 MIN_CONNECTIONS = 8
+"""Lower bound of the number of connections, even if file descriptors do not suffice for them."""
 LISTEN_BACKLOG = 2048
+"""Number of connections that the operating system queues before they are accepted (see listen(2))."""
 
 
 def log_config(settings: Settings) -> dict[str, Any]:
@@ -116,12 +118,14 @@ class Server(uvicorn.Server):
         log.info("Skugga has stopped")
 
     def _install_signal_handlers(self) -> None:
+        """Handle SIGHUP and SIGUSR1 in the event loop, if this is the main thread of a system with signals."""
         with suppress(RuntimeError, ValueError, NotImplementedError):  # only the main thread handles signals
             loop = asyncio.get_running_loop()
             loop.add_signal_handler(signal.SIGHUP, self._reload)
             loop.add_signal_handler(signal.SIGUSR1, self._log_status)
 
     def _reload(self) -> None:
+        """Check the files of all levels and archives at their next use, and read the folder of levels again."""
         log.info("SIGHUP: checking the files of all levels and archives")
         self._service.levels.expire_all()
         self._service.archives.expire_all()
@@ -136,6 +140,7 @@ class Server(uvicorn.Server):
             asyncio.get_running_loop().call_later(FOLDER_RETRY_DELAY_S, self._read_folder)
 
     def _log_status(self) -> None:
+        """Log the numbers of connections, requests, jobs and animations, and the process ids of the render processes."""
         pool = self._service.pool
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",

@@ -43,4 +43,5 @@ class TileCacheMiddleware:
             await tile.response(Request(scope))(scope, receive, send)
 
     def _cached_tile(self, scope: Scope) -> EncodedTile | None:
+        """Return the cached tile of a request's address, or ``None`` if there is none or it may be outdated."""
         return self.service.tiles.cached_tile(scope, partial(tile_versions, self.service))

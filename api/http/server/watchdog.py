@@ -38,7 +38,7 @@ def watch_event_loop(
 ) -> None:
     """Start a daemon thread that calls ``on_stuck`` once if the event loop does not run for ``MAX_MISSED_CHECKS`` checks.
 
-    The thread ends with the loop.
+    ``check_interval_s`` is the time in seconds between two checks. The thread ends with the loop.
     """
     has_run = threading.Event()
 

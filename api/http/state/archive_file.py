@@ -114,7 +114,10 @@ class ArchiveFile:
         return skugga_part if isinstance(skugga_part, dict) else {}
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
-        """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``."""
+        """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``.
+
+        ``x`` is the column from the west, and ``y`` the row from the north.
+        """
         if zoom not in self.zooms or not (0 <= x < 2**zoom and 0 <= y < 2**zoom):
             return None
         tile_id = zxy_to_tileid(zoom, x, y)
@@ -140,6 +143,7 @@ class ArchiveFile:
         raise self._error(f"directories nested more than {MAX_DIRECTORY_DEPTH} deep")
 
     def _read_header(self) -> HeaderDict:
+        """Read and check the header of the archive. Raises ``ArchiveError``."""
         raw = os.pread(self._descriptor, PMTILES_HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
             raise self._error("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
@@ -176,6 +180,7 @@ class ArchiveFile:
         return header
 
     def _read_metadata(self) -> dict[str, Any]:
+        """Read the metadata of the archive, a JSON object; empty if it has none. Raises ``ArchiveError``."""
         raw = self._decompress(self.header["metadata_offset"], self.header["metadata_length"], "metadata")
         try:
             metadata = json.loads(raw) if raw else {}
@@ -186,10 +191,12 @@ class ArchiveFile:
         return metadata
 
     def _compute_version(self) -> str:
+        """Return a digest, 16 hexadecimal digits, that changes with the file's stamp, its header and its metadata."""
         text = repr((self.stamp, sorted(map(str, self.header.items())), sorted(map(str, self.metadata.items()))))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _checked_root(self) -> _Directory:
+        """Read the root directory, and validate leaf directories up to ``MAX_VALIDATED_LEAF_BYTES``. Raises ``ArchiveError``."""
         root = self._read_directory(self.header["root_offset"], self.header["root_length"])
         bytes_left = MAX_VALIDATED_LEAF_BYTES
         for length, offset in _leaf_directories(root):
@@ -200,7 +207,11 @@ class ArchiveFile:
         return root
 
     def _leaf_directory(self, offset: int, length: int) -> _Directory:
-        """Return a leaf directory from the cache or from the file."""
+        """Return a leaf directory from the cache or from the file.
+
+        ``offset`` is counted from the begin of the section of leaf directories, and ``length`` is its compressed size; both are
+        in bytes.
+        """
         directory = _directory_cache.get(self, offset)
         if isinstance(directory, Missing):
             if offset + length > self.header["leaf_directory_length"]:
@@ -210,6 +221,10 @@ class ArchiveFile:
         return directory
 
     def _read_directory(self, offset: int, length: int) -> _Directory:
+        """Read, decode and validate a directory, whose ``length`` compressed bytes begin at byte ``offset`` of the file.
+
+        Raises ``ArchiveError``.
+        """
         numbers = _varints(self._decompress(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
@@ -237,6 +252,10 @@ class ArchiveFile:
         return _Directory(ids, run_lengths, lengths, offsets)
 
     def _decompress(self, offset: int, length: int, section_name: str) -> bytes:
+        """Return ``length`` bytes at byte ``offset`` of the file, decompressed as the header says.
+
+        ``section_name`` names them in an error. Raises ``ArchiveError``.
+        """
         raw = self._read(offset, length)
         if self.header["internal_compression"] is Compression.NONE or not raw:
             return raw
@@ -250,6 +269,7 @@ class ArchiveFile:
         return decompressed
 
     def _read(self, offset: int, length: int) -> bytes:
+        """Return ``length`` bytes at byte ``offset`` of the file. Raises ``ArchiveError`` if the file ends before."""
         try:
             raw = os.pread(self._descriptor, length, offset)
         except (OSError, OverflowError) as error:
@@ -259,6 +279,7 @@ class ArchiveFile:
         return raw
 
     def _error(self, fault: str) -> ArchiveError:
+        """Return the error that names this file and its ``fault``."""
         return ArchiveError(str(self.path), Problem(fault), ARCHIVE_REMEDY)
 
 

@@ -103,6 +103,7 @@ class EncodedTiles:
         return tile
 
     def _lookup(self, tag: str) -> EncodedTile | None:
+        """Return the cached tile with an entity tag, or ``None``. Does not count a hit or miss."""
         tile = self._by_tag.get(tag)
         return None if isinstance(tile, Missing) else tile
 
@@ -132,4 +133,5 @@ class EncodedTiles:
 
 
 def _address(scope: Scope) -> RequestAddress:
+    """Return the path and the query string of a request."""
     return scope["path"], scope["query_string"]

@@ -26,6 +26,12 @@ async def job_response(
 
     Parameters
     ----------
+    request, service
+        The request and the service.
+    job
+        The job, of the level that is named ``level``.
+    level
+        The level's name in addresses.
     response_kind
         The kind of answer, such as ``map``. It is part of the entity tag.
     media_type

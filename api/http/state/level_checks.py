@@ -33,6 +33,18 @@ log = logging.getLogger("skugga")
 
 @dataclass
 class _Check(Generic[Value]):
+    """A check that runs in a thread.
+
+    Attributes
+    ----------
+    started_s : float
+        Time of its start, seconds of ``time.monotonic``.
+    future : Future
+        Its outcome.
+    is_logged : bool
+        Whether the log already says that it takes too long.
+    """
+
     started_s: float
     future: Future[Value]
     is_logged: bool = False
@@ -99,6 +111,7 @@ class FileCheck(Generic[Value]):
         return self.value
 
     async def _wait_for_check(self, running_check: _Check[Value]) -> None:
+        """Wait until a check ends, or for up to ``max_wait_s`` seconds from its start. Log once that a check takes longer."""
         left_s = running_check.started_s + self.max_wait_s - time.monotonic()
         if left_s > 0.0:
             await asyncio.wait({asyncio.wrap_future(running_check.future)}, timeout=left_s)
@@ -140,6 +153,10 @@ class FileCheck(Generic[Value]):
         return started
 
     def _run_check(self, check: Callable[[], Value]) -> Value | SkuggaError:
+        """Run a check in this thread, and return its value or its error as a ``SkuggaError``. Logs unexpected errors.
+
+        Without threads, memory or file descriptors, the result is ``ExhaustedError``, or else the error of the last check.
+        """
         try:
             value = check()
         except Exception as error:
@@ -155,11 +172,16 @@ class FileCheck(Generic[Value]):
         return value
 
     def _log_exhausted(self, error: Exception) -> None:
+        """Log once, until a check succeeds again, that the machine lacks the resources to check files."""
         if not self._is_exhausted:
             self._is_exhausted = True
             log.error("%s %s: its files cannot be checked: %s; the last version is served", self.kind, self.name, error)
 
     def _store(self, outcome: Value | SkuggaError) -> Value:
+        """Store the outcome of a check and return the value. Raises the outcome if it is an error of the files.
+
+        After ``ExhaustedError`` the last value is returned, and the next use checks again.
+        """
         if isinstance(outcome, ExhaustedError):
             return self.value
         self._checked_s = time.monotonic()
@@ -170,8 +192,10 @@ class FileCheck(Generic[Value]):
         return outcome
 
     def _is_fresh(self) -> bool:
+        """Return whether the last check ended less than ``ttl_s`` seconds ago."""
         return time.monotonic() - self._checked_s < self.ttl_s
 
     def _is_overdue(self) -> bool:
+        """Return whether the running check takes longer than ``max_wait_s`` seconds."""
         running = self._running
         return running is not None and not running.future.done() and time.monotonic() - running.started_s > self.max_wait_s

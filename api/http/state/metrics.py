@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 METRICS_MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
+"""Upper bounds in seconds of the histogram of requests."""
 PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Upper bounds in seconds of the histogram of render passes."""
 
 MAX_PASS_LABELS = 200
 """Maximum number of label pairs of algorithms and render pass in metrics. Further pairs are counted as ``other``.
@@ -117,5 +119,6 @@ class _ServiceCollector(Collector):
 
 
 def _names_of(family: Metric) -> Iterator[str]:
+    """Yield the names of the time series of a family of metrics."""
     endings = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}
     yield from (family.name + ending for ending in endings.get(family.type, ("",)))

@@ -24,16 +24,27 @@ CLIENT_BYTES = 32 * 1024
 
 @dataclass
 class _Client:
+    """The token bucket of a client.
+
+    Attributes
+    ----------
+    tokens : float
+        Tokens in the bucket at the time ``refilled_s``; a fraction of a token cannot be taken.
+    refilled_s : float
+        Time of the last refill, seconds of the limiter's clock.
+    recent_suns : dict
+        The client's recent suns as keys, the most recent last.
+    """
+
     tokens: float
     refilled_s: float
     recent_suns: dict[Hashable, None] = field(default_factory=dict)
-    """The client's recent suns, the most recent last."""
 
 
 class RateLimiter:
     """A token bucket for each client, from which every new sun takes a token.
 
-    ``per_minute`` is the rate of new tokens and the size of a bucket; 0 means no limit. ``clock`` returns seconds.
+    ``suns_per_minute`` is the rate of new tokens and the size of a bucket; 0 means no limit. ``clock`` returns seconds.
     """
 
     def __init__(self, suns_per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:

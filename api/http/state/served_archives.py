@@ -59,7 +59,10 @@ class LevelArchives:
         return cls(files, by_tile_kind, " ".join(archive.version for archive in files.values()))
 
     def archive_of(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
-        """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is the canonical query string of the request."""
+        """Return the archive with a kind of tile at a zoom, or ``None``.
+
+        ``tms`` is the name of the tile matrix set. ``query`` is the canonical query string of the request.
+        """
         archive = self.by_tile_kind.get((layer, format, tms, with_utc_time(query))) if self.by_tile_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
@@ -140,6 +143,7 @@ class ServedArchives:
             level_check.expire()
 
     def _check_of(self, level: ServedLevel) -> FileCheck[LevelArchives]:
+        """Return the check of a level's archives, which is renewed if the level names other files. Reads no file."""
         paths = level.loaded.archives
         entry = self._checks_by_level.get(level.name)
         if entry is None or entry[0] != paths:
@@ -149,6 +153,7 @@ class ServedArchives:
         return entry[1]
 
     def _check_file(self, name: str) -> ArchiveFile:
+        """Return the archive with its own address ``name``, reopened if its file has changed. Raises ``ArchiveError``."""
         check = self._named_checks[name]
         try:
             return self._reopen_if_changed(check.value if check.error is None else None, check.value.path)
@@ -157,6 +162,7 @@ class ServedArchives:
             raise
 
     def _check_level_archives(self, name: str) -> LevelArchives:
+        """Return the archives of the level ``name``; changed files are reopened. Unreadable archives are logged and left out."""
         paths, check = self._checks_by_level[name]
         before, files = check.value.files, {}
         for path in paths:
@@ -167,6 +173,10 @@ class ServedArchives:
         return check.value if files == before else LevelArchives.of(files)
 
     def _reopen_if_changed(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
+        """Return ``archive`` if the file at ``path`` has not changed since it was opened, else the file opened anew.
+
+        ``archive`` is ``None`` if the file is not open. Raises ``ArchiveError``.
+        """
         if archive is not None and not has_changed(archive, path):
             return archive
         opened = ArchiveFile(path)
@@ -176,7 +186,10 @@ class ServedArchives:
         return opened
 
     def _log_error(self, path: Path, error: SkuggaError, consequence: str = "") -> None:
-        """Log the error of a file, unless the same error of this file was logged last."""
+        """Log the error of a file, unless the same error of this file was logged last.
+
+        ``consequence`` is appended to the message.
+        """
         if self._logged_errors.get(path) != str(error):
             self._logged_errors[path] = str(error)
             log.error("archive %s%s", error, consequence)

@@ -265,6 +265,11 @@ class ServedLevels:
         return any(check.value.loaded.path == path for check in self._checks.values())
 
     def _make_check(self, source: LevelSource, allowed_roots: Iterable[Path]) -> FileCheck[ServedLevel]:
+        """Read a level, and return the check that keeps it up to date.
+
+        The data of the level must lie in ``allowed_roots`` or in the service's data folders. Raises ``LevelError``,
+        ``SourceError`` or ``InputError``.
+        """
         level = self._read_level(source.model_copy(update={"roots": (*allowed_roots, *self._data_roots)}))
         return FileCheck(level.name, level, partial(self._check_files, level.name), self._ttl_s, self._max_wait_s)
 
@@ -312,6 +317,7 @@ class ServedLevels:
         return levels
 
     def _check(self, name: str) -> FileCheck[ServedLevel]:
+        """Return the check of a level by its name. Raises ``NotServedError``."""
         checks = self._checks
         if name not in checks:
             raise NotServedError("level", f"level: {name[:60]!r} is not served. Levels: {', '.join(checks)}.")
@@ -328,6 +334,7 @@ class ServedLevels:
         return reloaded
 
     def _read_level(self, origin: LevelSource) -> ServedLevel:
+        """Read a level's files and return its facts. Raises an error if the service does not allow its data or its algorithms."""
         loaded, path = load_level(origin), origin.path
         remote = [source for source in loaded.linked_sources if is_remote(source)]
         if remote and not self._remote_sources:
@@ -391,6 +398,10 @@ def algorithm_names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
 def _served_level_of(
     loaded: LoadedLevel, origin: LevelSource, scene: Scene, files: tuple[Path, ...], stamps: tuple[Stamp, ...]
 ) -> ServedLevel:
+    """Return the facts of a level from its scene, and log warnings about its ground.
+
+    ``files`` are the files that the level depends on, and ``stamps`` are theirs before they were read.
+    """
     world, data_bounds, zooms = scene.world, None, {}
     bounds = scene.bounds_lon_lat if world.off_earth_reason is None else None
     if bounds is not None:
@@ -415,6 +426,7 @@ def _served_level_of(
 
 
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
+    """Return (width, height) of a view in pixels; ``None`` for a view that cannot be rendered, which is logged."""
     try:
         view = scene.view(name)
     except SkuggaError as error:  # the level still has tiles

@@ -147,5 +147,6 @@ async def cancel_on_disconnect(request: Request, coroutine: Coroutine[Any, Any, 
 
 
 async def _wait_for_disconnect(request: Request) -> None:
+    """Return when the client of a request disconnects."""
     while (await request.receive())["type"] != "http.disconnect":
         pass

@@ -72,6 +72,10 @@ async def map_response(request: Request, service: Service, level: ServedLevel, q
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:
+    """Raise ``InputError`` if pixels are longer than ``MAX_PIXEL_ASPECT`` times their other side, in units of the CRS.
+
+    ``bounds`` are west, south, east and north; ``size`` is (width, height) in pixels.
+    """
     west, south, east, north = bounds
     pixel_width, pixel_height = (east - west) / size[0], (north - south) / size[1]
     if max(pixel_width, pixel_height) > MAX_PIXEL_ASPECT * min(pixel_width, pixel_height):

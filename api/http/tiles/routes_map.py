@@ -68,6 +68,11 @@ async def map_of_level(
 def _query_on_earth(
     level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], product_request: ProductRequest, format: MapFormat
 ) -> MapQuery:
+    """Return the request for a map of a level that lies on the earth.
+
+    ``bbox`` and ``crs`` are texts of the query, or ``None``. ``sides`` has the requested ``width`` and ``height`` in pixels;
+    either or both may be missing. Raises ``InputError``.
+    """
     code = level.map_crs.to_string() if crs is None else crs_code(crs)
     bounds_crs = level.map_crs if crs is None else crs_of_code(code)
     bounds = bounds_in(level, bounds_crs) if bbox is None else parse_bounds(bbox)
@@ -87,12 +92,17 @@ def _may_be_degrees(bounds: MapBounds) -> bool:
 
 
 def _overlap(bounds: MapBounds, other_bounds: MapBounds) -> bool:
+    """Return whether two extents, in units of one CRS, have a common area."""
     return all(bounds[i] < other_bounds[i + 2] and other_bounds[i] < bounds[i + 2] for i in (0, 1))
 
 
 def _query_off_earth(
     level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], product_request: ProductRequest, format: MapFormat
 ) -> MapQuery:
+    """Return the request for a map of a whole level that does not lie on the earth. Raises ``InputError`` for ``bbox`` and ``crs``.
+
+    ``sides`` has the requested ``width`` and ``height`` in pixels; either or both may be missing.
+    """
     for name, value in (("bbox", bbox), ("crs", crs)):
         if value is not None:
             fault = Problem(f"cannot be used, since {level.world.off_earth_reason}")

@@ -141,6 +141,7 @@ def error_with_body_key(error: InputError, spec: AnimationSpec) -> InputError:
 
 
 def _check_positions(path: CameraPathSpec) -> None:
+    """Raise ``InputError`` for an eye or a target of a camera path that lies too far away or too high."""
     for number, key in enumerate(path.keys):
         for name, position in (("eye", key.eye), ("target", key.target)):
             if max(map(abs, position[:2])) > 1e9 or abs(position[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
@@ -148,6 +149,10 @@ def _check_positions(path: CameraPathSpec) -> None:
 
 
 def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> None:
+    """Raise ``InputError`` if a frame, or all frames together, have more pixels than the settings allow.
+
+    ``size`` is (width, height) of a frame in pixels, and ``frames`` is the number of frames.
+    """
     pixels, size_text = size[0] * size[1], f"{size[0]}x{size[1]}"
     if pixels > settings.max_animation_frame_pixels:
         limit = f"{settings.max_animation_frame_pixels} (the service's SKUGGA_MAX_ANIMATION_FRAME_PIXELS)"

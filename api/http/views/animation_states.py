@@ -153,6 +153,7 @@ def parse_byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
 
 
 async def _read_chunks(reader: FilmReader) -> AsyncIterator[bytes]:
+    """Yield the bytes of a film in chunks that are read in a thread, and close the reader."""
     try:
         while chunk := await asyncio.to_thread(reader.read_chunk):
             yield chunk

@@ -133,5 +133,6 @@ async def dismiss_animation(request: Request, service: ServiceDep, animation: An
 
 
 def _state_response(request: Request, service: Service, animation: Animation, status: int = 200) -> Response:
+    """Return the state of an animation as a response with the HTTP status ``status``."""
     address = f"{base_url(request, service.settings.public_url)}/animations/{animation.id}"
     return state_response(status, animation_state_of(animation, service.animations, address), service.settings)

@@ -20,6 +20,7 @@ NAME_WIDTH_PX, BAR_CHARACTER_PX, BOLD_CHARACTER_PX, TIME_WIDTH_PX = 130.0, 7.4, 
 """Widths in pixels: of the names at least, of a character of a name, of one in bold, and of a time."""
 
 REST_STAGE = "not in a stage"
+"""Name of the segment for the time outside all stages."""
 MIN_REST_SHARE = 0.02
 """Minimum share of a row's time outside all stages that is shown."""
 
@@ -77,6 +78,7 @@ def bars_legend(figures: list[RowFigures]) -> str:
 
 
 def _colour_swatch(colour: str) -> str:
+    """Return a small square of a colour as an SVG element."""
     return tag("svg", tag("path", d="M2 2H14V14H2Z", fill=colour), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
@@ -88,12 +90,14 @@ def stages_of(figures: RowFigures) -> dict[str, float]:
 
 
 def _stage_colours(figures: list[RowFigures]) -> dict[str, str]:
+    """Return the colour of each stage that occurs in the rows, by the stage's name."""
     stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in stages if name != REST_STAGE])
     return colours | ({REST_STAGE: COLOURS["gray"]} if REST_STAGE in stages else {})
 
 
 def _total_ms(figures: RowFigures) -> float:
+    """Return the length of a row's bar in milliseconds."""
     return sum(stages_of(figures).values())
 
 
@@ -108,6 +112,7 @@ def _end_ms(figures: list[RowFigures]) -> float:
 
 
 def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
+    """Yield the vertical lines of the time axis and their labels. ``bottom`` is the lower end of the lines in pixels."""
     power = 10.0 ** floor(log10(axis.end_ms / 4.0))
     step = next(f * power for f in (1, 2, 5, 10) if f * power >= axis.end_ms / 8.0)
     for k in range(floor(axis.end_ms / step) + 1):
@@ -117,6 +122,10 @@ def _grid_lines(axis: Axis, bottom: float) -> Iterator[str]:
 
 
 def _bar_elements(row_index: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
+    """Return the bar of a row as an SVG element: its segments, its name and its time, with a link to the table.
+
+    ``y`` is the top of the bar in pixels. ``colours`` has the colours of stages by name.
+    """
     stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT_PX - 3.0
     x, parts = axis.left_px, []
     for name, ms in stages.items():

@@ -38,7 +38,7 @@ SHAPE_POINTS: dict[str, str] = {
 
 
 def mark_svg(mark: PlotMarker, x: float, y: float, radius: float = 6.0) -> str:
-    """Return a mark as an SVG element centred at a point, pixels."""
+    """Return a mark as an SVG element centred at the point (``x``, ``y``), with a radius, all in pixels."""
     colour = COLOURS[mark.colour]
     paint = {"fill": colour, "stroke": "#fff"} if mark.filled else {"fill": "#fff", "stroke": colour}
     paint |= {

@@ -123,7 +123,10 @@ def _encoded_pictures(
 
 
 def _pixel_blocks(values: np.ndarray, shrink_factor: int) -> np.ndarray:
-    """Return pixels grouped into blocks: (rows, shrink_factor, cols, shrink_factor, ...), padded by repeating the edge."""
+    """Return the pixels of an image in squares: (rows, shrink_factor, cols, shrink_factor, ...), padded by repeating the edge.
+
+    ``rows`` and ``cols`` of the result count squares of ``shrink_factor`` pixels a side.
+    """
     rows, cols = values.shape[:2]
     margins = [(0, -rows % shrink_factor), (0, -cols % shrink_factor), *[(0, 0)] * (values.ndim - 2)]
     filled = np.pad(values, margins, mode="edge")
@@ -133,6 +136,7 @@ def _pixel_blocks(values: np.ndarray, shrink_factor: int) -> np.ndarray:
 
 
 def _webp(picture: np.ndarray, **options: int) -> str:
+    """Return a picture, uint8, as a ``data:`` URI of a WebP file. ``options`` are Pillow's options of the encoder."""
     file = BytesIO()
     Image.fromarray(picture).save(file, "WEBP", **options)
     return f"data:image/webp;base64,{b64encode(file.getvalue()).decode()}"

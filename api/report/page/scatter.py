@@ -16,13 +16,16 @@ from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 
 SCATTER_WIDTH_PX, SCATTER_HEIGHT_PX = 860.0, 540.0
+"""Size of the plot in pixels, with its margins."""
 MARGIN_LEFT_PX, MARGIN_RIGHT_PX, MARGIN_TOP_PX, MARGIN_BOTTOM_PX = 84.0, 16.0, 14.0, 56.0
+"""Margins around the area of the plot, for labels and titles."""
 TITLE_HEIGHT_PX, LEGEND_LEFT_PX, LEGEND_COLUMNS = 54.0, 14.0, 2
 """Layout of the separate picture: height of the title, left end of the legend, and columns of the legend."""
 LABEL_CHARACTER_PX, LINE_HEIGHT_PX = 8.3, 16.0
 """Size of label text, slightly more than any font needs."""
 
 TextBox = tuple[float, float, float, float]
+"""Left, top, right and bottom of a text in pixels."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ def scatter_plot(comparison: Comparison) -> str:
 
 
 def _plot(comparison: Comparison) -> str:
+    """Return the content of the plot as SVG: axes, noise band, marks, the Pareto front and labels."""
     figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts_shadow(row.figures, comparison.light)}
     figures_by_row = figures_by_row or {k: row.figures for k, row in enumerate(comparison.rows)}
     x = log_scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT_PX, SCATTER_WIDTH_PX - MARGIN_RIGHT_PX)
@@ -119,6 +123,7 @@ def scatter_legend(comparison: Comparison) -> str:
 
 
 def _families(comparison: Comparison) -> list[str]:
+    """Return the combinations of algorithms of the rows, in the order of the legend: single algorithms first."""
     families = {algorithm_family(row.figures, comparison.light) for row in comparison.rows}
     ranks = {name: k for k, name in enumerate(ALGORITHMS)}
     return sorted(families - {NO_SHADOWS} or families, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
@@ -130,6 +135,10 @@ def mark_swatch(name: str) -> str:
 
 
 def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
+    """Yield the axes with their ticks and titles.
+
+    ``x`` and ``y`` are the scales, and ``error`` is the title of the error's axis.
+    """
     bottom, right = SCATTER_HEIGHT_PX - MARGIN_BOTTOM_PX, SCATTER_WIDTH_PX - MARGIN_RIGHT_PX
     for value in y.ticks():
         tick_px = y(value)
@@ -152,7 +161,10 @@ def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
 
 
 def _noise_band(y: Scale, max_exact_error: float) -> Iterator[str]:
-    """Yield the band of errors below the noise of the ray-traced truth, if any of it lies on the axis."""
+    """Yield the band of errors below the noise of the ray-traced truth, if any of it lies on the axis.
+
+    ``max_exact_error`` is the upper end of the band, as a fraction like the errors on the scale ``y``.
+    """
     top, bottom = y(max_exact_error), SCATTER_HEIGHT_PX - MARGIN_BOTTOM_PX
     if max_exact_error > y.low:
         yield tag(
@@ -169,7 +181,10 @@ def _noise_band(y: Scale, max_exact_error: float) -> Iterator[str]:
 
 
 def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:
-    """Return the vertices of the staircase through the Pareto front; every point above and right of it is dominated."""
+    """Return the vertices (x, y), in pixels, of the staircase through the Pareto front.
+
+    Every point above and right of the staircase is dominated.
+    """
     front_points = sorted((point.x, point.y) for point in front)
     corners = [(x, y) for (x, _), (_, y) in zip(front_points, [(0.0, MARGIN_TOP_PX), *front_points], strict=False)]
     line = [vertex for pair in zip(corners, front_points, strict=True) for vertex in pair]
@@ -177,6 +192,7 @@ def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:
 
 
 def _mark(point: ScatterPoint, comparison: Comparison) -> str:
+    """Return the mark of a row as an SVG element with a tooltip and a link to the table."""
     figures = point.figures
     tooltip = f"{figures['name']}: {format_percent(figures[comparison.error_metric])} in {format_duration(figures['ms_median'])}"
     tooltip += ", on the front" if figures["pareto"] else ""
@@ -193,9 +209,9 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
 
 
 def _labels(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
-    """Yield labels of the rows on the Pareto front, at positions that overlap no mark, line, label or frame.
+    """Yield labels of the rows on the Pareto front, at positions that overlap no mark, line, label or border of the plot.
 
-    A row without such a position gets no label.
+    ``stairs`` are the vertices of the staircase through the front, in pixels. A row without a free position gets no label.
     """
     occupied: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
     occupied += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
@@ -229,6 +245,7 @@ first, since the area below and left of the front is empty.
 
 
 def _is_inside(box: TextBox) -> bool:
+    """Return whether a text lies inside the area of the plot."""
     return (
         box[0] > MARGIN_LEFT_PX
         and box[2] < SCATTER_WIDTH_PX - MARGIN_RIGHT_PX
@@ -238,8 +255,13 @@ def _is_inside(box: TextBox) -> bool:
 
 
 def _overlaps(first: TextBox, second: TextBox) -> bool:
+    """Return whether two texts overlap."""
     return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start", class_: str | None = None) -> str:
+    """Return a text as an SVG element.
+
+    ``x`` and ``y`` are the position in pixels of the point of the text that ``anchor`` names: ``start``, ``middle`` or ``end``.
+    """
     return tag("text", escape(text), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, class_=class_)

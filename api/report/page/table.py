@@ -41,7 +41,10 @@ class Column:
 
 
 def decimals_formatter(decimals: int, scale: float = 1.0) -> Callable[[float], str]:
-    """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
+    """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values.
+
+    ``scale`` is a factor that values are multiplied by, such as 100 for per cent.
+    """
     smallest = 10.0**-decimals
 
     def format_value(value: float) -> str:
@@ -128,7 +131,7 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
 
 
 def _flat_settings(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return nested settings as text by flat names, such as ``cascades 2 far m``."""
+    """Return nested settings as text by flat names, such as ``cascades 2 far m``. All names begin with ``prefix``."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         name = f"{prefix}{key.replace('_', ' ')}"
@@ -142,10 +145,12 @@ def _flat_settings(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
 
 
 def _short_text(value: Any) -> str:
+    """Return a value as text; numbers have four significant digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _heading(column: Column, is_sort_column: bool) -> str:
+    """Return the heading of a column as a table cell. ``is_sort_column`` says whether the table is sorted by it."""
     unit = tag("span", escape(column.unit), class_="unit") if column.unit else ""
     return tag(
         "th",
@@ -159,6 +164,7 @@ def _heading(column: Column, is_sort_column: bool) -> str:
 
 
 def _table_row(row_index: int, figures: RowFigures, light: str) -> str:
+    """Return the row of the table with the index ``row_index``: the name, with details for the light ``light``, and the figures."""
     front, name = figures["pareto"], figures["name"]
     title = tag("summary", mark_swatch(algorithm_family(figures, light)), tag("span", breakable_text(name)))
     cells = [
@@ -175,5 +181,6 @@ def _table_row(row_index: int, figures: RowFigures, light: str) -> str:
 
 
 def _figure(column: Column, figures: RowFigures) -> str:
+    """Return the figure of a column as escaped text. A time of a first run gets a question mark."""
     cold = figures["cold"] and column.unit == "ms" and figures[column.key] > 0.0
     return escape(column.format_value(figures[column.key])) + ("?" if cold else "")
