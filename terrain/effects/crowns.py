@@ -116,6 +116,12 @@ def _write_cell_keys(first, last, points, pixels, eye, key):
 
 @compiled
 def _transmit(first, last, sunlight, pixels, is_shaded, cell, share):
+    """Add the transmitted sunlight to the leaves from ``first`` to ``last`` (exclusive), in place.
+
+    ``sunlight`` (rows, cols) is the share of the direct sunlight in each pixel, ``pixels`` (n,) the flat index of each leaf's
+    pixel. ``cell`` (n,) is the index of each leaf's cell, and ``is_shaded`` (cells,) whether ground or meshes shade the cell. A
+    leaf gets ``share`` of the sunlight that it lacks.
+    """
     for n in range(first, last):
         if not is_shaded[cell[n]]:
             row, col = divmod(pixels[n], sunlight.shape[1])

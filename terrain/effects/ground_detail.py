@@ -132,6 +132,7 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    """Return the cache key of ``_albedo_changes``: the buffer's points, the level's ground and the width of a pixel."""
     return buffer.position_frame_m, scene.elevation, view.pixel_tangent
 
 
@@ -152,6 +153,11 @@ def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView)
 
 @compiled
 def _apply_detail(first, last, albedo, detail, share, hue_shift):
+    """Multiply the albedo (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive) by the detail, in place.
+
+    ``detail`` (rows, cols, 2) is the result of ``_albedo_changes``. ``share`` is a factor of all changes. ``hue_shift`` (3,) is
+    ``HUE_SHIFT_RGB``.
+    """
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]

@@ -253,6 +253,7 @@ def _are_indistinguishable(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
 
 
 def _length_text(length_m: float) -> str:
+    """Return a length as text with one decimal, in kilometres from 1000 m on."""
     return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
 
 

@@ -55,6 +55,12 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, up_origin, anchor_from_frame, water_m, size):
+    """Blend the albedo (rows, cols, 3) with that of snow, in place. Undraped ground without snow becomes rock.
+
+    ``surface_albedo`` (rows, cols, 3) is NaN where the ground has no imagery; ``None`` if that is everywhere. ``anchor_from_frame``
+    is the rotation (3, 3) and the translation (3,) to the anchor's axes, for the noise. Ground below ``water_m`` metres does not
+    change. ``size`` is a ``PixelSize``.
+    """
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, tangent, pixel_m = size

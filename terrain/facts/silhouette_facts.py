@@ -96,6 +96,12 @@ def silhouette_edges_of(objects: SceneObjects, light_earth: np.ndarray, is_posit
 
 @compiled
 def _silhouette_edges(normal, corner, triangle_pair, light, light_w):
+    """Return the indices (k,) of the edges that belong to the silhouette.
+
+    ``normal`` and ``corner`` (m, 3) are a normal and one corner of each triangle, and ``triangle_pair`` (e, 2) are the triangles
+    beside each edge (``MeshEdges``). ``light`` (3,) is the light's position if ``light_w`` is 1, and the direction to it if
+    ``light_w`` is 0.
+    """
     facing = np.empty(len(normal), np.bool_)
     for t in range(len(normal)):
         facing[t] = (

@@ -93,6 +93,10 @@ def trim_bare_ground_cache(max_entries: int) -> None:
 
 @cached("scene", 448 * MIB)
 def _bare_ground(world: World, elevation: Elevation, view: MapView, sky_view: SkyView | None) -> BareGround | None:
+    """Return the bare ground in the pixels of a map view. The parameters and the result are those of ``bare_ground``.
+
+    Its pixels must lie on nodes of the view's grid.
+    """
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     stencil_radius = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - stencil_radius, int(view.col0) - stencil_radius
@@ -297,6 +301,12 @@ def _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, c
 
 @internal
 def _convert_run_to_cells(x, y, corners, at_j, at_i, cells_per_node):
+    """Convert consecutive positions in one square of a ``CellFinder``'s lattice to nodes of a ``SkyView``, in place.
+
+    ``x`` and ``y`` (n,) are the positions in units of squares, and become rows and columns of nodes. ``corners`` are those of the
+    square, whose column and row in the lattice are ``at_j`` and ``at_i``. ``cells_per_node`` is the number of raster cells along
+    the distance between two nodes.
+    """
     for j in range(x.size):
         row, col = cell_in_square(corners, x[j] - at_j, y[j] - at_i)
         x[j], y[j] = (row + 0.5) / cells_per_node - 0.5, (col + 0.5) / cells_per_node - 0.5

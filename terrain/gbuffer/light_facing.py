@@ -86,6 +86,7 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
 
 
 def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
+    """Return the cache key of ``facing_normals``. Buffers that differ only in their points share it if these do not matter."""
     if not _is_position_independent(buffer, light):
         return buffer, light
     return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
@@ -183,6 +184,7 @@ def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, l
 
 @internal
 def _dot(vector, axis):
+    """Return the dot product of two vectors (3,)."""
     return vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2]
 
 

@@ -196,6 +196,7 @@ def _nearest_nodes(row, col):
 
 @internal
 def _is_nearest_node_valid(node_valid, row, col):
+    """Return whether the node nearest to a position is valid; half-way between nodes, whether any of the nearest ones is."""
     low_r, high_r, low_c, high_c = _nearest_nodes(row, col)
     return node_valid[low_r, low_c] or node_valid[low_r, high_c] or node_valid[high_r, low_c] or node_valid[high_r, high_c]
 
@@ -225,6 +226,7 @@ def _barycentric(is_cut_nw_se, facet_in_quad, row_fraction, col_fraction):
 
 @internal
 def _is_same_quad(facets, first, second):
+    """Return whether two facets belong to one quad. ``first`` and ``second`` are rows of the list ``facets`` of ``facets_at``."""
     return facets[first, 0] == facets[second, 0] and facets[first, 1] == facets[second, 1]
 
 
