@@ -84,6 +84,7 @@ def cell_finder_of(elevation: Elevation, world: World) -> CellFinder:
 
 
 def _is_local(bounds_deg: tuple[float, float, float, float]) -> bool:
+    """Return whether a raster with these bounds (west, south, east, north) is small enough for ``STEREOGRAPHIC_PLANE``."""
     west, south, east, north = bounds_deg
     return max(east - west, north - south) <= MAX_LOCAL_SPAN_DEG and max(-south, north) <= 90.0 - MAX_LOCAL_SPAN_DEG
 

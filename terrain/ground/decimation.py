@@ -339,6 +339,7 @@ def _propagate_to_parents(removal_tolerance):
 
 @internal
 def _value_at(values, row, col):
+    """Return the value of a node, or 0 outside of the grid ``values`` (rows, cols)."""
     inside = 0 <= row < values.shape[0] and 0 <= col < values.shape[1]
     return values[row, col] if inside else np.float32(0.0)
 

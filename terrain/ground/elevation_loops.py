@@ -37,6 +37,10 @@ def convert_to_lod(row, col, factor, rows, cols):
 
 @internal
 def _row_at_lod(row, col, factor, rows, cols, out_row, out_col):
+    """Write the rows and columns, at a level of detail, of one row of positions; NaN for positions off the raster.
+
+    The parameters are those of ``convert_to_lod``. ``row``, ``col``, ``out_row`` and ``out_col`` are (n,).
+    """
     wraps = cols == np.inf
     for j in range(out_row.size):
         r, c = (row[j] + 0.5) / factor - 0.5, col[j] if wraps else (col[j] + 0.5) / factor - 0.5

@@ -57,6 +57,7 @@ def refine_row(height, row, col0, out):
 
 @internal
 def _middle(a, b):
+    """Return the mean of two heights, float32."""
     return np.float32(0.5 * (np.float64(a) + np.float64(b)))
 
 
@@ -82,6 +83,11 @@ def refine_valid(valid, row0, col0, rows, cols):
 
 @internal
 def _refine_valid_row(above, below, col0, out):
+    """Write the valid mask of a row of the refined grid to ``out`` (cols,), from the refined column ``col0`` (0 or 1) on.
+
+    ``above`` and ``below`` are the rows of the coarser grid's valid mask between which the row lies. They are the same row if the
+    refined row lies on it.
+    """
     if col0 == 1:
         out[0] = (above[0] & below[1]) | (above[1] & below[0])
     pairs = (out.size - col0) // 2
@@ -312,22 +318,29 @@ def write_node_points(first, last, exact, first_row, first_col, stride, row, col
 
 
 @internal
-def _interpolate_node(exact, m, p, w, v, k):
-    """Interpolate the coordinate ``k`` between exact nodes, with cubics.
+def _interpolate_node(exact, row, col, row_weights, col_weights, component):
+    """Interpolate the value ``exact[..., component]`` of a node between exact nodes (m, n, k), with cubics.
 
-    The exact nodes about it are rows ``m - 1`` to ``m + 2`` with the weights ``w``, and columns ``p - 1`` to ``p + 2`` with the
-    weights ``v``.
+    The node lies between the exact rows ``row`` and ``row + 1``, and between the exact columns ``col`` and ``col + 1``, as indices
+    into ``exact``. ``row_weights`` (4,) are those of the exact rows ``row - 1`` to ``row + 2`` (``cubic_weights``), and
+    ``col_weights`` (4,) those of the exact columns ``col - 1`` to ``col + 2``.
     """
-    if v[1] == 1.0:
-        return _interpolate_column(exact, m, p, w, k)
+    if col_weights[1] == 1.0:
+        return _interpolate_column(exact, row, col, row_weights, component)
     return (
-        v[0] * _interpolate_column(exact, m, p - 1, w, k) + v[1] * _interpolate_column(exact, m, p, w, k)
-        + v[2] * _interpolate_column(exact, m, p + 1, w, k) + v[3] * _interpolate_column(exact, m, p + 2, w, k)
-    )  # fmt: skip
+        col_weights[0] * _interpolate_column(exact, row, col - 1, row_weights, component)
+        + col_weights[1] * _interpolate_column(exact, row, col, row_weights, component)
+        + col_weights[2] * _interpolate_column(exact, row, col + 1, row_weights, component)
+        + col_weights[3] * _interpolate_column(exact, row, col + 2, row_weights, component)
+    )
 
 
 @internal
-def _interpolate_column(exact, m, n, w, k):
-    if w[1] == 1.0:
-        return exact[m, n, k]
-    return w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
+def _interpolate_column(exact, row, col, row_weights, component):
+    """Interpolate the value ``exact[..., component]`` in the exact column ``col``, as ``_interpolate_node`` does."""
+    if row_weights[1] == 1.0:
+        return exact[row, col, component]
+    return (
+        row_weights[0] * exact[row - 1, col, component] + row_weights[1] * exact[row, col, component]
+        + row_weights[2] * exact[row + 1, col, component] + row_weights[3] * exact[row + 2, col, component]
+    )  # fmt: skip
