@@ -231,7 +231,11 @@ def gradient_noise(x, y):
 
 @compiled
 def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
-    """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
+    """Write the dithered colours of the pixels from ``first`` to ``last`` (exclusive) to ``out`` (n, 3), by ``sky_colors``.
+
+    ``rows`` and ``cols`` (n,) are the pixels. ``pixels`` (3,) holds the view's ``col0``, ``row0`` and ``step_px``, and ``focal``
+    its focal length in pixels. ``up`` and ``horizontal_to_sun`` (3,) are unit vectors in the camera's axes.
+    """
     px, py, sine, azimuth_cosine = np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS)
     color = np.empty((3, BATCH_PIXELS))
     for begin in range(first, last, BATCH_PIXELS):
