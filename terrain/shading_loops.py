@@ -219,8 +219,8 @@ def shade_rows(
     """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
     ``up_origin`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light
-    that does not depend on its normal (``LEAF_TRANSLUCENCY``). ``albedo``, ``sunlight``, ``skylight`` and ``lamplight`` are those
-    of ``shade``; all but ``sunlight`` may be ``None``.
+    that does not depend on its normal (``LEAF_TRANSLUCENCY``). ``albedo`` (rows, cols, 3) is NaN where the ground has its tint;
+    ``None`` if that is everywhere. ``sunlight``, ``skylight`` and ``lamplight`` are those of ``shade``.
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
@@ -422,7 +422,7 @@ def _cosines_to_zenith(normal, up, out):
 
 @internal
 def _exaggerate_row(cos_sun, cos_zenith, sun_altitude_sines, exaggeration, max_slope):
-    """Apply ``_exaggerated_cosines`` to a row of pixels, in place."""
+    """Apply ``_exaggerated_cosines`` to the cosines ``cos_sun`` and ``cos_zenith`` (n,) of a row of pixels, in place."""
     for j in range(cos_sun.size):
         cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sun_altitude_sines[j], exaggeration, max_slope)
 
@@ -444,7 +444,7 @@ def _sky_light_of_row(cos_sun, cos_zenith, sun_altitude_sines, directional_share
 
 @internal
 def _direct_light_of_row(cos_sun, sun_altitude_sines, terminator_light_share, direct):
-    """Multiply the direct light of a row of pixels by ``_slope_direct_light``, in place."""
+    """Multiply the direct light ``direct`` (n,) of a row of pixels by ``_slope_direct_light``, in place."""
     for j in range(direct.size):
         direct[j] *= _slope_direct_light(cos_sun[j], sun_altitude_sines[j], terminator_light_share)
 

@@ -232,7 +232,10 @@ def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
 
 @compiled
 def _lit_mask(height_m, step_m, east, north, up):
-    """Return the mask (rows, cols) of nodes from which a ray towards a distant light in a direction meets no ground."""
+    """Return the mask (rows, cols) of nodes from which a ray towards a distant light meets no ground.
+
+    ``east``, ``north`` and ``up`` are the direction to the light.
+    """
     rows, cols = height_m.shape
     out = np.zeros(height_m.shape, np.bool_)
     for i in range(rows):

@@ -203,7 +203,8 @@ def _layer_position(x, y, z, height, layer_height_m, to_sun, up_origin, drift_m)
     """Return the intersection (x, y) of a point's ray to the sun with the layer, in metres of the noise.
 
     These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_height_m``
-    that of the layer. All coordinates are in the anchor's axes.
+    that of the layer. ``to_sun``, ``up_origin`` and ``drift_m`` are fields of the ``CloudLayer``. All coordinates are in the
+    anchor's axes.
     """
     ux, uy, uz = x - up_origin[0], y - up_origin[1], z - up_origin[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)

@@ -74,7 +74,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
-    """Add the transmitted sunlight to leaves that other leaves shade."""
+    """Add the transmitted sunlight to leaves that other leaves shade. ``sunlight`` (rows, cols) is changed in place."""
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
@@ -98,9 +98,10 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _write_cell_keys(first, last, points, pixels, eye, key):
-    """Write the key of the cell of each point, an int64.
+    """Write the key of the cell of each leaf from ``first`` to ``last`` (exclusive) to ``key`` (n,), int64.
 
-    Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis.
+    Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis. ``pixels`` (n,) are
+    the leaves' indices in ``points`` (m, 3), and ``eye`` (3,) is the eye, in the frame.
     """
     for n in range(first, last):
         p = points[pixels[n]]

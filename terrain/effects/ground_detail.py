@@ -174,7 +174,12 @@ def _resolved_share(wavelength_m, pixel_m):
 
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """Write the detail of some rows to ``out`` (rows, cols, 2). Up to ``MAX_BATCH_PIXELS`` pixels are computed together."""
+    """Write the detail of the rows from ``first`` to ``last`` (exclusive) to ``out`` (rows, cols, 2), which must hold zeros.
+
+    Up to ``MAX_BATCH_PIXELS`` pixels are computed together. Ground below ``water_m`` metres has no detail. ``anchor_from_frame`` is
+    the rotation (3, 3) and the translation (3,) to the anchor's axes. ``eye`` (3,) is the eye in the frame, and ``pixel`` the side
+    of a pixel as a tangent. ``waves`` (k, 2) is ``GROUND_WAVES``.
+    """
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     x, y, pixel_width_m = np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS)
@@ -201,7 +206,11 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
 
 @internal
 def _add_waves(x, y, pixel_width_m, waves, column, out):
-    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2). The positions are overwritten."""
+    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2).
+
+    ``x`` and ``y`` (n,) are metres east and north of the anchor, and are overwritten. ``pixel_width_m`` (n,) are the pixels' widths
+    on the ground.
+    """
     wave_x, wave_y, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     finest = pixel_width_m.min()
     for k in range(len(waves)):

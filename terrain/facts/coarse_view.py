@@ -207,7 +207,11 @@ def _project_vertices(vertices, eye, rotation, tangents):
 
 @internal
 def _is_outside_frustum(a, b, c, tangents, max_offset_px, rows, cols):
-    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``max_offset_px`` pixels."""
+    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``max_offset_px`` pixels.
+
+    ``a``, ``b`` and ``c`` (3,) are its corners in camera axes. ``tangents`` (3,) is that of ``_project_vertices``, and the picture
+    has ``rows`` x ``cols`` pixels.
+    """
     for k in range(2):
         low = tangents[k] - max_offset_px * tangents[2]
         high = low + ((cols if k == 0 else rows) - 1 + 2.0 * max_offset_px) * tangents[2]

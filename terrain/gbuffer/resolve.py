@@ -58,7 +58,10 @@ def resolve_perspective(
 
 @compiled
 def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, sqrt_albedo, points):
-    """Fill rows ``first`` to ``last`` (exclusive) of ``points``."""
+    """Fill rows ``first`` to ``last`` (exclusive) of ``points``, a ``ResolvedPoints``.
+
+    ``ground_nodes`` is a ``GroundInPerspective``. The other parameters are those of ``resolve_perspective``.
+    """
     tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
@@ -300,11 +303,12 @@ def _face_normal(p, out):
 
 @compiled
 def _write_leaf_shading(point, ray, base, quad_sizes, sqrt_albedo, shading_normal, albedo):
-    """Write the shading normal and the albedo of a visible leaf.
+    """Write the shading normal (3,) and the albedo (3,) of a visible leaf.
 
     A tree is drawn as crossed quads. The normal is instead that of an ellipsoid with the size of the crown, at the place where the
     ray to the point meets it or passes nearest to it. So it does not depend on the quad, and the quads are not visible. It is
-    tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are.
+    tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are. ``base`` and ``quad_sizes`` are the tree's rows of the arrays of
+    ``TreeInstances``. ``sqrt_albedo`` (4,) is the pixel's (``IdBuffer``).
     """
     half_width, half_height = max(np.float64(quad_sizes[0]), 1e-3), max(CROWN_HALF_HEIGHT_SHARE * quad_sizes[2], 1e-3)
     qx, qy, qz = (

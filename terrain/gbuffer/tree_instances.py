@@ -188,9 +188,9 @@ def _tree_bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
 
 @compiled
 def _write_relative_sizes(first, last, base, eye, height_px, out):
-    """Write each tree's height in pixels, divided by ``FULL_STAND_TREE_PX``.
+    """Write each tree's height in pixels, divided by ``FULL_STAND_TREE_PX``, to ``out`` (n,).
 
-    ``height_px`` (n,) are the trees' heights in pixels at a distance of 1 m from the eye.
+    ``base`` (n, 3) are the trees' feet. ``height_px`` (n,) are the trees' heights in pixels at a distance of 1 m from the eye.
     """
     for n in range(first, last):
         x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
@@ -207,7 +207,11 @@ def _drawn_share(size: np.ndarray) -> np.ndarray:
 
 @internal
 def tree_corner(base, quad_sizes, yaw_cos_sin, curvature, quad, corner):
-    """Return one corner (x, y, z) of one quad of a tree, in the frame. The texture coordinate u is 0 at corners 0 and 3, else 1."""
+    """Return the corner ``corner`` (x, y, z) of the quad ``quad`` of a tree, in the frame.
+
+    Quads 0 and 1 are upright, and quad 2 is horizontal. Corners are 0 to 3; the texture coordinate u is 0 at corners 0 and 3, else
+    1. The other parameters are the tree's rows of the arrays of ``TreeInstances``.
+    """
     cosine, sine = np.float64(yaw_cos_sin[0]), np.float64(yaw_cos_sin[1])
     x, y = base[0] * curvature, base[1] * curvature
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)

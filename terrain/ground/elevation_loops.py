@@ -102,7 +102,11 @@ def _gather_corners(values, row, col, out):
 
 @internal
 def _interpolate(north_west, north_east, south_west, south_east, row_fraction, col_fraction, out):
-    """Interpolate between four cells. A neighbour of weight 0 is ignored, even if it is NaN."""
+    """Write the bilinear means of four cells each to ``out`` (n,). A neighbour of weight 0 is ignored, even if it is NaN.
+
+    ``row_fraction`` and ``col_fraction`` (n,) run from 0 to 1 southwards and eastwards. The other parameters are the cells' heights
+    (n,).
+    """
     for j in range(out.size):
         north, south = np.float64(north_west[j]), np.float64(south_west[j])
         north_east_m, south_east_m = np.float64(north_east[j]), np.float64(south_east[j])

@@ -63,7 +63,10 @@ def _middle(a, b):
 
 @internal
 def _quad_middle(west, east, south_west, south_east):
-    """Return the height at the centre of a quad, on its higher diagonal."""
+    """Return the height at the centre of a quad, on its higher diagonal.
+
+    ``west`` and ``east`` are the heights of its northern corners, the others those of its southern ones.
+    """
     falling = 0.5 * (np.float64(west) + np.float64(south_east))
     rising = 0.5 * (np.float64(east) + np.float64(south_west))
     return np.float32(rising if (rising > falling) | np.isnan(falling) else falling)
@@ -116,8 +119,9 @@ def cubic_weights(t):
 def interpolate_nodes(exact, first_row, first_col, stride, row0, col0, rows, cols):
     """Return values (k, rows, cols) at a window's nodes, interpolated by cubics from those of exact nodes (m, n, k).
 
-    Exact nodes are ``stride`` nodes apart. The first one has row ``first_row * stride`` and column ``first_col * stride``. Sums are
-    in a fixed order, so that results are bit-identical in all windows.
+    Exact nodes are ``stride`` nodes apart. The first one has row ``first_row * stride`` and column ``first_col * stride``.
+    (``row0``, ``col0``) is the window's first node on the grid. Sums are in a fixed order, so that results are bit-identical in all
+    windows.
     """
     components = exact.shape[2]
     out = np.empty((components, rows, cols))
@@ -146,8 +150,9 @@ def write_axis_coordinates(
     """Write the coordinates (rows, cols) of nodes at their heights into an array.
 
     ``flat``, ``start``, ``row_stride`` and ``col_stride`` are the array's memory, and its offset and strides in values. ``base``
-    (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. Sums follow the
-    order of ``interpolate_nodes``. ``height`` has the heights of the nodes or, if ``refined``, those of the coarser grid.
+    (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. The parameters
+    from ``first_row`` to ``cols`` are those of ``interpolate_nodes``, whose order the sums follow. ``height`` has the heights of
+    the nodes or, if ``refined``, those of the coarser grid.
     """
     refined_heights = np.empty(cols, np.float32)
     bases, slopes = np.empty(base.shape[1]), np.empty(base.shape[1])
@@ -181,7 +186,7 @@ def write_axis_coordinates(
 
 @internal
 def _interpolate_row(exact, m, fraction, out):
-    """Interpolate a row's values (n,) at the exact columns, between the values of exact rows (m, n).
+    """Interpolate a row's values at the exact columns, ``out`` (n,), between the values of exact rows ``exact`` (k, n).
 
     The row lies at the fraction ``fraction`` of the way from exact row ``m`` to the next one.
     """
@@ -198,9 +203,10 @@ def _interpolate_row(exact, m, fraction, out):
 
 @internal
 def _interpolate_between(values, n, weights, first, out):
-    """Interpolate the nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
+    """Write the values of a row's nodes between the exact columns ``n`` + 1 and ``n`` + 2 to ``out``.
 
-    The first node is the ``first``-th after exact column ``n`` + 1.
+    The first node is the ``first``-th after exact column ``n`` + 1. ``values`` are those at the exact columns. ``weights`` (4,
+    stride) are the ``cubic_weights`` of the nodes between two exact columns.
     """
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
     w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
@@ -213,7 +219,9 @@ def _interpolate_between(values, n, weights, first, out):
 def _write_node_coordinates(bases, slopes, n, weights, first, height, first_window_col, out, count):
     """Write the coordinates of ``count`` nodes of a row, at their heights, between the exact columns ``n`` + 1 and ``n`` + 2.
 
-    The first node is the ``first``-th after exact column ``n`` + 1, in column ``first_window_col`` of the window.
+    The first node is the ``first``-th after exact column ``n`` + 1, in column ``first_window_col`` of the window. ``bases`` and
+    ``slopes`` are the coordinates at height 0 and their change per metre of height, at the exact columns. ``weights`` is that of
+    ``_interpolate_between``. ``height`` and ``out`` (cols,) are those of the row in the window.
     """
     a, b, c, d = bases[n], bases[n + 1], bases[n + 2], bases[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
@@ -227,7 +235,10 @@ def _write_node_coordinates(bases, slopes, n, weights, first, height, first_wind
 
 @compiled
 def interpolate_columns(exact, first_col, stride, col0, cols):
-    """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n)."""
+    """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n).
+
+    Exact columns are ``stride`` columns apart; the first one is column ``first_col * stride``.
+    """
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
         exact_col = (col0 + j) // stride
@@ -278,7 +289,11 @@ def _write_contiguous(values, flat, start, step):
 
 @internal
 def _write_columns(values, count, flat, start, row_stride, col_stride):
-    """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
+    """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines.
+
+    ``flat`` is the array's memory, ``start`` the index of its first value there, and ``row_stride`` and ``col_stride`` are the
+    distances of neighbouring rows and columns there.
+    """
     for first in range(0, values.shape[1], COLUMN_BLOCK_SIZE):
         last = min(first + COLUMN_BLOCK_SIZE, values.shape[1])
         for i in range(count):
@@ -290,7 +305,11 @@ def _write_columns(values, count, flat, start, row_stride, col_stride):
 
 @compiled
 def window_points(exact, first_row, first_col, stride, row0, col0, height):
-    """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there."""
+    """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there.
+
+    ``exact`` (m, n, 6) holds points at height 0 and up vectors of exact nodes, and ``height`` (rows, cols) the heights. The other
+    parameters are those of ``interpolate_nodes``.
+    """
     rows, cols = height.shape
     verticals = interpolate_nodes(exact, first_row, first_col, stride, row0, col0, rows, cols)
     out = np.empty((rows, cols, 3))
@@ -306,7 +325,8 @@ def window_points(exact, first_row, first_col, stride, row0, col0, height):
 def write_node_points(first, last, exact, first_row, first_col, stride, row, col, height, out):
     """Write the frame points of the nodes [first, last) of a list into ``out`` (n, 3).
 
-    Sums have the same order as in ``window_points``, so the results are bit-identical.
+    ``row``, ``col`` and ``height`` (n,) are the nodes' rows and columns on the grid, and their heights. The other parameters are
+    those of ``window_points``. Sums have the same order as there, so the results are bit-identical.
     """
     for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)

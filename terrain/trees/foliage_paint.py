@@ -454,7 +454,21 @@ def _paint_view(
 
 @compiled
 def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, size_px):
-    """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
+    """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top.
+
+    Strokes are sorted front to back. Coordinates are right, up and towards the viewer.
+
+    Parameters
+    ----------
+    start, end, radius
+        Ends (n, 3) and radii (n, 2) of the strokes.
+    front
+        (n,), the depth of each stroke's point nearest to the viewer.
+    left, bottom
+        The picture's lower left corner.
+    step_x, step_y, size_px
+        Width and height of a sample, and number of samples along a side.
+    """
     stroke_index = np.full((size_px, size_px), -1, dtype=np.int32)
     nearest = np.full((size_px, size_px), -np.inf)
     for k in range(len(start)):
