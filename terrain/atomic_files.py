@@ -132,6 +132,7 @@ def _move_files(temp_folder: Path, target: Path) -> None:
 
 
 def _remove_folder(folder: Path) -> None:
+    """Delete a folder with all its files, even if an interrupt arrives meanwhile. Errors are ignored."""
     try:
         shutil.rmtree(folder, ignore_errors=True)
     except BaseException:  # an interrupt while it runs

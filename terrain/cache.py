@@ -43,14 +43,17 @@ class IdentityKey(weakref.ref[Any]):
     object_id: int
 
     def __new__(cls, referent: object, on_collected: Callable[[Any], None] | None = None) -> IdentityKey:
+        """Return the key of an object. ``on_collected`` is called with the key when the object is garbage-collected."""
         self = super().__new__(cls, referent, on_collected)
         self.object_id = id(referent)
         return self
 
     def __eq__(self, other: object) -> bool:
+        """Return whether both keys refer to the same object, which is still alive."""
         return isinstance(other, IdentityKey) and self() is not None and self() is other()
 
     def __hash__(self) -> int:
+        """Return the identity of the object, also after it was garbage-collected."""
         return self.object_id
 
 
@@ -114,6 +117,7 @@ class Cache(Generic[V]):
         register_cache(self)
 
     def __len__(self) -> int:
+        """Return the number of entries."""
         return len(self._values)
 
     @property
@@ -191,6 +195,7 @@ class Cache(Generic[V]):
         return key
 
     def _drop(self, key: tuple[Hashable, ...]) -> None:
+        """Evict the entry of a key, if there is one, and release its value."""
         entry = self._values.pop(key, None)
         if entry is not None:
             value, size = entry
@@ -208,6 +213,7 @@ class CachedFunction(Generic[P, V]):
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> V:
+        """Return the cached result for some arguments, or compute and store it."""
         parts = self._key(*args, **kwargs) if self._key is not None else (*args, *sorted(kwargs.items()))
         result = self.cache.get(*parts)
         if isinstance(result, Missing):

@@ -77,6 +77,7 @@ class CameraPath:
 
     @cached_property
     def _fov_curve(self) -> KeyedCurve:
+        """The curve of the vertical field of view, degrees."""
         return KeyedCurve(self.times_s, self.fov_deg[:, None])
 
 

@@ -89,6 +89,7 @@ def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
 
 
 def _ice_share(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
+    """Return the share of ice colours at latitudes in degrees and heights in metres."""
     return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_BLEND_HALF_RANGE_M)
 
 

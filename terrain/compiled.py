@@ -87,6 +87,7 @@ os.register_at_fork(after_in_child=_pool.clear)  # a forked process has none of 
 
 
 def _thread_pool() -> ThreadPoolExecutor:
+    """Return the threads of ``run_in_chunks``, which the first call starts."""
     if not _pool:
         _pool.append(ThreadPoolExecutor(CORES, "skugga-rows"))
     return _pool[0]

@@ -100,6 +100,7 @@ def _visible_area_share(scene: Scene, visible_extent_m: tuple[float, float, floa
 
 
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
+    """Return the fields of the ``Descriptor`` that depend on the kind of view, by name, for a map."""
     node_m, pixel_m = step_at_anchor_m(scene.world, view.grid), map_pixel_m(scene.world, view)
     relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.objects.tallest_object_m
     return {
@@ -111,6 +112,7 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
 
 
 def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> dict[str, Any]:
+    """Return the fields of the ``Descriptor`` that depend on the kind of view, by name, for a perspective view."""
     points, distance_m = coarse_view.points_frame_m, coarse_view.distance_m
     median_m = float(np.median(distance_m)) if len(points) else 1.0
     bands: tuple[Band, ...] = ()

@@ -193,10 +193,12 @@ def printable(text: str) -> str:
 
 
 def _message_line(name: str, problem: str) -> str:
+    """Return the message ``NAME: problem.`` on one printable line."""
     return printable(f"{name}: {problem}" if problem.endswith((".", "?")) else f"{name}: {problem}.")
 
 
 def _quoted(value: object) -> str:
+    """Return a value as text on one line, in quotes, shortened to 120 characters."""
     text = value if isinstance(value, str) else repr(value)
     text = " ".join(text.split())
     return f"'{text}'" if len(text) <= 120 else f"'{text[:117]}...'"

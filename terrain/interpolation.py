@@ -9,7 +9,7 @@ import numpy as np
 
 
 def smoothstep(share: np.ndarray | float) -> np.ndarray:
-    """Return 3 t^2 - 2 t^3 of values t, clamped to [0, 1] first."""
+    """Return the smoothstep 3 s^2 - 2 s^3 of each value s of ``share``, which is clamped to [0, 1] first."""
     share = np.clip(share, 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 

@@ -7,7 +7,7 @@ from skugga.terrain.compiled import internal
 
 @internal
 def smoothstep_value(share):
-    """Return 3 t^2 - 2 t^3 of a value t, clamped to [0, 1] first."""
+    """Return the smoothstep 3 s^2 - 2 s^3 of the number s = ``share``, which is clamped to [0, 1] first."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 

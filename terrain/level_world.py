@@ -42,6 +42,7 @@ def _survives_round_trip(crs: CRS, lon: float, lat: float) -> bool:
 
 
 def _world_at_level_centre(loaded: LoadedLevel, elevation: Elevation) -> World:
+    """Return the result of ``world_of_level``. Raises also ``ProjError`` if PROJ has no transformation of the raster's CRS."""
     crs, bounds = elevation.crs, loaded.level.terrain.bounds
     x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
     unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0

@@ -127,9 +127,11 @@ class AnimatedLamp:
 
     @cached_property
     def _static_lamp(self) -> Lamp:
+        """The lamp at second 0 of the level's clock, computed once."""
         return self._lamp_at(0.0)
 
     def _lamp_at(self, seconds: float) -> Lamp:
+        """Return the lamp at a second of the level's clock, always as a new object."""
         spec, (position, up, _) = self.spec, _ground_position_at(self.position, seconds)
         forward, cutoff = -up, 180.0
         if self.target is not None:
@@ -190,6 +192,7 @@ def _check_distance(position: GroundPosition | GroundPath, target: GroundPositio
 
 
 def _ground_position_at(position: GroundPosition | GroundPath, seconds: float) -> GroundPosition:
+    """Return a static position as it is, and the point of a path at a second of the level's clock."""
     return position.at_second(seconds) if isinstance(position, GroundPath) else position
 
 

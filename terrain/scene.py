@@ -288,6 +288,11 @@ class Scene:
     def _perspective_view(
         self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_name: str, target_name: str
     ) -> PerspectiveView:
+        """Return the view that a level's or a request's settings describe.
+
+        ``size`` (width, height) overrides that of ``spec``. ``eye_name`` and ``target_name`` are the names of the positions in
+        messages.
+        """
         width, height = size or spec.size
         if max(width, height) > MAX_PERSPECTIVE_SIDE_PX:
             limit = f"{MAX_PERSPECTIVE_SIDE_PX} pixels a side in a perspective view"
@@ -303,6 +308,10 @@ class Scene:
         crs: str | None,
         size: tuple[int, int] | None,
     ) -> MapView:
+        """Return the map view that a level's settings describe. ``None`` leaves a value to ``spec``, or else to its default.
+
+        ``bounds`` are west, south, east and north in the view's CRS, ``size`` is (width, height). Raises ``InputError``.
+        """
         target = self._parse_crs(crs or spec.crs)
         extent = bounds or (spec.bounds if crs is None else None) or self.default_bounds(target)
         west, south, east, north = extent
@@ -348,6 +357,7 @@ class Scene:
             return any(bool(((x + t >= west) & (x + t <= east) & (y >= south) & (y <= north)).any()) for t in longitude_shifts)
 
     def _parse_crs(self, text: str | None) -> CRS:
+        """Return the CRS of a map that a text names (``None``: ``map_crs``). Raises ``InputError``."""
         if text is None:
             return self.map_crs
         try:

@@ -168,4 +168,5 @@ class SceneObjects:
 
 @cached("scene", 512 * MIB)
 def _map_positions(world: World, points_earth_m: np.ndarray, crs: CRS) -> np.ndarray:
+    """Return x, y in a CRS and height in metres (n, 3) of earth-fixed points (n, 3)."""
     return np.stack(world.map_position(crs, points_earth_m), axis=-1)

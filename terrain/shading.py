@@ -137,6 +137,10 @@ def tints_of(scene: Scene) -> Tints:
 
 @cached("process", 16 * MIB)
 def _tints(ramp: ColorRamp | None, has_latitude_tints: bool) -> Tints:
+    """Return the tints of a colour ramp (``None``: the grey ``FLAT_GROUND_ALBEDO`` at all heights).
+
+    ``has_latitude_tints`` is whether they depend on latitude.
+    """
     colors = np.full((1, TINT_HEIGHT_COUNT, 3), FLAT_GROUND_ALBEDO) if ramp is None else tint_table(ramp, has_latitude_tints)
     channels = np.moveaxis(colors, -1, 0)
     table = np.stack([*channels, luminance_of(*channels)], axis=1)
@@ -270,4 +274,5 @@ def exposure_of(altitude_deg: float | None) -> float:
 
 @cached("process", MIB)
 def _srgb_table() -> np.ndarray:
+    """Return the sRGB codes uint8 (n,) of linear colours at even steps from 0 to 1."""
     return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_TABLE_SIZE) + 0.5) / _SRGB_TABLE_SIZE)).astype(np.uint8)

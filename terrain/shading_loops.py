@@ -219,7 +219,8 @@ def shade_rows(
     """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
     ``up_origin`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light
-    that does not depend on its normal (``LEAF_TRANSLUCENCY``).
+    that does not depend on its normal (``LEAF_TRANSLUCENCY``). ``albedo`` (rows, cols, 3) is NaN where the ground has its tint;
+    ``None`` if that is everywhere. ``sunlight``, ``skylight`` and ``lamplight`` are those of ``shade``.
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
@@ -270,6 +271,7 @@ def shade_rows(
 
 @internal
 def _round_to_float32(value):
+    """Return the float64 value of a number that is rounded to float32."""
     return np.float64(np.float32(value))
 
 
@@ -311,21 +313,44 @@ def _tinted(table, latitude_sine, tint_index, fraction):
 
 @internal
 def _tint_at(table, row, channel, tint_index, fraction):
+    """Return a channel of the tints at the latitude of the table's row ``row``.
+
+    Channels 0 to 2 are the linear colour, and 3 is its luminance. ``tint_index`` and ``fraction`` are the place of a height in the
+    table (``_tint_position``).
+    """
     value = table[row, channel, tint_index]
     return value + (table[row, channel, tint_index + 1] - value) * fraction
 
 
 @internal
 def _tint_between(table, row, row_fraction, channel, tint_index, fraction):
+    """Return a channel of the tints at a latitude between the table's rows ``row`` and ``row + 1``.
+
+    ``row_fraction`` is the fraction of the way from the first row to the second one. The other parameters are those of
+    ``_tint_at``.
+    """
     value = _tint_at(table, row, channel, tint_index, fraction)
     return value + (_tint_at(table, row + 1, channel, tint_index, fraction) - value) * row_fraction
 
 
 @compiled
 def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters, daylight_in_frame, srgb_table, out):
-    """Compute the sRGB colour of bare ground row by row: ``encode_srgb`` of the result of ``shade_rows``.
+    """Write the sRGB colour of bare ground under the sun to ``out`` (rows, cols, 3) uint8: ``encode_srgb`` of ``shade_rows``.
 
-    Inner loops compile to vector instructions; table look-ups run between them.
+    Inner loops compile to vector instructions; table look-ups run between them. Pixels without ground do not change.
+
+    Parameters
+    ----------
+    valid, height, normal, up, sky_share
+        Mask of the pixels with ground, heights in metres, smooth unit normals, unit vectors up, and visible shares of the sky. They
+        are the arrays of a ``BareGround``.
+    sunlight
+        (rows, cols), the share of the sun's direct light that reaches each pixel, in [0, 1]: 0 in shadow. It is not an irradiance;
+        the angle of incidence is applied here.
+    parameters, daylight_in_frame
+        A ``ShadingParameters`` and a ``DaylightInFrame``.
+    srgb_table
+        uint8 (n,), the sRGB codes of linear colours at even steps from 0 to 1.
     """
     tints, north, greying, directional_share, terminator, exaggeration, limit, veils, _ = parameters
     _, to_sun, sun, sky, night = daylight_in_frame
@@ -397,14 +422,18 @@ def _cosines_to_zenith(normal, up, out):
 
 @internal
 def _exaggerate_row(cos_sun, cos_zenith, sun_altitude_sines, exaggeration, max_slope):
-    """Apply ``_exaggerated_cosines`` to a row of pixels, in place."""
+    """Apply ``_exaggerated_cosines`` to the cosines ``cos_sun`` and ``cos_zenith`` (n,) of a row of pixels, in place."""
     for j in range(cos_sun.size):
         cos_sun[j], cos_zenith[j] = _exaggerated_cosines(cos_sun[j], cos_zenith[j], sun_altitude_sines[j], exaggeration, max_slope)
 
 
 @internal
 def _sky_light_of_row(cos_sun, cos_zenith, sun_altitude_sines, directional_share, sky_share, sky_light_share, out):
-    """Compute the sky's light on the slopes of a row of pixels, as a share of the day's sky light on level ground."""
+    """Compute the sky's light on the slopes of a row of pixels, as a share of the day's sky light on level ground.
+
+    ``sky_share`` (n,) is the visible share of the sky, ``sky_light_share`` (n,) the sky's light as a share of the day's. The other
+    parameters are those of ``_slope_sky_factor``, for n pixels.
+    """
     for j in range(out.size):
         out[j] = (
             sky_share[j]
@@ -415,21 +444,24 @@ def _sky_light_of_row(cos_sun, cos_zenith, sun_altitude_sines, directional_share
 
 @internal
 def _direct_light_of_row(cos_sun, sun_altitude_sines, terminator_light_share, direct):
-    """Multiply the direct light of a row of pixels by ``_slope_direct_light``, in place."""
+    """Multiply the direct light ``direct`` (n,) of a row of pixels by ``_slope_direct_light``, in place."""
     for j in range(direct.size):
         direct[j] *= _slope_direct_light(cos_sun[j], sun_altitude_sines[j], terminator_light_share)
 
 
 @internal
 def _tint_positions(heights, fraction, tint_index):
-    """Apply ``_tint_position`` to a row of pixels."""
+    """Write the results of ``_tint_position`` for the heights (n,) of a row of pixels to ``tint_index`` and ``fraction`` (n,)."""
     for j in range(heights.size):
         tint_index[j], fraction[j] = _tint_position(heights[j])
 
 
 @internal
 def _latitude_positions(latitude_sines, count, row_fraction, rows):
-    """Apply ``_latitude_position`` to a row of pixels."""
+    """Write the results of ``_latitude_position`` for the latitudes of a row of pixels to ``rows`` and ``row_fraction`` (n,).
+
+    ``latitude_sines`` (n,) are the sines of the latitudes, and ``count`` is the number of rows of the table of tints.
+    """
     for j in range(latitude_sines.size):
         rows[j], row_fraction[j] = _latitude_position(latitude_sines[j], count)
 
@@ -438,7 +470,9 @@ def _latitude_positions(latitude_sines, count, row_fraction, rows):
 def _shared_tint_row(first_difference, valid, rows, tint_index):
     """Return whether all valid pixels of a row share their tints, and then a row of the table that has these tints.
 
-    They share them if the table's rows at their latitudes are equal.
+    They share them if the table's rows at their latitudes are equal up to their highest tint. ``first_difference`` is
+    ``Tints.first_differing_height``. ``rows`` (n,) and ``tint_index`` (n,) are the row and the height's index of each pixel in the
+    table.
     """
     first, last, highest = np.int32(first_difference.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
@@ -452,7 +486,12 @@ def _shared_tint_row(first_difference, valid, rows, tint_index):
 
 @internal
 def _look_up_colors(table, has_one_row, row, channel, rows, row_fraction, tint_index, fraction, out):
-    """Look up a channel of the tints for a row of pixels: in one row of the table, or between two rows for each pixel."""
+    """Write a channel of the tints for a row of pixels to ``out`` (n,).
+
+    It is read in the table's row ``row`` if ``has_one_row``, else between the rows ``rows`` and ``rows + 1`` of each pixel.
+    ``rows``, ``row_fraction``, ``tint_index`` and ``fraction`` (n,) have one element for each pixel. The parameters are those of
+    ``_tint_between``.
+    """
     if has_one_row:
         _look_up_tint(table[row, channel], tint_index, fraction, out)
     else:
@@ -462,6 +501,7 @@ def _look_up_colors(table, has_one_row, row, channel, rows, row_fraction, tint_i
 
 @internal
 def _look_up_tint(tints, tint_index, fraction, out):
+    """Write the values of a table ``tints`` by height for a row of pixels to ``out`` (n,), interpolated as in ``_tint_at``."""
     for j in range(tint_index.size):
         value = tints[tint_index[j]]
         out[j] = value + (tints[tint_index[j] + 1] - value) * fraction[j]
@@ -474,6 +514,21 @@ def _srgb_indices(
     """Compute the places in an sRGB table of one colour channel of lit ground, for a row of pixels.
 
     The table has ``table_size`` entries. The colour includes the tone curve and the veil of air.
+
+    Parameters
+    ----------
+    tint, grey
+        (n,), linear tints in this channel, and their luminances.
+    desaturation
+        Desaturation in the sky's light, 0 to 1.
+    sun_irradiance, sky_irradiance, air_color
+        Irradiances of sun and sky, and linear colour of the veil of air, in this channel.
+    direct, sky_light
+        (n,), shares of the sun's irradiance and of the day's sky light that the ground receives.
+    veil
+        (n,), share of the veil of air in the colour.
+    sky_light_share
+        (n,), the sky's light as a share of the day's, which lights the veil of air.
     """
     count = np.float32(table_size)
     for j in range(out.size):
@@ -488,6 +543,7 @@ def _srgb_indices(
 
 @internal
 def _look_up_srgb(valid, srgb_index, srgb_table, out):
+    """Write the sRGB codes at the places ``srgb_index`` (n,) in the table to ``out`` (n,) in valid pixels."""
     for j in range(srgb_index.size):
         if valid[j]:
             out[j] = srgb_table[srgb_index[j]]

@@ -159,7 +159,7 @@ def sky_pixel_colors(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols
 
 @compiled
 def sky_color(sky, altitude_sine, azimuth_cosine, out):
-    """Compute the sky's colour in a direction.
+    """Compute the sky's linear colour in a direction into ``out`` (3,). ``sky`` is a ``Sky``.
 
     ``altitude_sine`` is the sine of its altitude, ``azimuth_cosine`` the cosine of the azimuth between it and the sun.
     """
@@ -183,7 +183,10 @@ def sky_color(sky, altitude_sine, azimuth_cosine, out):
 
 @compiled
 def sky_colors(sky, altitude_sine, azimuth_cosine, out):
-    """Compute ``sky_color`` of many directions (n,) into (3, n), in loops that compile to vector instructions."""
+    """Compute ``sky_color`` of many directions into ``out`` (3, n), in loops that compile to vector instructions.
+
+    ``altitude_sine`` and ``azimuth_cosine`` (n,) are those of ``sky_color``, and ``sky`` is a ``Sky``.
+    """
     below_sun, opposite, zenith, glow, aureole, fade, sun = sky
     light, share = np.zeros(altitude_sine.size), np.empty(altitude_sine.size)
     if aureole > 0.0:
@@ -231,7 +234,11 @@ def gradient_noise(x, y):
 
 @compiled
 def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
-    """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
+    """Write the dithered colours of the pixels from ``first`` to ``last`` (exclusive) to ``out`` (n, 3), by ``sky_colors``.
+
+    ``rows`` and ``cols`` (n,) are the pixels. ``pixels`` (3,) holds the view's ``col0``, ``row0`` and ``step_px``, and ``focal``
+    its focal length in pixels. ``up`` and ``horizontal_to_sun`` (3,) are unit vectors in the camera's axes.
+    """
     px, py, sine, azimuth_cosine = np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS)
     color = np.empty((3, BATCH_PIXELS))
     for begin in range(first, last, BATCH_PIXELS):

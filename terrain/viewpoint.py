@@ -210,7 +210,8 @@ def _brightness(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.n
 def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
     """Return where a ray meets the ground: horizontal distance in metres, row and column of the lattice; NaN if it does not.
 
-    The ray starts above the node ``row``, ``col`` at the height ``z_m``. ``east``, ``north``, ``up`` are its direction.
+    The ray starts above the node ``row``, ``col`` at the height ``z_m`` (metres, as those of the lattice). ``east``, ``north``,
+    ``up`` are its direction, of any length.
     """
     rows, cols = height_m.shape
     horizontal_length = np.sqrt(east**2 + north**2)
@@ -231,7 +232,10 @@ def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
 
 @compiled
 def _lit_mask(height_m, step_m, east, north, up):
-    """Return the mask (rows, cols) of nodes from which a ray towards a distant light in a direction meets no ground."""
+    """Return the mask (rows, cols) of nodes from which a ray towards a distant light meets no ground.
+
+    ``east``, ``north`` and ``up`` are the direction to the light.
+    """
     rows, cols = height_m.shape
     out = np.zeros(height_m.shape, np.bool_)
     for i in range(rows):
@@ -244,7 +248,11 @@ def _lit_mask(height_m, step_m, east, north, up):
 
 @compiled
 def _view_scores(height_m, brightness, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
-    """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one."""
+    """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one.
+
+    ``eyes`` (n, 2) are rows and columns of nodes, ``eye_heights_m`` heights above the ground there. ``azimuths`` count clockwise
+    from north, and ``pitches`` down from the horizon, radians. ``sun_azimuth`` is NaN without a sun.
+    """
     rows, cols = RAY_ROWS_COLS
     half_height = np.tan(np.radians(FOV_DEG) / 2.0)
     out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))

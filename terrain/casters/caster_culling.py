@@ -349,6 +349,7 @@ def _may_occlude(bounds, receiver_bounds, margin_m, up_margin_m):
 
 
 def _ground_grid_of(receivers: Receivers) -> Grid:
+    """Return the map grid of a block's receivers."""
     assert isinstance(receivers.view, MapView)
     return receivers.view.grid
 

@@ -60,8 +60,20 @@ class Patch:
 class Receivers(Protocol):
     """Points that can be shaded, and the ground of the map that they belong to.
 
-    The points ``position_frame_m`` have the shape (rows, cols, 3), the mask ``valid`` the shape (rows, cols). ``surface`` holds the
-    nodes of smooth ground, ``columns`` ground of upright columns. ``GeometryBuffer`` and ``BareNodes`` implement this protocol.
+    ``GeometryBuffer`` and ``BareNodes`` implement this protocol.
+
+    Attributes
+    ----------
+    view, frame
+        The view, and the local frame of the points.
+    valid
+        bool (rows, cols), whether a point can be shaded. Other points do not count.
+    position_frame_m
+        float64 (rows, cols, 3), the points, metres.
+    surface
+        The nodes of a map's smooth ground; ``None`` for other ground and in perspective.
+    columns
+        A map's ground of upright columns; ``None`` for other ground and in perspective.
     """
 
     @property

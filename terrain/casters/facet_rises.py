@@ -79,30 +79,38 @@ def write_rise_support(rise_extremes, out):
 
 @internal
 def count_missing(height_m, missing):
+    """Add 1 to each element of ``missing`` (cols,) where the height is missing (not finite), in place."""
     for j in range(missing.size):
         missing[j] += np.int32(0) if np.isfinite(height_m[j]) else np.int32(1)
 
 
 @internal
 def _differences(a, b, out):
+    """Write the differences ``a`` - ``b`` (n,) to ``out``."""
     for j in range(out.size):
         out[j] = a[j] - b[j]
 
 
 @internal
 def _fmax(a, b, out):
+    """Write the larger values of ``a`` and ``b`` (n,) to ``out``. A NaN does not count unless both are NaN."""
     for j in range(out.size):
         out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
 
 
 @internal
 def _fmin(a, b, out):
+    """Write the smaller values of ``a`` and ``b`` (n,) to ``out``. A NaN does not count unless both are NaN."""
     for j in range(out.size):
         out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
 
 
 @internal
 def _widen_by_sums(max_a, max_b, min_a, min_b, minimum, maximum):
+    """Extend the range from ``minimum`` to ``maximum`` of each element (n,) to include all sums of a and b, in place.
+
+    a lies between ``min_a`` and ``max_a``, b between ``min_b`` and ``max_b``. Sums that are NaN change no range.
+    """
     for j in range(minimum.size):
         high, low = max_a[j] + max_b[j], min_a[j] + min_b[j]
         maximum[j] = high if high > maximum[j] else maximum[j]
@@ -111,6 +119,10 @@ def _widen_by_sums(max_a, max_b, min_a, min_b, minimum, maximum):
 
 @internal
 def _widen_by_differences(max_a, max_b, min_a, min_b, minimum, maximum):
+    """Extend the range from ``minimum`` to ``maximum`` of each element (n,) to include all differences a - b, in place.
+
+    The other parameters are those of ``_widen_by_sums``.
+    """
     for j in range(minimum.size):
         high, low = max_a[j] - min_b[j], min_a[j] - max_b[j]
         maximum[j] = high if high > maximum[j] else maximum[j]

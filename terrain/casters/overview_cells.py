@@ -28,10 +28,15 @@ def overview_light_space(scene: Scene) -> tuple[np.ndarray, float]:
 
 @cached("scene", 256 * MIB)
 def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points at height 0 of the centres of the overview's cells, and the unit up vectors there.
+
+    Both are (rows, cols, 3), earth-fixed; the points are metres.
+    """
     return world.points_at_zero_height(elevation.crs, *_overview_xy(elevation))
 
 
 def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coordinates x and y (rows, cols), in the raster's CRS, of the centres of the overview's cells."""
     overview = elevation.overview
     rows, cols = overview.mean_heights_m.shape
     factor = 2**overview.lod
@@ -40,6 +45,7 @@ def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _overview_cell_m(scene: Scene) -> float:
+    """Return the side of the overview's cells on the ground, metres."""
     return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.lod
 
 

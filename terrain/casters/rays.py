@@ -161,6 +161,11 @@ class RayScene:
     def _blocked_by_alpha(
         self, mesh: AlphaMesh, scene: Any, start: np.ndarray, directions: np.ndarray, length: np.ndarray
     ) -> np.ndarray:
+        """Return whether rays (n,) meet an opaque texel of an alpha-tested mesh, bool (n,).
+
+        ``scene`` is Embree's scene of the mesh. ``start`` and ``directions`` are float32 (n, 3), relative to the scene's centre.
+        ``length`` (n,) limits the rays, metres; infinite without a limit.
+        """
         stopped = np.zeros(len(start), bool)
         active, start, remaining = np.arange(len(start)), start.copy(), length.astype(np.float64)
         for _ in range(MAX_TRANSPARENT_LAYERS):
@@ -199,6 +204,10 @@ def bounding_box(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 
 @compiled
 def _extend_box(points, low, high):
+    """Extend a box from ``low`` to ``high`` (3,) to contain the points (n, 3), in place.
+
+    Points whose third coordinate is NaN or infinite do not count.
+    """
     for n in range(len(points)):
         if np.isfinite(points[n, 2]):
             for k in range(3):

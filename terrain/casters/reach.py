@@ -107,6 +107,7 @@ def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
 
 
 def _needs_sun_casters(scene: Scene, buffer: Receivers) -> bool:
+    """Return whether the sun is up and a buffer has points that it can light."""
     return scene.light_space is not None and scene.sun_is_up and bool(buffer.valid.any())
 
 
@@ -132,6 +133,7 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_space_m: np.ndarray, 
 
 
 def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, caster_m: float) -> Reach:
+    """Return the reach of the sun's casters. ``caster_m`` is the distance of the farthest known caster from the buffer's points."""
     is_generated = scene.loaded.level.terrain.source is None  # generated ground has no unknown ground beyond its edge
     limit_m, unknown_m = (caster_m, caster_m) if is_generated else _data_and_shadow_limits_m(scene, buffer)
     if limit_m >= unknown_m:

@@ -74,6 +74,7 @@ class SheetRays:
         return self._cached_pyramids[1]
 
     def _build_pyramids(self, direction: tuple[float, ...]) -> Pyramids:
+        """Return the pyramids of the sheets for rays in a unit direction (3,)."""
         axes = _axes_along(np.array(direction))
         levels: list[tuple[int, int, int]] = []
         sheets, node, quad, box = [], 0, 0, 0
@@ -148,6 +149,10 @@ def _build_pyramid(pyramids, number, position, centre, axes):
 
 @internal
 def _set_box(box, box_index, a0, a1, b0, b1, d1):
+    """Write the bounds of a box to the row ``box_index`` of ``box`` (``Pyramids.box``).
+
+    ``a0`` and ``a1`` bound the first coordinate, ``b0`` and ``b1`` the second one. ``d1`` is the maximum of the third one.
+    """
     box[box_index, 0], box[box_index, 1], box[box_index, 2], box[box_index, 3], box[box_index, 4] = a0, a1, b0, b1, d1
 
 

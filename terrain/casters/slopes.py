@@ -62,6 +62,10 @@ def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray)
 
 
 def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tuple[float, float]:
+    """Return the minimum and the maximum of u - (a e + b n) over all slopes (a, b) with the support ``support``.
+
+    ``support`` (``SUPPORT_DIRECTION_COUNT``,) is a field of ``SlopeSupport``. The symbols are those of ``facing_range_of_slopes``.
+    """
     turn = 2.0 * np.pi / SUPPORT_DIRECTION_COUNT
     angle, next_support = np.arange(SUPPORT_DIRECTION_COUNT) * turn, np.roll(support, -1)
     # Corners of the polygon: intersections of the lines of neighbouring directions.
@@ -72,9 +76,9 @@ def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tup
 
 
 Corridor = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Part of a frame, as three arrays: a matrix (2, 3), offsets (2,) and bounds (2, 2).
+"""Region of a local frame, as three arrays: a matrix (2, 3), offsets (2,) and bounds (2, 2).
 
-The matrix and the offsets map frame points to two coordinates. The bounds are the minimum and maximum of each coordinate.
+The matrix and the offsets map frame points to two coordinates. The bounds are the minimum and maximum of each coordinate, as rows.
 """
 
 
@@ -139,11 +143,13 @@ def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tupl
 
 
 def _directions() -> np.ndarray:
+    """Return the horizontal unit vectors (``SUPPORT_DIRECTION_COUNT``, 2) east and north of a support function's directions."""
     angle = np.arange(SUPPORT_DIRECTION_COUNT) * (2.0 * np.pi / SUPPORT_DIRECTION_COUNT)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _empty_support() -> np.ndarray:
+    """Return the support function (``SUPPORT_DIRECTION_COUNT``,) of no slopes."""
     return np.full(SUPPORT_DIRECTION_COUNT, -np.inf)
 
 
@@ -184,6 +190,11 @@ def _extend_support(normals, anchor_from_frame, directions, support):
 
 @compiled
 def _facing_range(position, triangles, rows, offsets, bounds, to_sun, upward):
+    """Return the result of ``facing_range_of_mesh``, with NaN instead of ``None``.
+
+    ``position`` (n, 3) and ``triangles`` (m, 3) are the mesh. ``rows`` (2, 3), ``offsets`` (2,) and ``bounds`` (2, 2) are the
+    corridor. ``to_sun`` and ``upward`` (3,) are the directions to the sun and up at the anchor, in the mesh's frame.
+    """
     minimum, maximum = np.inf, np.inf
     for t in range(len(triangles)):
         o, p, q = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]

@@ -52,6 +52,7 @@ def use_bundled_loops(folder: Path = BUNDLED_LOOPS_FOLDER, cpuinfo: Path = Path(
 
 
 def _supports_x86_64_v3(cpuinfo: Path) -> bool:
+    """Return whether the processor has the instructions of x86-64-v3, by the file ``cpuinfo`` (``/proc/cpuinfo``)."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return False
     flags = next(
@@ -61,4 +62,5 @@ def _supports_x86_64_v3(cpuinfo: Path) -> bool:
 
 
 def _is_numba_target_set(environment: Mapping[str, str]) -> bool:
+    """Return whether the environment variables ``environment`` contain ``NUMBA_TARGET``."""
     return all(environment.get(name) == value for name, value in NUMBA_TARGET.items())

@@ -70,6 +70,7 @@ def describe_types(args: tuple[types.Type, ...]) -> Hashable:
 
 
 def _describe_type(numba_type: types.Type) -> Hashable:
+    """Describe a numba type as a nested tuple of texts. Named tuples and tuples include the types of their elements."""
     tuple_type: Any = numba_type  # numba's stubs lack its attributes
     if isinstance(numba_type, types.BaseNamedTuple):
         return "named tuple", _describe_class(tuple_type.instance_class), describe_types(tuple(tuple_type.types))
@@ -105,6 +106,7 @@ def _describe_globals(function: FunctionType, digest_of_callee: DigestFunction) 
 
 
 def _code_names(code: CodeType) -> Iterator[str]:
+    """Yield the names of the globals and attributes that bytecode and the functions nested in it use."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
@@ -159,8 +161,10 @@ def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestF
 
 
 def _is_library(module: str) -> bool:
+    """Return whether a module belongs to ``PACKAGES_IDENTIFIED_BY_NAME``."""
     return module.partition(".")[0] in PACKAGES_IDENTIFIED_BY_NAME
 
 
 def _describe_class(cls: type) -> Hashable:
+    """Describe a class by its module and name, and a named tuple also by its fields."""
     return cls.__module__, cls.__qualname__, getattr(cls, "_fields", ())

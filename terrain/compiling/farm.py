@@ -178,6 +178,7 @@ class _Queue:
         self._ready: list[int] = []
 
     def _priority(self, number: int) -> tuple[int, int]:
+        """Return the sort key of a task: the task with the largest one is compiled first."""
         return -self._tasks[number].product_index, self._chain_bytes[number]
 
     @property
@@ -241,6 +242,7 @@ def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
 
 
 def _code_names(code: CodeType) -> Iterator[str]:
+    """Yield the names of the globals and attributes that bytecode and the functions nested in it use."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

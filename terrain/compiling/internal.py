@@ -39,15 +39,18 @@ class _LinkedLibrary(JITCodeLibrary):
 
     @property
     def codegen(self) -> Any:
+        """Return a code generator that discards the loop's environment."""
         return _NoEnvironment()
 
     def get_pointer_to_function(self, name: str) -> int:
+        """Return 0, since the library has no machine code of its own."""
         return 0
 
     def _optimize_final_module(self) -> None:
         """Do nothing: the libraries that this one is linked into optimise it."""
 
     def _finalize_final_module(self) -> None:
+        """Mark the library as final without generating machine code."""
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
@@ -56,6 +59,7 @@ class InternalCompiler(Compiler):
     """Numba's compiler with a ``_LinkedLibrary`` as its output."""
 
     def define_pipelines(self) -> Any:
+        """Return numba's pipelines, after the compiler's library is replaced by a ``_LinkedLibrary``."""
         name = self.state.func_id.func_qualname
         self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), name)  # type: ignore[no-untyped-call]
         return super().define_pipelines()  # type: ignore[no-untyped-call]

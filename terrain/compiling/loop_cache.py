@@ -147,6 +147,10 @@ class LoopCache(_Cache):
             loop_store().write(name, _dumps((library, description, environment, *rest)))
 
     def _read(self, args: tuple[Type, ...], target_context: Any) -> Any | None:
+        """Return the stored machine code for some argument types as numba's compile result; ``None`` if it cannot be loaded.
+
+        ``target_context`` is numba's context of the processor.
+        """
         name = self.entry_name(args, target_context.codegen().magic_tuple())
         content = None if name is None else loop_store().read(name)
         if content is None:

@@ -143,6 +143,7 @@ class LoopStore:
                     return
 
     def _warn(self, problem: str) -> None:
+        """Log the first problem of the store and set ``problem``. Later problems are ignored."""
         if self.problem is None:
             self.problem = f"compiled loops: {problem}. Set {FOLDER_VARIABLE} to another folder"
             log.warning("%s", self.problem)
@@ -165,6 +166,7 @@ def _is_trusted(state: os.stat_result) -> bool:
 
 
 def _read_verified(path: Path) -> bytes | None:
+    """Return the content of an entry's file; ``None`` if it is corrupt or cannot be read."""
     try:
         return _verified_content(path.read_bytes())
     except OSError:

@@ -117,6 +117,10 @@ def sun_caster_verdict(descriptor: Descriptor, kind: str) -> Verdict:
 
 
 def _facing_tolerance(altitude_deg: float) -> float:
+    """Return the tolerance of ``least_slope`` and ``most_slope`` (``facts``), as a rise per metre of the sun's rays.
+
+    Facets within it may face the sun or not, since the sun has a disc. ``altitude_deg`` is the sun's altitude.
+    """
     return SUN_DISC_SINE_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
@@ -147,6 +151,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 def _sun_facing_range(
     scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None
 ) -> tuple[float | None, float | None]:
+    """Return the facts ``least_slope`` and ``most_slope`` (``facts``); ``None`` where they are unknown.
+
+    Coarse ground of a map is tested first, since finer ground has at least its range of slopes.
+    """
     assert scene.sun is not None
     if np.ptp(scene.height_range_m) <= 0.0 or scene.elevation.surface == "blocks":  # walls are steeper than any ray
         return None, None
@@ -170,9 +178,10 @@ def _sun_facing_range(
 
 @cached("scene", 256 * MIB)
 def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
-    """Return all trees that a perspective view draws in any direction, and whether any of them may be in view.
+    """Return the trees of the whole level as a view draws them, and whether any of them may be in view.
 
-    The trees are ``None`` in a level without trees.
+    The trees stand in all directions from the view's eye: those outside of the view can cast shadows into it. They are ``None`` in
+    a level without trees; the second value is then ``False``.
     """
     trees = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if trees is None:
@@ -208,10 +217,10 @@ def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseVie
 
 
 def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> Corridor:
-    """Return the part of the frame between the visible points and the sun, for ``facing_range_of_mesh``.
+    """Return the region between the visible points and the sun, for ``facing_range_of_mesh``.
 
-    Its first coordinate runs to the right in light space, its second one horizontally towards the sun. The second has no upper
-    bound.
+    The region's two coordinates are affine functions of positions in the local frame of the coarse view. The first one runs to the
+    right in light space, the second one horizontally towards the sun. The second has no upper bound.
     """
     assert scene.light_space is not None
     rotation, translation = scene.light_space.transform_from_frame(coarse_view.buffer.frame)

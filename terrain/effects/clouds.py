@@ -128,6 +128,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
 
 @cached("scene", MIB)
 def _mean_height_m(elevation: Elevation) -> float:
+    """Return the mean height of the level's ground, metres."""
     return float(np.nanmean(elevation.overview.mean_heights_m))
 
 
@@ -151,6 +152,7 @@ def _noise_distribution() -> tuple[np.ndarray, np.ndarray]:
 
 @compiled
 def _noise_on_grid(x):
+    """Return the noise (n * n,) at all pairs of the coordinates ``x`` (n,), in units of ``COARSEST_CLOUD_WAVELENGTH_M``."""
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
@@ -192,6 +194,7 @@ def density_at(x_m, y_m, noise_threshold):
 
 @compiled
 def _density_of_noise(noise, noise_threshold):
+    """Return the relative cloud density, in [0, 1], for a value of the noise. It is 0.5 at ``noise_threshold``."""
     return smoothstep_value((noise - noise_threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
@@ -200,7 +203,8 @@ def _layer_position(x, y, z, height, layer_height_m, to_sun, up_origin, drift_m)
     """Return the intersection (x, y) of a point's ray to the sun with the layer, in metres of the noise.
 
     These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_height_m``
-    that of the layer. All coordinates are in the anchor's axes.
+    that of the layer. ``to_sun``, ``up_origin`` and ``drift_m`` are fields of the ``CloudLayer``. All coordinates are in the
+    anchor's axes.
     """
     ux, uy, uz = x - up_origin[0], y - up_origin[1], z - up_origin[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
@@ -210,6 +214,7 @@ def _layer_position(x, y, z, height, layer_height_m, to_sun, up_origin, drift_m)
 
 @compiled
 def _fade_share(pixel_m):
+    """Return the share, in [0, 1], of the mean density in the density that pixels ``pixel_m`` metres wide show."""
     return min(
         max(
             (pixel_m / COARSEST_CLOUD_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0])
@@ -232,6 +237,11 @@ def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
+    """Multiply the sunlight of each pixel by the transmittance of the clouds, in place.
+
+    ``sunlight`` (rows, cols) is the share of the direct sunlight that reaches each pixel. ``layer`` is a ``CloudLayer``, ``size`` a
+    ``PixelSize``. ``anchor_from_frame`` is the rotation (3, 3) and the translation (3,) from the local frame to the anchor's axes.
+    """
     valid, _, position, height, _ = shading_inputs
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
@@ -323,6 +333,7 @@ def _direct_share(scene: Scene) -> float:
 
 
 CloudBounds = tuple[float, float, float, float]
+"""Bounds of places in the cloud layer, metres of the noise: west, east, south and north."""
 
 
 def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBounds:
@@ -376,6 +387,7 @@ def _missed_object_height_m(scene: Scene, coarse_view: CoarseView) -> float:
 
 
 def _position_bounds(positions: np.ndarray, margin_m: float) -> CloudBounds:
+    """Return the bounds of the positions (n, 2) in the cloud layer, widened by ``margin_m`` metres. NaN positions do not count."""
     low, high = np.nanmin(positions, axis=0) - margin_m, np.nanmax(positions, axis=0) + margin_m
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
@@ -389,6 +401,10 @@ def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: C
 
 @compiled
 def _positions_of_points(points, height, layer_height_m, to_sun, up_origin, drift_m):
+    """Return the places (n, 2), metres, where rays from ``points`` (n, 3) to the sun meet the cloud layer.
+
+    The parameters are those of ``_layer_position``; ``height`` is (n,).
+    """
     out = np.empty((len(points), 2))
     for n in range(len(points)):
         p = points[n]

@@ -74,7 +74,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
-    """Add the transmitted sunlight to leaves that other leaves shade."""
+    """Add the transmitted sunlight to leaves that other leaves shade. ``sunlight`` (rows, cols) is changed in place."""
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
@@ -98,9 +98,10 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _write_cell_keys(first, last, points, pixels, eye, key):
-    """Write the key of the cell of each point, an int64.
+    """Write the key of the cell of each leaf from ``first`` to ``last`` (exclusive) to ``key`` (n,), int64.
 
-    Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis.
+    Its bits are the number of times that the cell's side was doubled, then the cell's index along each axis. ``pixels`` (n,) are
+    the leaves' indices in ``points`` (m, 3), and ``eye`` (3,) is the eye, in the frame.
     """
     for n in range(first, last):
         p = points[pixels[n]]
@@ -116,6 +117,12 @@ def _write_cell_keys(first, last, points, pixels, eye, key):
 
 @compiled
 def _transmit(first, last, sunlight, pixels, is_shaded, cell, share):
+    """Add the transmitted sunlight to the leaves from ``first`` to ``last`` (exclusive), in place.
+
+    ``sunlight`` (rows, cols) is the share of the direct sunlight in each pixel, ``pixels`` (n,) the flat index of each leaf's
+    pixel. ``cell`` (n,) is the index of each leaf's cell, and ``is_shaded`` (cells,) whether ground or meshes shade the cell. A
+    leaf gets ``share`` of the sunlight that it lacks.
+    """
     for n in range(first, last):
         if not is_shaded[cell[n]]:
             row, col = divmod(pixels[n], sunlight.shape[1])

@@ -163,6 +163,7 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    """Return the cache key of ``_albedo_changes``: the buffer's points, the level's ground and the width of a pixel."""
     return buffer.position_frame_m, scene.elevation, view.pixel_tangent
 
 
@@ -183,6 +184,10 @@ def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView)
 
 @compiled
 def _apply_detail(first, last, albedo, detail, hue_shift):
+    """Multiply the albedo (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive) by the detail, in place.
+
+    ``detail`` (rows, cols, 2) is the result of ``_albedo_changes``, and ``hue_shift`` (3,) is ``HUE_SHIFT_RGB``.
+    """
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]
@@ -199,7 +204,12 @@ def _resolved_share(wavelength_m, pixel_m):
 
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """Write the detail of some rows to ``out`` (rows, cols, 2). Up to ``MAX_BATCH_PIXELS`` pixels are computed together."""
+    """Write the detail of the rows from ``first`` to ``last`` (exclusive) to ``out`` (rows, cols, 2), which must hold zeros.
+
+    Up to ``MAX_BATCH_PIXELS`` pixels are computed together. Ground below ``water_m`` metres has no detail. ``anchor_from_frame`` is
+    the rotation (3, 3) and the translation (3,) to the anchor's axes. ``eye`` (3,) is the eye in the frame, and ``pixel`` the side
+    of a pixel as a tangent. ``waves`` (k, 2) is ``GROUND_WAVES``.
+    """
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     x, y, pixel_width_m = np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS)
@@ -226,7 +236,11 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
 
 @internal
 def _add_waves(x, y, pixel_width_m, waves, column, out):
-    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2). The positions are overwritten."""
+    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2).
+
+    ``x`` and ``y`` (n,) are metres east and north of the anchor, and are overwritten. ``pixel_width_m`` (n,) are the pixels' widths
+    on the ground.
+    """
     wave_x, wave_y, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     finest = pixel_width_m.min()
     for k in range(len(waves)):

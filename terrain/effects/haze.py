@@ -317,6 +317,7 @@ def _max_code_steps(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
 
 
 def _length_text(length_m: float) -> str:
+    """Return a length as text with one decimal, in kilometres from 1000 m on."""
     return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
 
 
@@ -339,7 +340,9 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
 def _apply_haze_rows(first, last, color, valid, position, eye, rgb_extinction_per_m, up, to_sun_horizontal, sky):
     """Apply haze to the colours (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive), in place.
 
-    ``rgb_extinction_per_m`` holds the coefficients (3,) of the channels. The inner loops compile to vector instructions.
+    ``rgb_extinction_per_m`` holds the coefficients (3,) of the channels. The inner loops compile to vector instructions. ``eye``,
+    ``up`` and ``to_sun_horizontal`` (3,) are the eye, and unit vectors up and towards the sun's azimuth, in the frame. ``sky`` is a
+    ``Sky``.
     """
     cols = valid.shape[1]
     distance, azimuth_cosine, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)

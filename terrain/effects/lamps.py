@@ -166,6 +166,13 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer_cosine, inner_cosine, translucency):
+    """Add the light of one lamp to ``out`` (rows, cols, 3), in the stage ``lamplight``.
+
+    ``visibility`` (rows, cols) is the visible share of the lamp. ``lamp`` (3,) is its position and ``axis`` (3,) the unit vector
+    along its cone, in the local frame. ``color`` (3,) is the irradiance at a distance of 1 m. The light fades out between the
+    cosines ``inner_cosine`` and ``outer_cosine`` of the angle from the axis. ``translucency`` is the share of light on leaves that
+    does not depend on the angle of incidence.
+    """
     valid, kind, position, _, normal = shading_inputs
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):

@@ -183,6 +183,7 @@ def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
 
 
 def _cache_key(block: ShadingBlock) -> tuple[object, ...]:
+    """Return the cache key of ``_sky_view_factors``: the buffer's points and the level's ground."""
     return block.buffer.position_frame_m, block.scene.elevation
 
 

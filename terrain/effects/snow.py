@@ -55,6 +55,12 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _apply_snow_albedo(albedo, shading_inputs, surface_albedo, up_origin, anchor_from_frame, water_m, size):
+    """Blend the albedo (rows, cols, 3) with that of snow, in place. Undraped ground without snow becomes rock.
+
+    ``surface_albedo`` (rows, cols, 3) is NaN where the ground has no imagery; ``None`` if that is everywhere. ``anchor_from_frame``
+    is the rotation (3, 3) and the translation (3,) to the anchor's axes, for the noise. Ground below ``water_m`` metres does not
+    change. ``size`` is a ``PixelSize``.
+    """
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, tangent, pixel_m = size
@@ -96,7 +102,10 @@ def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
 
 @internal
 def _crown_snow_share(up_cosine, x_m, y_m, height_m, pixel_m):
-    """Return the share, in [0, 1], of snow on a crown at a point where the cosine between normal and vertical is ``up_cosine``."""
+    """Return the share, in [0, 1], of snow on a crown at a point where the cosine between normal and vertical is ``up_cosine``.
+
+    (``x_m``, ``y_m``) and ``height_m`` are the point's place and height, and ``pixel_m`` is the width of pixels, for the noise.
+    """
     if up_cosine > CROWN_UP_COSINE_RANGE[0] - 2.0 * CLUMP_NOISE_AMPLITUDE:
         up_cosine += CLUMP_NOISE_AMPLITUDE * (
             _fading_noise(x_m, height_m, CLUMP_NOISE_WAVELENGTH_M, pixel_m)
@@ -109,7 +118,10 @@ def _crown_snow_share(up_cosine, x_m, y_m, height_m, pixel_m):
 
 @internal
 def _fading_noise(x_m, y_m, wavelength_m, pixel_m):
-    """Return noise of about -1 to 1, fixed to the ground. It fades out as pixels become as wide as its waves."""
+    """Return noise of about -1 to 1 at the place (``x_m``, ``y_m``), fixed to the ground, with waves ``wavelength_m`` long.
+
+    It fades out as pixels, which are ``pixel_m`` wide, become as wide as its waves.
+    """
     share = min(max(2.0 - 2.0 * pixel_m / wavelength_m, 0.0), 1.0)
     return share * fractal_at(x_m / wavelength_m, y_m / wavelength_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 

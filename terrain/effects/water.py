@@ -131,6 +131,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def _map_may_show_water(scene: Scene, view: MapView) -> bool:
+    """Return whether a map may show water. It looks at the visible cells, at the overview level that the map uses."""
     cells = visible_cells(scene.elevation, view)
     return cells is not None and _cells_may_have_water(scene.elevation, scene.surface(view.grid).lod, cells)
 
@@ -352,6 +353,10 @@ def _glint_share(eye_up_cosine, sun_up_cosine, eye_sun_cosine, visible_area, mea
 
 @compiled
 def _largest_glint(to_eye, up, to_sun, mean_square_slope):
+    """Return the largest ``_glint_share`` over directions to the eye.
+
+    ``to_eye`` (n, 3), ``up`` (3,) and ``to_sun`` (3,) are unit vectors.
+    """
     largest = 0.0
     sun_up_cosine = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
     for n in range(to_eye.shape[0]):
@@ -365,6 +370,11 @@ def _largest_glint(to_eye, up, to_sun, mean_square_slope):
 
 @compiled
 def _add_reflections(color, is_water, position, eye, up_origin, sky, mean_square_slope, to_sun, sun_irradiance, sun_visibility):
+    """Blend the colour (rows, cols, 3) of pixels in the mask ``is_water`` with the reflected sky, and add glint, in place.
+
+    ``eye`` (3,) is the eye in the local frame; ``None`` in a map. ``sky`` is the result of ``sky_of``. ``sun_irradiance`` (3,) is
+    ``None`` without glint. ``sun_visibility`` (rows, cols) is the visible share of the sun.
+    """
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fade, sun_altitude = sky

@@ -43,6 +43,11 @@ def drawn_trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstanc
 
 
 def _relief_facts(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
+    """Return the facts of the ground as a caster.
+
+    In perspective ``nodes`` counts the nodes of the elevation grid before decimation, and ``triangles`` the triangles after it. In
+    a map ``nodes`` is ``None``, since a map's ground is not decimated.
+    """
     low, high = scene.height_range_m
     if isinstance(view, PerspectiveView):
         ground, nodes = ground_mesh(scene, view), ground_nodes(scene).height_m.size
@@ -76,6 +81,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
 
 @cached("scene", MIB)
 def _mesh_facts(objects: SceneObjects) -> CasterFacts:
+    """Return the facts of the meshes that cast shadows. The objects must contain such meshes."""
     assert objects.placement is not None
     casting = objects.placement.casting_bodies
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])

@@ -207,7 +207,11 @@ def _project_vertices(vertices, eye, rotation, tangents):
 
 @internal
 def _is_outside_frustum(a, b, c, tangents, max_offset_px, rows, cols):
-    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``max_offset_px`` pixels."""
+    """Return whether a triangle lies entirely beyond one side of the view frustum widened by ``max_offset_px`` pixels.
+
+    ``a``, ``b`` and ``c`` (3,) are its corners in camera axes. ``tangents`` (3,) is that of ``_project_vertices``, and the picture
+    has ``rows`` x ``cols`` pixels.
+    """
     for k in range(2):
         low = tangents[k] - max_offset_px * tangents[2]
         high = low + ((cols if k == 0 else rows) - 1 + 2.0 * max_offset_px) * tangents[2]
@@ -220,6 +224,13 @@ def _is_outside_frustum(a, b, c, tangents, max_offset_px, rows, cols):
 
 @compiled
 def _rasterize(camera_vertices, pixel, triangles, tangents, offsets, near, first, number, depth):
+    """Write the nearest triangle of one mesh at each sample to ``number`` and ``depth`` (rows, cols, k), where it is nearer.
+
+    ``camera_vertices`` (n, 3) and ``pixel`` (n, 2) are the results of ``_project_vertices``, and ``tangents`` (3,) its parameter.
+    ``offsets`` (k, 2) are the samples' offsets from the pixel's centre, down and to the right, in pixels. ``near`` is the distance
+    of the near plane, metres, and ``first`` the number of the mesh's first triangle. ``depth`` is the distance along the view's
+    axis, metres.
+    """
     rows, cols, samples = number.shape
     max_offset_px = np.abs(offsets).max()
     for t in range(len(triangles)):

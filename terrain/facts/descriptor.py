@@ -30,10 +30,12 @@ LightKind = Literal["sun", "spot", "omni"]
 
 
 def _parse_infinity(fact: object) -> object:
+    """Return the number for the text ``Infinity`` or ``-Infinity``, and any other fact unchanged."""
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(fact, fact) if isinstance(fact, str) else fact
 
 
 def _reject_nan(fact: Fact) -> Fact:
+    """Return the fact. Raises ``PydanticCustomError`` if it is NaN."""
     if isinstance(fact, float) and np.isnan(fact):
         raise PydanticCustomError("nan", "a number, not NaN")
     return fact
@@ -153,6 +155,10 @@ class Descriptor(Facts):
 
 
 def _check_unique(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
+    """Raise a ``PydanticCustomError`` if a name is listed twice or is not in ``allowed``.
+
+    ``key`` is the field's name, for the message. ``allowed`` is ``None`` if all names are allowed.
+    """
     for number, name in enumerate(names):
         if name in names[:number]:
             raise PydanticCustomError("twice", "{key}: '{name}' is listed twice", {"key": key, "name": name})

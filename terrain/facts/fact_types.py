@@ -202,6 +202,7 @@ def check_share_sum(shares: list[float], parts_name: str) -> None:
 
 
 def _check_order(bands: tuple[CastBand, ...]) -> None:
+    """Raise a ``PydanticCustomError`` if bands overlap, do not ascend, or have shares that add up to more than 1."""
     check_share_sum([band.share for band in bands], "bands")
     for before, after in zip(bands, bands[1:], strict=False):
         if before.far_m is None or after.near_m < before.far_m:
@@ -211,5 +212,6 @@ def _check_order(bands: tuple[CastBand, ...]) -> None:
 
 
 def _check_ascending(name: str, low: float, high: float) -> None:
+    """Raise a ``PydanticCustomError`` unless ``high``, the value of the field ``name``, exceeds ``low``."""
     if high <= low:
         raise PydanticCustomError("order", "{name} {high} is not more than {low}", {"name": name, "high": high, "low": low})

@@ -88,6 +88,11 @@ def tree_grid_of(trees: TreeInstances) -> TreeGrid:
 
 @compiled
 def _build_grid(base, quad_sizes, radius_m, low, cell, rows, cols):
+    """Return the arrays of a ``TreeGrid``: ``max_tree_top_m``, ``first_entry``, ``tree_number`` and ``tree_disc``.
+
+    ``radius_m`` (n,) is the horizontal radius of each tree. ``low`` (2,) is the corner of the first cell, and ``cell`` the side of
+    a cell, metres.
+    """
     top = np.full((rows, cols), -np.inf)
     first = np.zeros(rows * cols + 1, np.int64)
     tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
@@ -142,6 +147,11 @@ def first_leaf_hits(
 
 @compiled
 def _trace_first_hits(grid, pictures, start, direction, length, min_distance):
+    """Return the distance (n,) along each ray to the first leaf, infinite without one, and the unit normal (n, 3) of the hit.
+
+    ``grid`` is a ``TreeGrid``, ``pictures`` a ``TreeArrays``. Hits nearer than ``min_distance`` metres do not count. The other
+    parameters are those of ``first_leaf_hits``.
+    """
     low, cell, top, first, tree, disc = grid
     base, shape, yaw_cos_sin, variant, leaf_mask = pictures
     rows, cols = top.shape

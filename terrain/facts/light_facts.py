@@ -102,6 +102,10 @@ def facts_of_lights(view_probes: ViewProbes, sun_area_share: float, lamps: Itera
 
 
 def _facts_of_light(view_probes: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
+    """Return the facts of one light: of the sun if ``lamp`` is ``None``.
+
+    ``area_share`` is the light's ``LightFacts.area_share``.
+    """
     scene, camera, probes = view_probes.scene, view_probes.camera, view_probes.probes
     to_view = (
         None if camera is None or (lamp is not None and lamp.kind == "omni") else _light_view_angle_deg(scene, camera, lamp, probes)
@@ -192,6 +196,11 @@ class RayOcclusion:
 
 
 def _find_blocked_rays(view_probes: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> RayOcclusion:
+    """Return which rays the casters of one kind block.
+
+    ``rays`` start at ``probes`` and at the places beside them. Trees are tested at places beside at most ``MAX_FOLIAGE_PROBES`` of
+    the probes.
+    """
     scene, all_probes = view_probes.scene, np.arange(len(probes))
     if kind == "forest" and view_probes.trees is not None and len(view_probes.trees):
         indices = stratified_indices(len(probes), MAX_FOLIAGE_PROBES)
@@ -262,6 +271,7 @@ def _cast_shadows(lit_probes: LitProbes, occlusion: RayOcclusion, facing_share: 
 
 
 def _ground_casting_share(scene: Scene, camera: PerspectiveView, lamp: Lamp | None) -> float:
+    """Return ``LightFacts.ground_casting_share`` of a light: of the sun if ``lamp`` is ``None``."""
     if nodes_have_gaps(ground_nodes(scene).height_m):
         return 1.0
     ground, frame = ground_mesh(scene, camera), camera.frame(scene.world)
@@ -277,6 +287,10 @@ def _ground_casting_share(scene: Scene, camera: PerspectiveView, lamp: Lamp | No
 
 
 def _light_view_angle_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:
+    """Return the angle between the direction to a light and the view axis, degrees. The light is the sun if ``lamp`` is ``None``.
+
+    The direction to a lamp is that from the median of the probes, or from the eye without probes.
+    """
     if lamp is None:
         assert scene.sun is not None
         to_light = scene.sun.to_sun_earth

@@ -104,6 +104,7 @@ def _find_hits(
 
 @cached("scene", 512 * MIB)
 def _caster_bvh(objects: SceneObjects) -> Bvh:
+    """Return the BVH of the meshes' triangles that cast shadows."""
     solids = objects.solids
     assert solids is not None
     return bvh_of(solids.caster_vertices_earth_m, solids.caster_triangles)
@@ -187,6 +188,11 @@ def _build_bvh(box_low, box_high, max_leaf_triangles, bins):
 
 @compiled
 def _trace(low, high, first, count, corner, edge_a, edge_b, start, direction, length, find_nearest):
+    """Return the distance (n,) along each ray to a hit, infinite without one, and the index (n,) of the triangle that is hit.
+
+    The hit is the nearest one if ``find_nearest``, else any. The first seven parameters are arrays of a ``Bvh``. Rays have starts
+    (n, 3) from its origin, directions (n, 3) and lengths (n,), metres.
+    """
     hit_distance, hit_triangle = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):

@@ -70,6 +70,11 @@ def is_hidden_by_relief(
 
 
 def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
+    """Return the positions of earth-fixed points (n, 3) on the overview of a raster.
+
+    ``frame`` is the local frame of the result's gradients and directions. The gradients are differences over one cell of the
+    overview. Rows and columns are not finite outside of the area of the CRS.
+    """
     x, y, height = world.map_position(elevation.crs, point_earth_m)
     if elevation.crs.is_geographic:  # the longitude nearest to the middle of the raster
         x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
@@ -143,6 +148,27 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
 
 @compiled
 def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, min_distance_cells):
+    """Return whether the ground blocks each ray, bool (k, n).
+
+    Parameters with the shape (k, n) describe the rays. Distances along them are metres, rows and columns those of the overview.
+
+    Parameters
+    ----------
+    heights, block_max, highest
+        Heights (rows, cols) of the overview's cells, maximum height of each block of cells, and the maximum of all, metres.
+    side
+        Cells along the side of a block.
+    row, col, height
+        Fractional cell positions and heights of the starts, metres.
+    d_row, d_col
+        Change of row and column per metre.
+    rise, bend
+        The height at distance t from the start is ``height + t * (rise + bend * t)``. ``bend`` allows for the earth's curvature.
+    length
+        Lengths, metres; infinite for the sun.
+    min_distance_cells
+        Minimum distance of an occluder from the start, in cells along the axis on which the ray crosses more cells.
+    """
     rows, cols = heights.shape
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):

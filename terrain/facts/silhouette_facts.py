@@ -96,6 +96,12 @@ def silhouette_edges_of(objects: SceneObjects, light_earth: np.ndarray, is_posit
 
 @compiled
 def _silhouette_edges(normal, corner, triangle_pair, light, light_w):
+    """Return the indices (k,) of the edges that belong to the silhouette.
+
+    ``normal`` and ``corner`` (m, 3) are a normal and one corner of each triangle, and ``triangle_pair`` (e, 2) are the triangles
+    beside each edge (``MeshEdges``). ``light`` (3,) is the light's position if ``light_w`` is 1, and the direction to it if
+    ``light_w`` is 0.
+    """
     facing = np.empty(len(normal), np.bool_)
     for t in range(len(normal)):
         facing[t] = (
@@ -118,7 +124,10 @@ def projected_edge_length(ends_camera: np.ndarray, low: np.ndarray, high: np.nda
 
 @compiled
 def _clipped_length(ends, low, high):
-    """Return the total length of projected edges, clipped at the sides of the view frustum (M. Cyrus, J. Beck 1978)."""
+    """Return the total length of projected edges, clipped at the sides of the view frustum (M. Cyrus, J. Beck 1978).
+
+    The parameters are those of ``projected_edge_length``.
+    """
     total = 0.0
     for e in range(len(ends)):
         first, last = 0.0, 1.0
@@ -174,7 +183,8 @@ def _count_crossings(ends, start, segment, light, light_w):
     """Count the crossings of rays with the strips that extend from edges away from a light.
 
     The strip of an edge from a to b runs along a - l from a, and along b - l from b, with the light at l. If the light is a
-    direction l, it runs along -l from both.
+    direction l, it runs along -l from both. ``ends`` (k, 2, 3) are the edges. Ray i runs from ``start[i]`` to ``start[i] +
+    segment[i]``. ``light`` (3,) is a position if ``light_w`` is 1, and a direction if it is 0.
     """
     crossings = 0
     for e in range(len(ends)):

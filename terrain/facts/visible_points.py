@@ -58,6 +58,7 @@ def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeIn
 
 @cached("scene", 64 * MIB)
 def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
+    """Return all points of a coarse view as probes. ``pixel`` is the side of a pixel of the full view, as a tangent."""
     valid = coarse_view.buffer.valid
     return Probes(
         frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
@@ -70,6 +71,10 @@ def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
 
 @cached("scene", 64 * MIB)
 def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
+    """Return at most ``MAX_LEAF_PROBES`` points of a coarse view as probes. A leaf in front of a point replaces it.
+
+    ``pixel`` is the side of a pixel of the full view, as a tangent.
+    """
     surface_probes, coarse_camera, valid = (
         _coarse_view_probes(coarse_view, pixel),
         coarse_view.buffer.view,
@@ -146,6 +151,7 @@ def _concatenate_probes(surface_probes: Probes, leaf_probes: Probes) -> Probes:
 
 @cached("scene", 64 * MIB)
 def _visible_map_probes(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
+    """Return one probe in each stratum of the raster, on the uppermost surface there: ground, mesh or leaf."""
     ground_probes, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_object_m
     horizontal_slope = objects.world.curvature * ground_probes.point_frame_m[:, :2]
     up = (

@@ -126,6 +126,7 @@ def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> Multisample
 
 
 def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    """Return the cache key of ``multisampled``. It leaves out the sun and the lamps, which do not change the buffer."""
     return scene.world, scene.elevation, scene.map_crs, scene.objects, ground_imagery(scene), view.cache_key
 
 
@@ -218,6 +219,11 @@ def _average_samples(first, last, row, col, samples, sample_count, out):
 
 @compiled
 def _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step):
+    """Return the mask (rows, cols) of pixels that differ from a neighbour by an edge, on both sides of each edge.
+
+    ``near`` is the distance of the near plane, metres. ``min_cosine`` and ``max_depth_step`` are the limits ``MIN_FACE_COSINE`` and
+    ``MAX_DEPTH_STEP_SHARE``. The other parameters are those of ``edge_mask``.
+    """
     rows, cols = triangle_number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
@@ -245,6 +251,10 @@ def _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near, m
 
 @compiled
 def _edges_of_neighbours(triangle_number, distance, ground_triangle_count, normals, min_cosine, max_depth_step):
+    """Return the result of ``edge_mask_of_neighbours``, bool (n,).
+
+    ``distance`` (n, 5) is its ``distance_m``. ``min_cosine`` and ``max_depth_step`` are those of ``_edge_pixels``.
+    """
     out = np.zeros(len(triangle_number), np.bool_)
     for n in range(len(triangle_number)):
         triangle = np.int64(triangle_number[n, 0]) - 1
@@ -262,7 +272,8 @@ def _is_edge(triangle, neighbour, distance, neighbour_distance, ground_triangle_
     """Return whether an edge lies between a pixel and its neighbour.
 
     ``triangle`` and ``neighbour`` are the numbers of their triangles, from 0; negative without one. ``distance`` and
-    ``neighbour_distance`` are their distances along the view's axis.
+    ``neighbour_distance`` are their distances along the view's axis, metres. ``min_cosine`` and ``max_depth_step`` are those of
+    ``_edge_pixels``.
     """
     if triangle == neighbour:
         return False
@@ -280,6 +291,10 @@ def _is_edge(triangle, neighbour, distance, neighbour_distance, ground_triangle_
 
 @internal
 def _surface_kind(triangle, ground_triangle_count, solids):
+    """Return the kind of surface of the triangle number ``triangle``, which counts from 0 and is negative without a triangle.
+
+    ``solids`` is the number of the meshes' triangles.
+    """
     if triangle < 0:
         return NO_SURFACE
     return RELIEF if triangle < ground_triangle_count else MESHES if triangle < ground_triangle_count + solids else FOREST

@@ -93,6 +93,10 @@ def trim_bare_ground_cache(max_entries: int) -> None:
 
 @cached("scene", 448 * MIB)
 def _bare_ground(world: World, elevation: Elevation, view: MapView, sky_view: SkyView | None) -> BareGround | None:
+    """Return the bare ground in the pixels of a map view. The parameters and the result are those of ``bare_ground``.
+
+    Its pixels must lie on nodes of the view's grid.
+    """
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     stencil_radius = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - stencil_radius, int(view.col0) - stencil_radius
@@ -155,10 +159,28 @@ def _smooth_ground(
 ):  # fmt: skip
     """Return unit normals, unit vectors up, sky shares and valid mask of a window, and whether all of its ground has normals.
 
-    The results have the shapes (rows, cols, 3), (rows, cols, 3), (rows, cols) and (rows, cols). The inputs ``height`` and
-    ``node_valid`` have ``stencil_radius`` more nodes on each side. Normals are differences over ``stencil_radius`` nodes in each
-    direction. ``exact_rows`` (6, m, cols) are points and verticals of every ``stride``-th row. The arguments from ``lattice`` on
-    describe the sky that other ground hides; ``lattice`` is ``None`` without it.
+    The results have the shapes (rows, cols, 3), (rows, cols, 3), (rows, cols) and (rows, cols).
+
+    Parameters
+    ----------
+    exact_rows, first_row, stride
+        (6, m, cols), points at height 0 and unit verticals of every ``stride``-th row of the grid; the number of the first of these
+        rows, which is row ``first_row * stride`` of the grid.
+    row0, height, node_valid
+        First row on the grid, heights and valid mask of the nodes. They have ``stencil_radius`` more nodes on each side than the
+        results.
+    stencil_radius
+        Nodes in each direction over which the differences of normals extend.
+    up_origin
+        (3,), the frame point from which up vectors point away.
+    lattice
+        ``node_cells`` of the ``CellFinder``; ``None`` without a ``SkyView``, whose values the remaining parameters hold.
+    frame_from_earth, origin
+        Rotation and earth-fixed origin of the local frame.
+    plane, axes_earth, first_node_xy, node_spacing_xy
+        The fields of the ``CellFinder``.
+    values, mip_level, cells_per_node
+        Mean pyramid of hidden shares of the sky, the ``MipPair`` for the pixels, and raster cells between two nodes of it.
     """
     side = 2 * stencil_radius + 1
     rows, cols = height.shape[0] - 2 * stencil_radius, height.shape[1] - 2 * stencil_radius
@@ -225,7 +247,10 @@ def _is_complete_row(z, height):
 
 @internal
 def _write_open_sky(px, py, pz, normal, up_origin, sky_share):
-    """Write the share of the sky that lies above the tangent plane of each point's slope."""
+    """Write the share of the sky that lies above the tangent plane of each point's slope.
+
+    ``px``, ``py`` and ``pz`` (n,) are the points, ``normal`` (3, n) their unit normals. ``up_origin`` is a tuple.
+    """
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(sky_share.size):
         x, y, z = px[j] - up_origin[0], py[j] - up_origin[1], pz[j] - up_origin[2]
@@ -234,7 +259,7 @@ def _write_open_sky(px, py, pz, normal, up_origin, sky_share):
 
 @internal
 def _write_up_vectors(px, py, pz, up_origin, out):
-    """Write the unit vectors up (cols, 3) of a row of points: away from ``up_origin``."""
+    """Write the unit vectors up (n, 3) of a row of points ``px``, ``py``, ``pz`` (n,): away from ``up_origin``."""
     for j in range(px.size):
         x, y, z = px[j] - up_origin[0], py[j] - up_origin[1], pz[j] - up_origin[2]
         length = np.sqrt(x * x + y * y + z * z)
@@ -245,7 +270,11 @@ def _write_up_vectors(px, py, pz, up_origin, out):
 def _write_plane_positions(
     px, py, pz, height, frame_from_earth, origin, plane, axes_earth, first_node_xy, node_spacing_xy, plane_position
 ):
-    """Write the positions (2, cols) of a row of frame points in the plane of a ``CellFinder``."""
+    """Write the positions (2, n) of a row of frame points in the plane of a ``CellFinder`` to ``plane_position``.
+
+    ``px``, ``py`` and ``pz`` (n,) are the points, ``height`` (n,) their heights. The other parameters are those of
+    ``_smooth_ground``.
+    """
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
@@ -297,6 +326,12 @@ def _convert_to_cells(plane_position, first_node_xy, node_spacing_xy, lattice, c
 
 @internal
 def _convert_run_to_cells(x, y, corners, at_j, at_i, cells_per_node):
+    """Convert consecutive positions in one square of a ``CellFinder``'s lattice to nodes of a ``SkyView``, in place.
+
+    ``x`` and ``y`` (n,) are the positions in units of squares, and become rows and columns of nodes. ``corners`` are those of the
+    square, whose column and row in the lattice are ``at_j`` and ``at_i``. ``cells_per_node`` is the number of raster cells along
+    the distance between two nodes.
+    """
     for j in range(x.size):
         row, col = cell_in_square(corners, x[j] - at_j, y[j] - at_i)
         x[j], y[j] = (row + 0.5) / cells_per_node - 0.5, (col + 0.5) / cells_per_node - 0.5
@@ -304,7 +339,11 @@ def _convert_run_to_cells(x, y, corners, at_j, at_i, cells_per_node):
 
 @internal
 def _subtract_hidden_sky(row, col, values, mip_level, sky_share):
-    """Multiply the sky shares of a row of pixels by the share of the sky that other ground leaves visible, in place."""
+    """Multiply the sky shares of a row of pixels by the share of the sky that other ground leaves visible, in place.
+
+    ``row`` and ``col`` (n,) are the pixels' positions in nodes of the ``SkyView``. ``values`` and ``mip_level`` are those of
+    ``_smooth_ground``.
+    """
     hidden_share = np.empty(sky_share.size)
     sky_occlusion_row(values, mip_level, row, col, hidden_share)
     for j in range(sky_share.size):
@@ -314,10 +353,10 @@ def _subtract_hidden_sky(row, col, values, mip_level, sky_share):
 
 @internal
 def _write_points(exact_rows, first_row, stride, row, height, out):
-    """Write the frame points (3, cols) of a row of nodes, interpolated between exact rows (6, m, cols).
+    """Write the frame points (3, cols) of the row ``row`` of the grid, interpolated between exact rows (6, m, cols).
 
-    An exact row holds the points at height 0 and the unit verticals of every ``stride``-th row. The points are raised by
-    ``height``.
+    ``exact_rows``, ``first_row`` and ``stride`` are those of ``_smooth_ground``. The points are raised from height 0 by ``height``
+    (cols,).
     """
     exact_row = row // stride
     weights = (row - exact_row * stride) / stride
@@ -333,7 +372,8 @@ def _write_points(exact_rows, first_row, stride, row, height, out):
 def _write_valid(height, node_valid, row, stencil_radius, valid):
     """Write which nodes of a row show ground: valid nodes that are a corner of a triangle. Return whether all valid nodes are.
 
-    A quad with one missing corner still has one triangle. A raster that is one node wide has none.
+    A quad with one missing corner still has one triangle. A raster that is one node wide has none. ``row`` is the row in ``height``
+    and ``node_valid``, which have ``stencil_radius`` more columns on each side than ``valid`` (cols,).
     """
     is_connected = True
     for j in range(valid.size):
@@ -355,7 +395,8 @@ def _write_valid(height, node_valid, row, stencil_radius, valid):
 def _write_interior_normals(above, middle, below, stencil_radius, valid, out):
     """Write the smooth unit normals (3, cols) of a row whose neighbours are all known. Return whether all its ground has a normal.
 
-    ``above``, ``middle`` and ``below`` are the points of the rows ``stencil_radius`` nodes north, at and south of it.
+    ``above``, ``middle`` and ``below`` (3, n) are the points of the rows ``stencil_radius`` nodes north, at and south of it, with
+    ``stencil_radius`` more nodes at both ends. ``valid`` (cols,) is the row's valid mask.
     """
     cols = valid.size
     west_x, west_y, west_z = middle[0, :cols], middle[1, :cols], middle[2, :cols]
@@ -388,7 +429,7 @@ def _write_interior_normals(above, middle, below, stencil_radius, valid, out):
 
 @internal
 def _unit_normal(ax, ay, az, bx, by, bz):
-    """Return the length of the cross product of two vectors, and the components of its unit vector.
+    """Return the length of the cross product of the vectors a and b, and the components of its unit vector.
 
     The unit vector is rounded to float32 as in a geometry buffer, then normalised again.
     """
@@ -414,7 +455,8 @@ def _copy_normals(normal, valid, out):
 def _write_rim_normals(above, middle, below, stencil_radius, valid, out):
     """Write the smooth unit normals (3, cols) of a row's valid nodes. Return whether all its ground has a normal.
 
-    Where a neighbour is missing, at the edge of the ground, the difference is one-sided.
+    Where a neighbour is missing, at the edge of the ground, the difference is one-sided. The parameters are those of
+    ``_write_interior_normals``.
     """
     is_complete = True
     for j in range(valid.size):

@@ -76,6 +76,7 @@ def bare_nodes(scene: Scene, view: MapView, nodes_per_pixel: int) -> BareNodes:
 
 @cached("scene", 64 * MIB)
 def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pixel: int) -> BareNodes:
+    """Return the result of ``bare_nodes``. The world and the elevation are the scene's."""
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
     heights = surface.height_window(

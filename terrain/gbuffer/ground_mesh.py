@@ -126,6 +126,11 @@ def ground_creases(ground: GroundMesh, triangle_number: np.ndarray) -> np.ndarra
 
 @compiled
 def _mark_triangles(first, last, number, out):
+    """Set ``out[n]`` for each triangle n, counted from 0, that is visible in the rows from ``first`` to ``last`` (exclusive).
+
+    ``number`` (rows, cols) holds the triangle in each pixel, from 1. ``out`` (m,) bool has one element for each triangle of the
+    ground.
+    """
     for i in range(first, last):
         for j in range(number.shape[1]):
             n = np.int64(number[i, j]) - 1
@@ -148,6 +153,11 @@ def nodes_have_gaps(height_m: np.ndarray) -> bool:
 def _ground_mesh(
     world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
 ) -> GroundMesh:
+    """Return the decimated mesh of the ground for an eye, in a local frame near the eye.
+
+    ``crs`` is the CRS of the level's map, ``eye_earth_m`` the eye's earth-fixed position (3,), and ``focal_px`` the focal length in
+    pixels.
+    """
     nodes = _nodes(world, elevation, crs, max_triangles)
     grid = nodes.grid
     assert nodes.decimation_errors is not None
@@ -165,6 +175,7 @@ def _ground_mesh(
 
 @cached("scene", 256 * MIB)
 def _undecimated_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
+    """Return the mesh of all nodes of the ground in ``frame``. ``crs`` is the CRS of the level's map."""
     nodes = _nodes(world, elevation, crs, max_triangles)
     return _build_mesh(world, elevation, nodes, frame, *_full_triangulation(nodes.height_m), 0.0)
 
@@ -194,6 +205,11 @@ def _build_mesh(
 
 @cached("scene", 1024 * MIB)
 def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
+    """Return the nodes of the ground. ``crs`` is the CRS of the level's map.
+
+    Their decimation errors are computed only if the ground has more than ``max_triangles`` triangles. With the default
+    ``MAX_GROUND_TRIANGLES`` the limit is ``MAX_UNDECIMATED_TRIANGLES``.
+    """
     grid, row0, col0, rows, cols = _node_window(world, elevation, crs)
     surface = Surface(world, elevation, grid)
     height, valid = surface.heights(row0, col0, rows, cols)

@@ -164,6 +164,11 @@ def rasterise_map(
 def _draw_trees(
     gl: Device, instances: TreeInstances, tree_indices: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
 ) -> None:
+    """Draw the quads of the trees ``tree_indices`` (k,) of ``instances``, with alpha test.
+
+    ``base`` (n, 3) holds the feet of all trees in the coordinates of the vertex shader. ``first`` is the number of triangles before
+    those of the trees.
+    """
     program = gl.program(
         shader_source("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"),
         shader_source("terrain/gbuffer/visible_tree.frag"),
@@ -178,6 +183,10 @@ def _draw_trees(
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:
+    """Return a shader program with its uniforms set.
+
+    ``vertex`` and ``fragment`` name its shader files in this package, without the suffix ``.glsl``.
+    """
     program = gl.program(shader_source(f"terrain/gbuffer/{vertex}"), shader_source(f"terrain/gbuffer/{fragment}"))
     set_uniforms(program, uniforms)
     return program
@@ -199,6 +208,12 @@ def _read_id_buffer(
     visible_ground: np.ndarray,
     reads_depth: bool,
 ) -> IdBuffer:
+    """Return the ID buffer that was drawn to ``target``.
+
+    ``triangle_count`` is the number of triangles before those of the trees, and ``visible_ground`` (m,) holds the indices of the
+    ground's drawn triangles. ``tree_indices`` (k,) holds the indices of the drawn trees in ``instances``; ``None`` if no tree was
+    drawn.
+    """
     number = gl.read(target, 0, "u4")
     depth = gl.read(target, -1) if reads_depth else np.zeros((0, 0), np.float32)
     run_in_chunks(
@@ -237,8 +252,8 @@ def _triangles_in_frustum(position, triangles, eye, rotation, tangents):
     """Return the indices of the triangles that may intersect a viewing pyramid.
 
     A triangle is left out if all of its corners lie outside one plane of the pyramid. The apex is ``eye``. ``rotation`` (3, 3) maps
-    to the camera's axes x, y and z, of which z is the pyramid's axis. ``tangents`` (2, 2) are the minimum and maximum of x / z and
-    of y / z.
+    to the camera's axes x, y and z, of which z is the pyramid's axis. ``tangents`` (2, 2) describe the pyramid's sides: row 0 holds
+    the minimum and the maximum of x / z inside the pyramid, row 1 those of y / z.
     """
     outside = np.zeros(len(position), np.uint8)
     in_camera = np.empty(3)

@@ -86,6 +86,7 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
 
 
 def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
+    """Return the cache key of ``facing_normals``. Buffers that differ only in their points share it if these do not matter."""
     if not _is_position_independent(buffer, light):
         return buffer, light
     return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
@@ -119,6 +120,9 @@ def _write_facing_facets(nodes, faces, is_cut_nw_se, up_origin, row, col, ground
     """Write the fields of ``facing`` (``FacingNormals``) at points of a map's ground that several facets share.
 
     Normal and crease are those of the facet that faces the light most. Lifts are also written at points on the rim of the ground.
+    ``nodes`` (m, n, 3), ``faces`` (m - 1, n - 1, 2, 3) and ``is_cut_nw_se`` are positions, normals of facets and diagonals of the
+    sheet. ``row`` (rows,) and ``col`` (cols,) are the pixels' fractional rows and columns on it. ``ground`` (rows, cols) is the
+    mask of pixels that show ground, and ``position`` (rows, cols, 3) their points.
     """
     normal, crease, lift, blocked, _ = facing
     facets, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
@@ -160,7 +164,9 @@ def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, l
     """Write the smooth normals to ``facing`` (``FacingNormals``) where they decide about the light instead of the facets.
 
     They do in two cases: where the smooth normal faces away from the light, and where it faces the light, no facet does and the
-    smooth ground lies above the facet.
+    smooth ground lies above the facet. ``ground`` (rows, cols) is the mask of pixels that show ground; ``smooth_normals``, ``lift``
+    and ``position`` are ``shading_normal_frame``, ``lift_m`` and ``position_frame_m`` of their buffer. Rows run from ``first`` to
+    ``last`` (exclusive).
     """
     normal, crease, _, blocked, lifted = facing
     for i in range(first, last):
@@ -183,6 +189,7 @@ def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, l
 
 @internal
 def _dot(vector, axis):
+    """Return the dot product of two vectors (3,)."""
     return vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2]
 
 
@@ -215,8 +222,8 @@ def _plan_offset(node, p, axes):
 def _enters_facet(nodes, is_cut_nw_se, facet, p, axes, east, north):
     """Return whether a ray from a point on a facet's side or corner runs over the facet, as seen from above.
 
-    It does if no barycentric coordinate of the point that is 0 decreases along the ray. ``east`` and ``north`` are the ray's
-    components along the first two ``axes``.
+    It does if no barycentric coordinate of the point that is 0 decreases along the ray. ``facet`` (3,) is a row of ``facets_at``,
+    and ``nodes`` (m, n, 3) are the sheet's positions. ``east`` and ``north`` are the ray's components along the first two ``axes``.
     """
     r, c, half = facet
     corners = facet_corners(is_cut_nw_se[r, c], half)
@@ -240,6 +247,7 @@ def _is_on_rim(is_cut_nw_se, facets, count, row, col):
     """Return whether a position on a node or between two nodes lies on the rim of the ground.
 
     On the rim a quad beside the position is missing, or the position lies on a quad's diagonal and half of the quad is missing.
+    ``facets`` holds the ``count`` facets at the position (``facets_at``), at the fractional ``row`` and ``col``.
     """
     quads = 0
     for k in range(count):
@@ -261,8 +269,9 @@ def _is_on_rim(is_cut_nw_se, facets, count, row, col):
 def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, north):
     """Return whether a ray from a point runs, as seen from above, towards a corner of one of the point's facets.
 
-    From a point on a side of a facet such a ray is parallel to that side. ``east`` and ``north`` are the ray's horizontal
-    components.
+    From a point on a side of a facet such a ray is parallel to that side. ``facets`` holds the ``count`` facets at the point ``p``
+    (3,). ``nodes`` (m, n, 3) are the sheet's positions. ``east`` and ``north`` are the ray's components along the first two
+    ``axes``.
     """
     for k in range(count):
         r, c, half = facets[k]
@@ -276,7 +285,10 @@ def _is_parallel_to_side(nodes, is_cut_nw_se, facets, count, p, axes, east, nort
 
 @internal
 def _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes):
-    """Return the components (east, north) of the horizontal unit vector from a point to the middle of its facets."""
+    """Return the components (east, north) of the horizontal unit vector from a point to the middle of its facets.
+
+    The parameters are those of ``_is_parallel_to_side``.
+    """
     east, north = 0.0, 0.0
     for k in range(count):
         r, c, half = facets[k]

@@ -47,6 +47,11 @@ def column_top_corners(buffer: GeometryBuffer) -> np.ndarray:
 
 @compiled
 def _write_corners(nodes, ground, row, col, corners):
+    """Write the corners (9,) of the north-western triangle of a column's top to ``corners``, in each pixel that shows ground.
+
+    ``nodes`` are the corners of all tops: rows 2 r and 2 r + 1, and columns 2 c and 2 c + 1, belong to the column at row r and
+    column c. ``row`` and ``col`` (rows, cols) are the column in each pixel, and the mask ``ground`` selects pixels.
+    """
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
             if ground[i, j]:

@@ -19,9 +19,21 @@ FACET_EDGE_TOLERANCE_NODES = 1e-6
 def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth_normals, row, col, pixel_mask):
     """Return the arrays of a ``GeometryBuffer`` for pixels at fractional rows and columns of a sheet of nodes.
 
-    The results are valid mask, points, heights, normals, smooth normals, creases and triangles. A pixel that ``pixel_mask`` selects
-    shows a surface if it lies on a triangle and the nearest node is valid. Half-way between nodes one valid node of the nearest
-    ones suffices. ``facet_normals`` (rows, cols, 2, 3) are the triangles' normals.
+    The results are valid mask, points, heights, normals, smooth normals, creases and triangles.
+
+    Parameters
+    ----------
+    position, height, node_valid
+        Positions (m, n, 3), heights (m, n) and valid mask (m, n) of the nodes.
+    is_cut_nw_se, facet_normals
+        Diagonals of the quads (``Sheet``), and the normals (m - 1, n - 1, 2, 3) of their triangles.
+    smooth_normals
+        (m, n, 3), the nodes' smooth unit normals.
+    row, col
+        Fractional rows (rows,) and columns (cols,) of the pixels on the sheet.
+    pixel_mask
+        (rows, cols), selects pixels. A selected pixel shows a surface if it lies on a triangle and the nearest node is valid.
+        Half-way between nodes one valid node of the nearest ones suffices.
     """
     rows, cols = row.size, col.size
     valid = np.empty((rows, cols), np.bool_)
@@ -59,10 +71,13 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
 def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, row, col, point, triangle, stencil_radius):
     """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
-    The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``).
-    If the sheet is finer than the raster, with ``stencil_radius`` > 1 nodes per cell, single facets are too small for that. Then
-    the tangent planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The
-    result is NaN beside a crease, and on nodes unless the sheet is finer than the raster.
+    The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``). If
+    the sheet is finer than the raster, with ``stencil_radius`` > 1 nodes per cell, single facets are too small for that. Then the
+    tangent planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The result is
+    NaN beside a crease, and on nodes unless the sheet is finer than the raster.
+
+    ``point`` (rows, cols, 3) and ``triangle`` (rows, cols, 3) are results of ``map_points``, and most other parameters are its
+    parameters. ``up_origin`` is the frame point from which up vectors point away.
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)
@@ -196,6 +211,7 @@ def _nearest_nodes(row, col):
 
 @internal
 def _is_nearest_node_valid(node_valid, row, col):
+    """Return whether the node nearest to a position is valid; half-way between nodes, whether any of the nearest ones is."""
     low_r, high_r, low_c, high_c = _nearest_nodes(row, col)
     return node_valid[low_r, low_c] or node_valid[low_r, high_c] or node_valid[high_r, low_c] or node_valid[high_r, high_c]
 
@@ -225,6 +241,7 @@ def _barycentric(is_cut_nw_se, facet_in_quad, row_fraction, col_fraction):
 
 @internal
 def _is_same_quad(facets, first, second):
+    """Return whether two facets belong to one quad. ``first`` and ``second`` are rows of the list ``facets`` of ``facets_at``."""
     return facets[first, 0] == facets[second, 0] and facets[first, 1] == facets[second, 1]
 
 

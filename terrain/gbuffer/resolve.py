@@ -58,7 +58,10 @@ def resolve_perspective(
 
 @compiled
 def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, sqrt_albedo, points):
-    """Fill rows ``first`` to ``last`` (exclusive) of ``points``."""
+    """Fill rows ``first`` to ``last`` (exclusive) of ``points``, a ``ResolvedPoints``.
+
+    ``ground_nodes`` is a ``GroundInPerspective``. The other parameters are those of ``resolve_perspective``.
+    """
     tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
@@ -230,6 +233,11 @@ def resolve_map(triangle_number, solids, trees, sqrt_albedo, points):
 
 @internal
 def _write_tree_triangle(p, base, quad_sizes, yaw_cos_sin, curvature, triangle_in_tree):
+    """Write the corners (3, 3) of one of a tree's six triangles to ``p``.
+
+    ``triangle_in_tree`` is the triangle's index, from 0. ``base``, ``quad_sizes`` and ``yaw_cos_sin`` are the tree's rows of the
+    arrays of ``TreeInstances``.
+    """
     quad, second = triangle_in_tree // 2, triangle_in_tree % 2
     for c in range(3):
         corner = c if second == 0 or c == 0 else c + 1
@@ -257,6 +265,11 @@ def _barycentric_on_ray(p, eye, ray):
 
 @internal
 def _barycentric_in_plan(q, x, y):
+    """Return the barycentric weights of a triangle's second and third corner at the plan position (``x``, ``y``).
+
+    The first two columns of ``q`` (3, 3) are the corners' plan positions. The weights are clamped to the triangle, and 1/3 for a
+    triangle without area in plan.
+    """
     ax, ay, bx, by = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
     det = ax * by - ay * bx
     if det == 0.0:
@@ -267,6 +280,7 @@ def _barycentric_in_plan(q, x, y):
 
 @internal
 def _clamp_barycentric(u, v):
+    """Return the weights ``u`` and ``v`` of a triangle's second and third corner, changed to those of a point of the triangle."""
     u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     if u + v > 1.0:
         total = u + v
@@ -276,6 +290,7 @@ def _clamp_barycentric(u, v):
 
 @internal
 def _face_normal(p, out):
+    """Write the unit normal (3,) of the triangle with the corners ``p`` (3, 3). It is (0, 0, 1) for a triangle without area."""
     ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -288,11 +303,12 @@ def _face_normal(p, out):
 
 @compiled
 def _write_leaf_shading(point, ray, base, quad_sizes, sqrt_albedo, shading_normal, albedo):
-    """Write the shading normal and the albedo of a visible leaf.
+    """Write the shading normal (3,) and the albedo (3,) of a visible leaf.
 
     A tree is drawn as crossed quads. The normal is instead that of an ellipsoid with the size of the crown, at the place where the
     ray to the point meets it or passes nearest to it. So it does not depend on the quad, and the quads are not visible. It is
-    tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are.
+    tilted upwards by ``CROWN_NORMAL_UP_BIAS``, as leaves are. ``base`` and ``quad_sizes`` are the tree's rows of the arrays of
+    ``TreeInstances``. ``sqrt_albedo`` (4,) is the pixel's (``IdBuffer``).
     """
     half_width, half_height = max(np.float64(quad_sizes[0]), 1e-3), max(CROWN_HALF_HEIGHT_SHARE * quad_sizes[2], 1e-3)
     qx, qy, qz = (
@@ -315,6 +331,7 @@ def _write_leaf_shading(point, ray, base, quad_sizes, sqrt_albedo, shading_norma
 
 @internal
 def _normalise(v):
+    """Scale the vector ``v`` (3,) to unit length, in place. The zero vector does not change."""
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:
         for k in range(3):

@@ -46,10 +46,11 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
 
 @compiled
 def _move_lifted_points(first, last, points, triangles, is_lifted, lift, origin, in_map, position, corners):
-    """Copy points and triangles' corners, and move the lifted points by ``lift`` metres.
+    """Copy points and triangles' corners to ``position`` and ``corners``, and move the lifted points by ``lift`` metres.
 
-    In a map they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most half-way.
-    All three corners of a lifted point become the point itself.
+    With ``in_map`` they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most
+    half-way. All three corners of a lifted point become the point itself. ``triangles`` and ``corners`` (rows, cols, 9) are
+    ``None`` if the buffer has no corners. Rows run from ``first`` to ``last`` (exclusive).
     """
     direction = np.empty(3)
     for i in range(first, last):

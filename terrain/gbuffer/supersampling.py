@@ -155,6 +155,10 @@ def max_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarr
 
 
 def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows (rows + 1,) and the columns (cols + 1,) of the sides of a map's pixels on the nodes of the view ``nodes``.
+
+    They are those of ``_pixel_sides``, counted from the first row and column of ``nodes``.
+    """
     row, col = _pixel_sides(view, nodes.grid)
     return row - nodes.row0, col - nodes.col0
 
@@ -174,6 +178,10 @@ def _overlap(sides, i, n):
 
 @compiled
 def _means(values, valid, row, col):
+    """Return the result of ``means_in_pixels``. ``row`` and ``col`` are the positions of the pixels' sides (``_sides_in``).
+
+    The mean weights each node by the area of its square that the pixel covers.
+    """
     rows, cols = row.size - 1, col.size - 1
     out = np.full((rows, cols), np.nan, np.float32)
     for i in range(rows):
@@ -245,6 +253,7 @@ def _means_of_bool(values, valid, row_step, row_weights, col_step, col_weights, 
 
 @internal
 def _is_all_valid(valid):
+    """Return whether all elements of a row (n,) of a mask are ``True``. The loop has no early exit, so that it is vectorised."""
     missing = 0
     for n in range(valid.size):
         missing += 0 if valid[n] else 1
@@ -253,6 +262,7 @@ def _is_all_valid(valid):
 
 @internal
 def _add_weighted(values, weight, out):
+    """Add the product of the integer ``weight`` and the bool ``values`` (n,) to ``out`` (n,), in place."""
     for n in range(out.size):
         out[n] += weight * np.int32(values[n])
 
@@ -276,6 +286,7 @@ def _sum_along(values, weights, out):
 
 @compiled
 def _max_values(values, row, col):
+    """Return the result of ``max_in_pixels``. ``row`` and ``col`` are the positions of the pixels' sides (``_sides_in``)."""
     rows, cols = row.size - 1, col.size - 1
     out = np.zeros((rows, cols), values.dtype)
     for i in range(rows):

@@ -89,7 +89,8 @@ class TreeInstances:
         """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
         The apex is ``eye``. ``rotation`` (3, 3) maps to the camera's axes x, y and z, of which z is the pyramid's axis.
-        ``tangents`` (2, 2) are the minimum and maximum of x / z and of y / z.
+        ``tangents`` (2, 2) describe the pyramid's sides: row 0 holds the minimum and the maximum of x / z inside the pyramid, row 1
+        those of y / z.
         """
         is_inside = np.empty(len(self), np.bool_)
         run_in_chunks(len(self), _mark_trees_in_frustum, self.base_frame_m, self.quad_sizes_m, eye, rotation, tangents, is_inside)
@@ -121,7 +122,10 @@ def _cache_key(objects: SceneObjects, *key_parts: object) -> tuple[object, ...]:
 
 @cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
-    """Return the trees that a map with pixels ``pixel_m`` metres wide draws, also those outside of it; ``None`` without trees."""
+    """Return the trees that maps with pixels ``pixel_m`` metres wide draw; ``None`` without trees.
+
+    They are the trees of the whole level, since trees outside of a map cast shadows into it.
+    """
     trees = objects.trees
     return None if trees is None else _drawn_trees(objects, trees, frame, trees.crown_diameter_m / (pixel_m * FULL_STAND_CROWN_PX))
 
@@ -135,7 +139,10 @@ def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
 def tree_instances_in_perspective(
     objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
-    """Return the drawn trees in all directions from an eye; ``None`` without trees. ``focal_px`` is the focal length in pixels."""
+    """Return the trees that views from an eye draw, in all directions; ``None`` without trees.
+
+    Trees behind the eye may cast shadows into the view. ``focal_px`` is the focal length in pixels.
+    """
     trees = objects.trees
     if trees is None:
         return None
@@ -181,9 +188,9 @@ def _tree_bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
 
 @compiled
 def _write_relative_sizes(first, last, base, eye, height_px, out):
-    """Write each tree's height in pixels, divided by ``FULL_STAND_TREE_PX``.
+    """Write each tree's height in pixels, divided by ``FULL_STAND_TREE_PX``, to ``out`` (n,).
 
-    ``height_px`` (n,) are the trees' heights in pixels at a distance of 1 m from the eye.
+    ``base`` (n, 3) are the trees' feet. ``height_px`` (n,) are the trees' heights in pixels at a distance of 1 m from the eye.
     """
     for n in range(first, last):
         x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
@@ -191,12 +198,20 @@ def _write_relative_sizes(first, last, base, eye, height_px, out):
 
 
 def _drawn_share(size: np.ndarray) -> np.ndarray:
+    """Return the share (n,) of trees that is drawn, from ``MIN_DRAWN_TREE_SHARE`` to 1.
+
+    ``size`` (n,) is each tree's size over the size from which all trees are drawn.
+    """
     return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_TREE_SHARE, 1.0)
 
 
 @internal
 def tree_corner(base, quad_sizes, yaw_cos_sin, curvature, quad, corner):
-    """Return one corner (x, y, z) of one quad of a tree, in the frame. The texture coordinate u is 0 at corners 0 and 3, else 1."""
+    """Return the corner ``corner`` (x, y, z) of the quad ``quad`` of a tree, in the frame.
+
+    Quads 0 and 1 are upright, and quad 2 is horizontal. Corners are 0 to 3; the texture coordinate u is 0 at corners 0 and 3, else
+    1. The other parameters are the tree's rows of the arrays of ``TreeInstances``.
+    """
     cosine, sine = np.float64(yaw_cos_sin[0]), np.float64(yaw_cos_sin[1])
     x, y = base[0] * curvature, base[1] * curvature
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
@@ -225,6 +240,10 @@ def tree_radius(quad_sizes):
 
 @compiled
 def _mark_trees_in_box(first, last, base, quad_sizes, rotation, translation, low, high, is_inside):
+    """Write to ``is_inside`` (n,) which trees from ``first`` to ``last`` (exclusive) have a bounding sphere that intersects a box.
+
+    ``low`` and ``high`` (3,) bound the box in the axes ``rotation @ point + translation``.
+    """
     for n in range(first, last):
         radius = tree_radius(quad_sizes[n])
         inside = True
@@ -239,6 +258,10 @@ def _mark_trees_in_box(first, last, base, quad_sizes, rotation, translation, low
 
 @compiled
 def _mark_trees_in_frustum(first, last, base, quad_sizes, eye, rotation, tangents, is_inside):
+    """Write to ``is_inside`` (n,) which trees from ``first`` to ``last`` (exclusive) may intersect a viewing pyramid.
+
+    The other parameters are those of ``TreeInstances.in_frustum``.
+    """
     in_camera = np.empty(3)
     for n in range(first, last):
         radius = tree_radius(quad_sizes[n])
@@ -257,6 +280,10 @@ def _mark_trees_in_frustum(first, last, base, quad_sizes, eye, rotation, tangent
 
 @compiled
 def tree_corners(base, quad_sizes, yaw_cos_sin, curvature):
+    """Return the corners (n, 3, 4, 3) float64 of the quads of n trees: two upright quads, then the horizontal one.
+
+    The parameters are arrays of ``TreeInstances``.
+    """
     out = np.empty((len(base), 3, 4, 3))
     for n in range(len(base)):
         for quad in range(3):

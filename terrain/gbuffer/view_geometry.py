@@ -101,7 +101,21 @@ def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame
 
 
 class RasterisedTriangles(Protocol):
-    """The visible triangles of a camera's pixels. ``resolve_buffer`` computes the visible points from them."""
+    """The visible triangles of a camera's pixels. ``resolve_buffer`` computes the visible points from them.
+
+    Attributes
+    ----------
+    frame
+        The local frame of all positions.
+    ground
+        The mesh of the ground.
+    solids
+        float64 (n, 3), the vertices of the meshes in the frame, metres; ``None`` without meshes.
+    id_buffer
+        The number of the visible triangle in each pixel.
+    tree_instances
+        The trees that the view draws; ``None`` without any.
+    """
 
     @property
     def frame(self) -> LocalFrame: ...
@@ -203,6 +217,10 @@ def resolve_buffer(
 def _map_buffer(
     scene: Scene, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None, nodes: MapNodes | None
 ) -> GeometryBuffer:
+    """Return the geometry buffer of a map view: its ground, and meshes and trees where they are higher.
+
+    ``pixel_mask`` and ``nodes`` are those of ``geometry_buffer``.
+    """
     surface = scene.surface(view.grid)
     if scene.elevation.surface == "blocks":
         buffer = column_geometry(surface, view, frame, pixel_mask)
@@ -307,6 +325,7 @@ def ground_imagery(scene: Scene) -> Imagery | None:
 
 @cached("scene", 256 * MIB)
 def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
+    """Return the rows and columns (n, 2) of the ground's nodes in an image."""
     return image.cells_at(ground.grid.crs, ground.x, ground.y)
 
 

@@ -68,6 +68,7 @@ class Axes:
 
 
 def _ordered_bounds(first: np.ndarray, second: np.ndarray) -> Bounds:
+    """Return the bounds of two corners: the minima of the first and of the second coordinates, and then the maxima."""
     return float(first.min()), float(second.min()), float(first.max()), float(second.max())
 
 

@@ -50,7 +50,7 @@ class DailyWindow:
     clock_advance_min: float = 0.0
 
     def clock_time_min(self, elapsed_min: float) -> float:
-        """Return the clock time ``length_min`` minutes after the start, in minutes from midnight."""
+        """Return the clock time ``elapsed_min`` minutes after the start, in minutes from midnight."""
         changed = self.clock_advance_min != 0.0 and elapsed_min >= self.minutes_to_change
         return self.start_clock_min + elapsed_min + (self.clock_advance_min if changed else 0.0)
 
@@ -142,6 +142,7 @@ def _utc_start_and_end(day: date, start_min: float, end_min: float, zone: tzinfo
 
 
 def _has_window(day: date, start_min: float, end_min: float, zone: tzinfo) -> bool:
+    """Return whether a zone's clock has the window between two clock times, in minutes from midnight, on a date."""
     start, end = _utc_start_and_end(day, start_min, end_min, zone)
     return start < end
 
@@ -161,6 +162,7 @@ def _zone_moment(day: date, clock_min: float, zone: tzinfo, fold: int) -> dateti
 
 
 def _offset_min(moment: datetime, zone: tzinfo) -> float:
+    """Return the UTC offset of a zone at a moment, in minutes."""
     offset = moment.astimezone(zone).utcoffset()
     assert offset is not None
     return offset / timedelta(minutes=1)

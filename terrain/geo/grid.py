@@ -330,6 +330,10 @@ def overlap_windows(view: PixelArea, block: PixelArea, row: int, col: int) -> tu
 
 
 def _snapped(start: float, step: float, count: int) -> tuple[float, float]:
+    """Return the position of the first pixel and the distance of neighbouring pixels, along one axis, in nodes.
+
+    They are rounded to whole numbers if all ``count`` pixels then keep their positions within rounding errors.
+    """
     rounded = np.rint(start), np.rint(step)
     if abs(start - rounded[0]) < 1e-6 and abs(step - rounded[1]) * count < 1e-6 and rounded[1] >= 1:
         return float(rounded[0]), float(rounded[1])

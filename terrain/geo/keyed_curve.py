@@ -90,11 +90,13 @@ class KeyedCurve:
         return (np.diff(self.values, axis=0) != 0.0).any(axis=1)
 
     def _elapsed_s(self, seconds: float | np.ndarray) -> np.ndarray:
+        """Return the times on the curve since the first keyframe: remainders if it loops, otherwise clamped to its duration."""
         since_s, last_s = np.asarray(seconds, np.float64) - self.times_s[0], self._knots_s[-1]
         return np.remainder(since_s, last_s) if self.loop else np.clip(since_s, 0.0, last_s)
 
     @cached_property
     def _spline(self) -> CubicHermiteSpline:
+        """The cubic through the keyframes, by the time since the first one."""
         from scipy.interpolate import CubicHermiteSpline  # imported here: takes 0.1 s, and only moving objects need it
 
         return CubicHermiteSpline(self._knots_s, self.values, self._velocities(), axis=0)

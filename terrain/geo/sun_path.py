@@ -39,6 +39,7 @@ class SunPath:
     refraction_deg: np.ndarray
 
     def __len__(self) -> int:
+        """Return the number of times."""
         return len(self.times)
 
 

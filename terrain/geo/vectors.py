@@ -341,6 +341,11 @@ def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
 
 
 def _layer_crs(source: str, crs_text: str | None, target: CRS) -> CRS:
+    """Return the CRS of a layer from the text that GDAL reports (``None`` without a CRS), or else an engineering CRS ``target``.
+
+    Raises ``SourceError`` if the layer has no CRS and ``target`` is no engineering CRS, or if PROJ does not know its CRS.
+    ``source`` is the file's name, for the message.
+    """
     try:
         if crs_text:
             return CRS.from_user_input(crs_text)
@@ -354,6 +359,10 @@ def _layer_crs(source: str, crs_text: str | None, target: CRS) -> CRS:
 
 
 def _transformed_geometry(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
+    """Return the geometries (n,) of features in the CRS ``crs``. Long edges are divided first.
+
+    Raises ``SourceError`` for coordinates that cannot be transformed.
+    """
     source, geometry = features.name, features.geometry
     edged = shapely.get_dimensions(geometry) > 0
     check_divided_size(source, geometry[edged], MAX_EDGE_LENGTH_BY_IS_GEOGRAPHIC[file_crs.is_geographic])

@@ -273,6 +273,7 @@ class World:
 
     @property
     def _anchor(self) -> tuple[np.ndarray, np.ndarray]:
+        """The anchor at height 0, earth-fixed (3,), in metres, and the unit up vector (3,) there."""
         if self.is_flat:
             return np.zeros(3), np.array([0.0, 0.0, 1.0])
         return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg), self.ellipsoid)
@@ -302,9 +303,14 @@ class World:
         return self._globe_frame(float(lon), float(lat), FRAME_SPACING_DEG * spacing_share)
 
     def _flat_frame(self, point_m: np.ndarray, spacing_m: float) -> LocalFrame:
+        """Return the frame of a flat world whose origin is nearest to a point (3,). Origins are ``spacing_m`` apart."""
         return _frame(self, int(np.rint(point_m[0] / spacing_m)), int(np.rint(point_m[1] / spacing_m)), spacing_m)
 
     def _globe_frame(self, lon: float, lat: float, spacing_deg: float) -> LocalFrame:
+        """Return the frame on the globe whose origin is nearest to a position in degrees.
+
+        ``spacing_deg`` is that of the latitudes.
+        """
         delta_lon = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
         i, j = delta_lon / (spacing_deg / self._cos_anchor_lat), (lat - self.anchor_lat_deg) / spacing_deg
         return _frame(self, int(np.rint(i)), int(np.rint(j)), spacing_deg)
@@ -385,6 +391,10 @@ def geodetic(point_earth_m: np.ndarray, ellipsoid: Geod = WGS84) -> tuple[np.nda
 
 @cached("process", MIB)
 def _geodetic(a: float, b: float) -> Transformer:
+    """Return PROJ's transformation from geocentric points to longitude, latitude and height.
+
+    ``a`` and ``b`` are the semi-major and semi-minor axis of the ellipsoid, metres.
+    """
     return Transformer.from_pipeline(
         f"+proj=pipeline +step +inv +proj=cart +a={a!r} +b={b!r} +step +proj=unitconvert +xy_in=rad +xy_out=deg"
     )

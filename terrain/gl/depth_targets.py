@@ -119,6 +119,7 @@ class DepthTargets:
             self._release(target.framebuffer)
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
+        """Return whether another framebuffer of a shape fits within the limits of the pool."""
         return self.count < MAX_TARGETS and self.nbytes + depth_bytes(*shape) <= MAX_TARGET_BYTES
 
 

@@ -125,17 +125,19 @@ class Device:
         """Return a depth-only framebuffer of 16, 24 (normalised) or 32 bits (float).
 
         Its texture has no depth comparison. The content lasts until the next call for the same shape, unless
-        ``depth_targets.keep`` caches it.
+        ``depth_targets.cache_content`` caches it.
         """
         self.require_current()
         return self.depth_targets.acquire(width, height, bits)
 
     def _make_depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
+        """Return a new depth-only framebuffer of ``width`` x ``height`` texels with 16, 24 or 32 bits of depth."""
         target = self.ctx.framebuffer(depth_attachment=self._depth_texture(width, height, bits))
         self.check("depth_target")
         return target
 
     def _depth_texture(self, width: int, height: int, bits: int) -> moderngl.Texture:
+        """Return a new depth texture, which shaders sample without filter and without depth comparison."""
         from OpenGL import GL
 
         texture = self.ctx.depth_texture((width, height))
@@ -391,6 +393,7 @@ class Device:
         return memory[:count].reshape(shape)
 
     def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture | moderngl.Renderbuffer) -> None:
+        """Release a framebuffer and its textures."""
         self._idle_target.use()  # moderngl rebinds the current framebuffer, even a released one
         target.release()
         for texture in textures:

@@ -64,6 +64,7 @@ class EglDevice:
     name: str = ""
 
     def __str__(self) -> str:
+        """Return the device's index and name as text, for messages."""
         return f"{self.index} ({self.name or ('software rasteriser' if self.is_software else 'without a name')})"
 
 
@@ -117,6 +118,10 @@ def egl_devices() -> tuple[EglDevice, ...]:
 
 
 def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Callable[..., Any] | None:
+    """Return a function of EGL or of an extension by its name; ``None`` if EGL lacks it.
+
+    ``result`` and ``arguments`` are the ctypes types of its result and of its arguments.
+    """
     address = egl.eglGetProcAddress(name)
     return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
 
@@ -205,6 +210,7 @@ def _round_robin(cards: list[EglDevice], process_number: int, probe: DeviceProbe
 
 
 def _no_such_device_error(value: str, devices: Sequence[EglDevice]) -> InputError:
+    """Return the error of the setting ``value``, which names a device that EGL does not list."""
     listing = ", ".join(map(str, devices))
     return InputError(
         EGL_DEVICE_VARIABLE,

@@ -46,6 +46,7 @@ def _index_path() -> Path:
 
 
 def _has_room(index: Path) -> bool:
+    """Return whether the disk has room for Mesa's cache index, and allocate the index's disk blocks."""
     try:
         _fill_holes(index)
         return True

@@ -111,6 +111,7 @@ class Stencil:
         return target
 
     def _release_target(self, entry: tuple[moderngl.Framebuffer, int]) -> None:
+        """Release a framebuffer with its attachments. ``entry`` is the framebuffer and OpenGL's number of its renderbuffer."""
         from OpenGL import GL
 
         target, storage = entry
@@ -260,6 +261,7 @@ class Stencil:
 
     @contextmanager
     def _stencil_test(self, target: moderngl.Framebuffer, depth: bool) -> Iterator[None]:
+        """Enable the stencil test within the block, with the depth test if ``depth``. All tests are disabled after it."""
         from OpenGL import GL
 
         self._require_current()

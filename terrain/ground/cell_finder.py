@@ -84,6 +84,7 @@ def cell_finder_of(elevation: Elevation, world: World) -> CellFinder:
 
 
 def _is_local(bounds_deg: tuple[float, float, float, float]) -> bool:
+    """Return whether a raster with these bounds (west, south, east, north) is small enough for ``STEREOGRAPHIC_PLANE``."""
     west, south, east, north = bounds_deg
     return max(east - west, north - south) <= MAX_LOCAL_SPAN_DEG and max(-south, north) <= 90.0 - MAX_LOCAL_SPAN_DEG
 
@@ -128,7 +129,10 @@ def project_to_plane(x, y, z, height, plane, axes_earth, first_node_xy, node_spa
 
 @internal
 def cell_in_plane(x, y, first_node_xy, node_spacing_xy, lattice):
-    """Return the row and column in the raster of a position in the plane of a ``CellFinder``; NaN where it has none."""
+    """Return the row and column in the raster of a position in the plane of a ``CellFinder``; NaN where it has none.
+
+    ``lattice`` is the finder's ``node_cells``.
+    """
     lattice_x, lattice_y, j, i = lattice_square(x, y, first_node_xy, node_spacing_xy, lattice.shape[0], lattice.shape[1])
     return cell_in_square(square_corners(lattice, i, j), lattice_x - j, lattice_y - i)
 
@@ -137,8 +141,9 @@ def cell_in_plane(x, y, first_node_xy, node_spacing_xy, lattice):
 def lattice_square(x, y, first_node_xy, node_spacing_xy, rows, cols):
     """Return a position's (fractional) column and row in the lattice of a ``CellFinder``, and those of its square.
 
-    A square lies between four nodes of the lattice. The fractional column and row are NaN for a position that is not finite. A
-    position off the lattice has the nearest square.
+    ``x`` and ``y`` are the position in the finder's plane; the lattice has ``rows`` x ``cols`` nodes. A square lies between four
+    nodes of the lattice. The fractional column and row are NaN for a position that is not finite. A position off the lattice has
+    the nearest square.
     """
     lattice_x, lattice_y = (x - first_node_xy[0]) / node_spacing_xy[0], (y - first_node_xy[1]) / node_spacing_xy[1]
     is_finite = np.isfinite(lattice_x) & np.isfinite(lattice_y)

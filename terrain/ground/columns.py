@@ -323,6 +323,12 @@ def _corners(ground, height):
 
 @compiled
 def _quad_with_area_mask(height):
+    """Return which quads of the mesh of columns with the heights ``height`` (rows, cols) have an area, bool.
+
+    The result has the shape (2 rows - 1, 2 cols - 1). A quad at an even row and column is the top of a column, and has an area. A
+    quad at one odd index is a wall between two columns, and has an area if their heights differ. A quad at two odd indices lies
+    where the corners of four columns meet, and has none. A quad beside a missing column (NaN) has none either.
+    """
     rows, cols = height.shape
     out = np.zeros((2 * rows - 1, 2 * cols - 1), np.bool_)
     for i in range(2 * rows - 1):

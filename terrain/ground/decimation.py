@@ -166,8 +166,9 @@ def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, do
     """Write ``error`` and ``parts`` of nodes ``stride`` apart, from (first_row, first_col) on.
 
     The hypotenuse that such a node bisects ends at the offset (down, right) from it and at the opposite offset. The nodes within
-    the bisected triangles must be done. ``parts`` holds two bits for the triangle whose apex comes before the node in reading
-    order, and above them two bits for the triangle whose apex comes after it.
+    the bisected triangles must be done. ``parts`` (rows, cols) holds two bits for the triangle whose apex comes before the node in
+    reading order, and above them two bits for the triangle whose apex comes after it. ``height`` and ``bulge_m`` are those of
+    ``_node_errors``.
     """
     rows, cols = height.shape
     bulge_m *= 4.0 * (down * down + right * right)
@@ -203,7 +204,9 @@ def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, do
 def _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col):
     """Return whether the halves of a triangle have data, as the union of their bits (``_PRESENT``, ``_ABSENT``).
 
-    The corners of a half are the bisecting node, the triangle's apex and an end of its hypotenuse.
+    The corners of a half are the bisecting node (``row``, ``col``), the triangle's apex (``apex_row``, ``apex_col``) and an end of
+    its hypotenuse. The ends lie at the offset (``down``, ``right``) from the bisecting node, and at the opposite offset. ``parts``
+    is that of ``_fill_errors``.
     """
     part = 0
     for end in (-1, 1):
@@ -241,6 +244,8 @@ def _tolerances_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m
     """Return each node's removal tolerance (rows, cols) float32, in radians, and the eye's distance to the nearest node, metres.
 
     A node can be removed at its removal tolerance or a larger one. Here it is the node's error over its distance to the eye.
+    ``error`` and ``height`` (rows, cols) are metres. The eye is at the fractional row and column ``eye_row`` and ``eye_col``, and
+    at the height ``eye_m``. ``spacing_m`` is the distance of nodes; distances count as at least ``min_distance_m``.
     """
     rows, cols = height.shape
     removal_tolerance = np.empty((rows, cols), np.float32)
@@ -261,7 +266,8 @@ def _raise_near_eye(removal_tolerance, error, eye_row, eye_col, nearest_m):
     """Raise the removal tolerances of nodes whose errors change the ground nearest to the eye, which may be far nearer.
 
     Omitting a node changes the triangles that it bisects like a tent: most at the node, and not at all at their other edges. If the
-    eye is over the tent, the change just below the eye may subtend a larger angle than the change at the node.
+    eye is over the tent, the change just below the eye may subtend a larger angle than the change at the node. ``nearest_m`` is the
+    eye's distance to the nearest node. The other parameters are those of ``_tolerances_from_own_error``.
     """
     rows, cols = removal_tolerance.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -284,7 +290,7 @@ def _split_under_eye(removal_tolerance, height, eye_row, eye_col, eye_m, spacing
     """Require the nodes that halve overlong triangles under or next to the eye: set their removal tolerances to infinity.
 
     ``MAX_LENGTH_PER_EYE_HEIGHT`` bounds the length of these triangles. "Next to" means within 1/32 of a triangle's leg. This
-    includes all triangles that meet in a node right under the eye.
+    includes all triangles that meet in a node right under the eye. The parameters are those of ``_tolerances_from_own_error``.
     """
     rows, cols = removal_tolerance.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -302,7 +308,7 @@ def _split_under_eye(removal_tolerance, height, eye_row, eye_col, eye_m, spacing
 
 @internal
 def _require_nodes_at(removal_tolerance, at_row, at_col, step):
-    """Require the nodes of one ``step`` that halve a triangle which contains a position."""
+    """Require the nodes of one ``step`` that halve a triangle which contains the fractional position (``at_row``, ``at_col``)."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
     for down, right in ((0, 0), (-step, 0), (step, 0), (0, -step), (0, step)):
@@ -339,6 +345,7 @@ def _propagate_to_parents(removal_tolerance):
 
 @internal
 def _value_at(values, row, col):
+    """Return the value of a node, or 0 outside of the grid ``values`` (rows, cols)."""
     inside = 0 <= row < values.shape[0] and 0 <= col < values.shape[1]
     return values[row, col] if inside else np.float32(0.0)
 
@@ -380,8 +387,9 @@ def _smallest_saving_tolerance(removal_tolerance, bisected_count, min_saved_tria
 def _bisect(removal_tolerance, height, tolerance, count):
     """Return the nodes (n, 2) and triangles (count, 3) of the mesh for a tolerance.
 
-    Traverses the triangles depth first, from the two of the whole square. Halves a triangle if the removal tolerance of the
-    node that bisects it exceeds the tolerance.
+    Traverses the triangles depth first, from the two of the whole square. Halves a triangle if the removal tolerance of the node
+    that bisects it exceeds the tolerance. ``removal_tolerance`` and ``height`` are (rows, cols). ``count`` is the known number of
+    triangles.
     """
     rows, cols = height.shape
     side = 1

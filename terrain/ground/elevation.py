@@ -429,6 +429,11 @@ class Elevation:
         return np.concatenate(parts, axis=1)
 
     def _read_inside(self, lod: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        """Return heights in metres, float32, NaN in holes, of cells of a level of detail within the raster.
+
+        The cells are those in rows [row0, row1) and columns [col0, col1). Undeclared nodata are counted until the resampling is
+        chosen.
+        """
         factor = 2**lod
         window = Window(
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
@@ -474,9 +479,11 @@ class Elevation:
         return revolution * cols_per_turn + np.where(col < 0, before_first, np.where(col > cols_per_turn - 1, after_last, col))
 
     def _lod_shape(self, lod: int) -> tuple[int, int]:
+        """Return the number of whole cells of a level of detail: rows and columns, at least one each."""
         return max(self.rows // 2**lod, 1), max(self.cols // 2**lod, 1)
 
     def _read_overview(self) -> Overview:
+        """Return the overview of the drawn surface, whose heights are at least the height of water. Raises ``SourceError``."""
         factors = self._dataset.overviews(1)
         check_overviews(self.name, self.rows, self.cols, factors)
         self.lacks_overviews = lacks_overviews(self.rows, self.cols, factors)

@@ -37,6 +37,10 @@ def convert_to_lod(row, col, factor, rows, cols):
 
 @internal
 def _row_at_lod(row, col, factor, rows, cols, out_row, out_col):
+    """Write the rows and columns, at a level of detail, of one row of positions; NaN for positions off the raster.
+
+    The parameters are those of ``convert_to_lod``. ``row``, ``col``, ``out_row`` and ``out_col`` are (n,).
+    """
     wraps = cols == np.inf
     for j in range(out_row.size):
         r, c = (row[j] + 0.5) / factor - 0.5, col[j] if wraps else (col[j] + 0.5) / factor - 0.5
@@ -98,7 +102,11 @@ def _gather_corners(values, row, col, out):
 
 @internal
 def _interpolate(north_west, north_east, south_west, south_east, row_fraction, col_fraction, out):
-    """Interpolate between four cells. A neighbour of weight 0 is ignored, even if it is NaN."""
+    """Write the bilinear means of four cells each to ``out`` (n,). A neighbour of weight 0 is ignored, even if it is NaN.
+
+    ``row_fraction`` and ``col_fraction`` (n,) run from 0 to 1 southwards and eastwards. The other parameters are the cells' heights
+    (n,).
+    """
     for j in range(out.size):
         north, south = np.float64(north_west[j]), np.float64(south_west[j])
         north_east_m, south_east_m = np.float64(north_east[j]), np.float64(south_east[j])

@@ -119,6 +119,7 @@ def _incise(height, uplift, order, receiver, cell):
 
 @compiled
 def _creep(height):
+    """Move each inner cell of ``height`` (rows, cols) by ``CREEP_FRACTION`` towards its four neighbours' mean, in place."""
     rows, cols = height.shape
     before = height.copy()
     for i in range(1, rows - 1):

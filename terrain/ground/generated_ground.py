@@ -71,6 +71,7 @@ def generated_ground(terrain: Terrain) -> MemoryFile:
 
 @cached("process", 640 * MIB, size_of=len)
 def _generate(spec: FlatGround | GeneratedGround) -> MemoryFile:
+    """Return the raster of a description of generated ground, in memory."""
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells
         return _height_raster(np.zeros((rows + 1, cols + 1), np.float32), spec.size[0] / cols, spec.size[1] / rows)

@@ -111,6 +111,10 @@ def _linear_colors(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarr
 
 
 def _mip_levels(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
+    """Return the mip levels (rows, cols, 3) float32, the finest first: averages of 1, 2, 4, ... cells a side.
+
+    A cell of a mip level is NaN if any of its cells is not ``valid`` (rows, cols).
+    """
     colors = np.where(valid[..., None], colors, np.float32(np.nan))
     levels = [colors]
     while min(levels[-1].shape[:2]) >= 4:
@@ -122,6 +126,11 @@ def _mip_levels(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
 
 @compiled
 def _sample_bilinear(colors, cells, mask, factor, out):
+    """Write the bilinear colours of a mip level to ``out`` (rows, cols, 3) in pixels that the mask ``mask`` selects.
+
+    Pixels off the imagery do not change. ``colors`` (m, n, 3) are those of the mip level, whose cells are ``factor`` cells of the
+    imagery a side. ``cells`` (rows, cols, 2) are the pixels' fractional rows and columns in the imagery.
+    """
     rows, cols, _ = colors.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):

@@ -137,6 +137,7 @@ def check_lengths(source: str, lengths: AttributeLengths) -> None:
 
 
 def _normalized(name: str) -> str:
+    """Return the name of an attribute in lower case, without spaces and punctuation."""
     return re.sub(r"[\W_]+", "", name.lower())
 
 

@@ -37,4 +37,5 @@ def length_m(text: str, default_unit_m: float = 1.0) -> float:
 
 
 def _number(text: str) -> float:
+    """Return the number that a text states, with a decimal point or a decimal comma."""
     return float(text.replace(",", "."))

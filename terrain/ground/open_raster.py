@@ -90,6 +90,7 @@ def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
 
 
 def _open(source: str) -> rasterio.DatasetReader:
+    """Open a raster file. One with at most ``MAX_EXACT_MAXIMA_CELLS`` cells is opened without its overviews."""
     dataset = open_raster(source)
     if dataset.width * dataset.height > MAX_EXACT_MAXIMA_CELLS or not (dataset.count and dataset.overviews(1)):
         return dataset
@@ -213,6 +214,7 @@ def _vrt_with_mask(dataset: rasterio.DatasetReader, bands: Sequence[int], masks:
 
 
 def _vrt_root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
+    """Return the root element of a VRT with the size, the CRS and the geotransform of a dataset, without bands."""
     rows, cols = dataset.shape
     root = ElementTree.Element("VRTDataset", rasterXSize=str(cols), rasterYSize=str(rows))
     if dataset.crs is not None:

@@ -33,6 +33,7 @@ def is_in_memory(source: str) -> bool:
 
 
 def _overviews_warning(elevation: Elevation) -> str:
+    """Return the warning about a large raster without overviews."""
     return (
         f"the raster of {elevation.rows * elevation.cols / 1e6:,.0f} million cells lacks overviews, so zoomed-out tiles read "
         f"most of it. Make overviews beside it with '{overviews_command(elevation.name)}'"
@@ -40,6 +41,7 @@ def _overviews_warning(elevation: Elevation) -> str:
 
 
 def _nodata_warning(elevation: Elevation) -> str:
+    """Return the warning about a declared nodata value that no cell can have."""
     return (
         f"the raster declares nodata {elevation.impossible_nodata}, which no cell of type {elevation.dtype} can have. "
         f"If another value means no data, {option_remedy('nodata', 'VALUE')}"
@@ -47,6 +49,7 @@ def _nodata_warning(elevation: Elevation) -> str:
 
 
 def _units_warning(elevation: Elevation) -> str:
+    """Return the warning about two units of heights that contradict each other."""
     return (
         f"{elevation.vertical.statement}, but {elevation.vertical.conflicting_unit}. State the right unit: "
         f"{option_remedy('units', 'UNIT')}"

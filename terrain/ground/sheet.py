@@ -94,6 +94,10 @@ def sheet_triangles(is_cut_nw_se):
 
 @compiled
 def _normals(position, is_cut_nw_se):
+    """Return the unit normals (rows - 1, cols - 1, 2, 3) float32 of the quads' triangles: the one on the north side comes first.
+
+    ``position`` (rows, cols, 3) are the nodes. Normals are NaN where a corner is missing.
+    """
     rows, cols = is_cut_nw_se.shape
     out = np.empty((rows, cols, 2, 3), np.float32)
     for r in range(rows):

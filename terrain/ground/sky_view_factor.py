@@ -210,8 +210,10 @@ def _sweep_lines(
     """Add the sky occlusion from one azimuth to ``out`` (rows, cols), by sweeps along all lines in this azimuth.
 
     A line goes ``half_rows_per_col`` half rows for each column. ``direction`` is 1 if the sweep visits columns in increasing order,
-    else -1. At each node, ground that the sweep has passed hides light. Spacings and ``sector_width`` widths are per row of the
-    raster. ``has_spacings_by_row`` is whether these are the rows of ``height`` or, for a transposed array, its columns.
+    else -1. At each node, ground that the sweep has passed hides light. ``slope`` (rows, cols, 2) holds the slopes towards higher
+    columns and towards higher rows. ``forward_spacing_m`` and ``sideways_spacing_m`` are the distances of neighbouring columns and
+    rows. They and ``sector_width`` (``_sector_width``) are per row of the raster. ``has_spacings_by_row`` is whether these are the
+    rows of ``height`` or, for a transposed array, its columns. ``curvature`` is 1 over the earth's radius, per metre.
     """
     rows, cols = height.shape
     low, high = min(0, -half_rows_per_col * (cols - 1)), 2 * (rows - 1) + max(0, -half_rows_per_col * (cols - 1))
@@ -306,6 +308,10 @@ def _find_nodes(
 ):
     """Write rows and columns of the points [begin, end) into ``out`` (n, 2), in cells of ``node_side_cells`` raster cells a side.
 
+    ``position`` (n, 3) and ``height`` (n,) are frame points and their heights. ``frame_from_earth`` and ``origin`` are those of the
+    frame. ``plane``, ``axes_earth``, ``first_node_xy``, ``node_spacing_xy`` and ``lattice`` (``node_cells``) are those of a
+    ``CellFinder``.
+
     The latitude follows EPSG Guidance Note 7-2, section 4.1.1. In the term with the height, the equator's radius replaces the
     radius of curvature in the prime vertical.
     """
@@ -391,7 +397,11 @@ def sky_occlusion_row(values, mips, row, col, out):
 
 @internal
 def _bilinear(values, begin, rows, cols, row, col, scale):
-    """Return a mip level's bilinear value at a position in nodes of the finest mip level, clamped to its outermost nodes."""
+    """Return a mip level's bilinear value at a position in nodes of the finest mip level, clamped to its outermost nodes.
+
+    ``values`` is the array of ``mip_pyramid``. The mip level begins at ``begin`` and has ``rows`` x ``cols`` nodes; ``scale`` is
+    that of ``MipPair``.
+    """
     r0, c0, row_fraction, col_fraction = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
@@ -400,7 +410,7 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
 
 @internal
 def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
-    """Fill ``out`` with ``_bilinear`` at many positions (n,).
+    """Fill ``out`` (n,) with ``_bilinear`` at the positions ``row`` and ``col`` (n,).
 
     Only the loop of lookups does not compile to vector instructions, so it is separate from the others.
     """
@@ -427,7 +437,7 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
 def _corner(rows, cols, row, col, scale):
     """Return the row and column of a mip level's node before a position, and the position's fractions of the way to the next.
 
-    All are 0 for a position that is NaN.
+    All are 0 for a position that is NaN. The parameters are those of ``_bilinear``.
     """
     r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
     r0, c0 = np.int32(r if r > 0.0 else 0.0), np.int32(c if c > 0.0 else 0.0)

@@ -57,12 +57,16 @@ def refine_row(height, row, col0, out):
 
 @internal
 def _middle(a, b):
+    """Return the mean of two heights, float32."""
     return np.float32(0.5 * (np.float64(a) + np.float64(b)))
 
 
 @internal
 def _quad_middle(west, east, south_west, south_east):
-    """Return the height at the centre of a quad, on its higher diagonal."""
+    """Return the height at the centre of a quad, on its higher diagonal.
+
+    ``west`` and ``east`` are the heights of its northern corners, the others those of its southern ones.
+    """
     falling = 0.5 * (np.float64(west) + np.float64(south_east))
     rising = 0.5 * (np.float64(east) + np.float64(south_west))
     return np.float32(rising if (rising > falling) | np.isnan(falling) else falling)
@@ -82,6 +86,11 @@ def refine_valid(valid, row0, col0, rows, cols):
 
 @internal
 def _refine_valid_row(above, below, col0, out):
+    """Write the valid mask of a row of the refined grid to ``out`` (cols,), from the refined column ``col0`` (0 or 1) on.
+
+    ``above`` and ``below`` are the rows of the coarser grid's valid mask between which the row lies. They are the same row if the
+    refined row lies on it.
+    """
     if col0 == 1:
         out[0] = (above[0] & below[1]) | (above[1] & below[0])
     pairs = (out.size - col0) // 2
@@ -110,8 +119,9 @@ def cubic_weights(t):
 def interpolate_nodes(exact, first_row, first_col, stride, row0, col0, rows, cols):
     """Return values (k, rows, cols) at a window's nodes, interpolated by cubics from those of exact nodes (m, n, k).
 
-    Exact nodes are ``stride`` nodes apart. The first one has row ``first_row * stride`` and column ``first_col * stride``. Sums are
-    in a fixed order, so that results are bit-identical in all windows.
+    Exact nodes are ``stride`` nodes apart. The first one has row ``first_row * stride`` and column ``first_col * stride``.
+    (``row0``, ``col0``) is the window's first node on the grid. Sums are in a fixed order, so that results are bit-identical in all
+    windows.
     """
     components = exact.shape[2]
     out = np.empty((components, rows, cols))
@@ -140,8 +150,9 @@ def write_axis_coordinates(
     """Write the coordinates (rows, cols) of nodes at their heights into an array.
 
     ``flat``, ``start``, ``row_stride`` and ``col_stride`` are the array's memory, and its offset and strides in values. ``base``
-    (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. Sums follow the
-    order of ``interpolate_nodes``. ``height`` has the heights of the nodes or, if ``refined``, those of the coarser grid.
+    (m, n) are the coordinates of exact nodes at height 0, and ``slope`` (m, n) their change per metre of height. The parameters
+    from ``first_row`` to ``cols`` are those of ``interpolate_nodes``, whose order the sums follow. ``height`` has the heights of
+    the nodes or, if ``refined``, those of the coarser grid.
     """
     refined_heights = np.empty(cols, np.float32)
     bases, slopes = np.empty(base.shape[1]), np.empty(base.shape[1])
@@ -175,7 +186,7 @@ def write_axis_coordinates(
 
 @internal
 def _interpolate_row(exact, m, fraction, out):
-    """Interpolate a row's values (n,) at the exact columns, between the values of exact rows (m, n).
+    """Interpolate a row's values at the exact columns, ``out`` (n,), between the values of exact rows ``exact`` (k, n).
 
     The row lies at the fraction ``fraction`` of the way from exact row ``m`` to the next one.
     """
@@ -192,9 +203,10 @@ def _interpolate_row(exact, m, fraction, out):
 
 @internal
 def _interpolate_between(values, n, weights, first, out):
-    """Interpolate the nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
+    """Write the values of a row's nodes between the exact columns ``n`` + 1 and ``n`` + 2 to ``out``.
 
-    The first node is the ``first``-th after exact column ``n`` + 1.
+    The first node is the ``first``-th after exact column ``n`` + 1. ``values`` are those at the exact columns. ``weights`` (4,
+    stride) are the ``cubic_weights`` of the nodes between two exact columns.
     """
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
     w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
@@ -207,7 +219,9 @@ def _interpolate_between(values, n, weights, first, out):
 def _write_node_coordinates(bases, slopes, n, weights, first, height, first_window_col, out, count):
     """Write the coordinates of ``count`` nodes of a row, at their heights, between the exact columns ``n`` + 1 and ``n`` + 2.
 
-    The first node is the ``first``-th after exact column ``n`` + 1, in column ``first_window_col`` of the window.
+    The first node is the ``first``-th after exact column ``n`` + 1, in column ``first_window_col`` of the window. ``bases`` and
+    ``slopes`` are the coordinates at height 0 and their change per metre of height, at the exact columns. ``weights`` is that of
+    ``_interpolate_between``. ``height`` and ``out`` (cols,) are those of the row in the window.
     """
     a, b, c, d = bases[n], bases[n + 1], bases[n + 2], bases[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
@@ -221,7 +235,10 @@ def _write_node_coordinates(bases, slopes, n, weights, first, height, first_wind
 
 @compiled
 def interpolate_columns(exact, first_col, stride, col0, cols):
-    """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n)."""
+    """Return values (m, cols) of ``cols`` columns from ``col0`` on, interpolated by cubics from those of exact columns (m, n).
+
+    Exact columns are ``stride`` columns apart; the first one is column ``first_col * stride``.
+    """
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
         exact_col = (col0 + j) // stride
@@ -272,7 +289,11 @@ def _write_contiguous(values, flat, start, step):
 
 @internal
 def _write_columns(values, count, flat, start, row_stride, col_stride):
-    """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
+    """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines.
+
+    ``flat`` is the array's memory, ``start`` the index of its first value there, and ``row_stride`` and ``col_stride`` are the
+    distances of neighbouring rows and columns there.
+    """
     for first in range(0, values.shape[1], COLUMN_BLOCK_SIZE):
         last = min(first + COLUMN_BLOCK_SIZE, values.shape[1])
         for i in range(count):
@@ -284,7 +305,11 @@ def _write_columns(values, count, flat, start, row_stride, col_stride):
 
 @compiled
 def window_points(exact, first_row, first_col, stride, row0, col0, height):
-    """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there."""
+    """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there.
+
+    ``exact`` (m, n, 6) holds points at height 0 and up vectors of exact nodes, and ``height`` (rows, cols) the heights. The other
+    parameters are those of ``interpolate_nodes``.
+    """
     rows, cols = height.shape
     verticals = interpolate_nodes(exact, first_row, first_col, stride, row0, col0, rows, cols)
     out = np.empty((rows, cols, 3))
@@ -300,7 +325,8 @@ def window_points(exact, first_row, first_col, stride, row0, col0, height):
 def write_node_points(first, last, exact, first_row, first_col, stride, row, col, height, out):
     """Write the frame points of the nodes [first, last) of a list into ``out`` (n, 3).
 
-    Sums have the same order as in ``window_points``, so the results are bit-identical.
+    ``row``, ``col`` and ``height`` (n,) are the nodes' rows and columns on the grid, and their heights. The other parameters are
+    those of ``window_points``. Sums have the same order as there, so the results are bit-identical.
     """
     for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)
@@ -312,22 +338,29 @@ def write_node_points(first, last, exact, first_row, first_col, stride, row, col
 
 
 @internal
-def _interpolate_node(exact, m, p, w, v, k):
-    """Interpolate the coordinate ``k`` between exact nodes, with cubics.
+def _interpolate_node(exact, row, col, row_weights, col_weights, component):
+    """Interpolate the value ``exact[..., component]`` of a node between exact nodes (m, n, k), with cubics.
 
-    The exact nodes about it are rows ``m - 1`` to ``m + 2`` with the weights ``w``, and columns ``p - 1`` to ``p + 2`` with the
-    weights ``v``.
+    The node lies between the exact rows ``row`` and ``row + 1``, and between the exact columns ``col`` and ``col + 1``, as indices
+    into ``exact``. ``row_weights`` (4,) are those of the exact rows ``row - 1`` to ``row + 2`` (``cubic_weights``), and
+    ``col_weights`` (4,) those of the exact columns ``col - 1`` to ``col + 2``.
     """
-    if v[1] == 1.0:
-        return _interpolate_column(exact, m, p, w, k)
+    if col_weights[1] == 1.0:
+        return _interpolate_column(exact, row, col, row_weights, component)
     return (
-        v[0] * _interpolate_column(exact, m, p - 1, w, k) + v[1] * _interpolate_column(exact, m, p, w, k)
-        + v[2] * _interpolate_column(exact, m, p + 1, w, k) + v[3] * _interpolate_column(exact, m, p + 2, w, k)
-    )  # fmt: skip
+        col_weights[0] * _interpolate_column(exact, row, col - 1, row_weights, component)
+        + col_weights[1] * _interpolate_column(exact, row, col, row_weights, component)
+        + col_weights[2] * _interpolate_column(exact, row, col + 1, row_weights, component)
+        + col_weights[3] * _interpolate_column(exact, row, col + 2, row_weights, component)
+    )
 
 
 @internal
-def _interpolate_column(exact, m, n, w, k):
-    if w[1] == 1.0:
-        return exact[m, n, k]
-    return w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
+def _interpolate_column(exact, row, col, row_weights, component):
+    """Interpolate the value ``exact[..., component]`` in the exact column ``col``, as ``_interpolate_node`` does."""
+    if row_weights[1] == 1.0:
+        return exact[row, col, component]
+    return (
+        row_weights[0] * exact[row - 1, col, component] + row_weights[1] * exact[row, col, component]
+        + row_weights[2] * exact[row + 1, col, component] + row_weights[3] * exact[row + 2, col, component]
+    )  # fmt: skip

@@ -73,6 +73,7 @@ class UndeclaredNodata:
                 self._add_sentinel(end, stored_values, height_m, has_height)
 
     def _add_implausible(self, stored_values: np.ndarray, height_m: np.ndarray, is_implausible: np.ndarray) -> None:
+        """Count the cells in the mask ``is_implausible``: sentinels by their values, other cells by their range of heights."""
         values = stored_values[is_implausible]
         is_sentinel = np.isin(values, SENTINELS) | (np.abs(values.astype(np.float64)) >= MIN_SENTINEL_MAGNITUDE)
         for value, count in zip(*np.unique(values[is_sentinel], return_counts=True), strict=True):
@@ -87,6 +88,10 @@ class UndeclaredNodata:
             self._implausible_value = float(values[~is_sentinel][0])
 
     def _add_sentinel(self, value: float, stored_values: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
+        """Count the cells with the plausible value ``value``, a sentinel, and the other cells whose heights are near it.
+
+        ``has_height`` is the mask of the cells that are plausible and not declared empty.
+        """
         is_sentinel = has_height & (stored_values == value)
         others_m = height_m[has_height & ~is_sentinel]
         self._plausible_sentinels[value] += int(is_sentinel.sum())
@@ -125,6 +130,7 @@ class UndeclaredNodata:
         return f"{' to '.join(ends)}, read as {axis.statement}"
 
     def _sentinel_warning(self, value: float, count: int) -> str:
+        """Return the warning about an undeclared sentinel that ``count`` cells have."""
         effect = "far from all other heights" if value in self._plausible_sentinels else "an impossible height, left out as a hole"
         value_text = _shortest_text(value)
         problem = f"{_percent_text(count, self.cell_count)} of the raster's cells are {value_text}, {effect}"
@@ -132,6 +138,7 @@ class UndeclaredNodata:
 
 
 def _percent_text(count: int, cell_count: int) -> str:
+    """Return the share ``count`` / ``cell_count`` as a text in per cent."""
     return f"{100 * count / max(cell_count, 1):.3g} %"
 
 

@@ -158,6 +158,7 @@ class _CrsAxis:
 
 
 def _axis_of_crs(crs: CRS | None) -> _CrsAxis:
+    """Return the third axis of a CRS; all fields are empty if there is no CRS or no third axis."""
     if crs is None or len(crs.axis_info) != 3:
         return _CrsAxis()
     axis, parts = crs.axis_info[2], crs.sub_crs_list
@@ -191,6 +192,7 @@ def unit_of_word(word: str) -> Units | None:
 
 
 def _states_no_unit(word: str) -> bool:
+    """Return whether a word in a file means that the unit is not stated."""
     plain = _normalized_words(word)[0]
     return plain in NO_UNIT_WORDS if plain else not word.strip(_UNKNOWN_UNIT_SIGNS)
 
@@ -216,6 +218,10 @@ def positive_word(tags: Mapping[str, object]) -> str | None:
 
 
 def _positive_of_band(source: str, tags: Mapping[str, object]) -> Positive | None:
+    """Return the direction in which the numbers of a band with these CF tags grow; ``None`` if they state none.
+
+    Raises ``SourceError`` for an unknown direction. ``source`` is the file's name, for the message.
+    """
     word = positive_word(tags)
     if word in ("up", "down"):
         return "down" if word == "down" else "up"

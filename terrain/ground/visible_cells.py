@@ -62,6 +62,7 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
 
 
 def _pixel_axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, int]]:
+    """Return the first node, the step in nodes and the number of pixels along a view's rows, and then along its columns."""
     return (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
 
 

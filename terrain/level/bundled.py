@@ -17,6 +17,10 @@ from skugga.terrain.cache import MIB, cached
 
 
 def _write_to_memory(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
+    """Return a GeoTIFF in memory with the heights (rows, cols), north row first.
+
+    ``nodata`` is the value of cells without a height.
+    """
     rows, cols = heights.shape
     memory = MemoryFile(ext=".tif")
     with memory.open(

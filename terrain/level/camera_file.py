@@ -46,6 +46,7 @@ def _validate_time(value: Any) -> Any:
 
 
 def _elapsed_s(text: str) -> float | None:
+    """Return the seconds of a duration such as 90s; ``None`` for any other text."""
     try:
         return parse_duration(text).total_seconds()
     except ValueError:
@@ -53,6 +54,7 @@ def _elapsed_s(text: str) -> float | None:
 
 
 def _parse_date(text: str) -> datetime | None:
+    """Return the moment of an ISO 8601 time with an offset; ``None`` for any other text."""
     try:
         moment = parse_time(text)
     except ValueError:

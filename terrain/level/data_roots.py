@@ -92,6 +92,7 @@ class DataRoots:
                     queue.append(file)
 
     def _resolve_links(self, file: str) -> str:
+        """Return a file's absolute path without symbolic links. A final link is resolved, too."""
         folder, name = os.path.split(file)
         if name in ("", ".", ".."):
             return os.path.realpath(file)

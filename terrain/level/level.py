@@ -483,6 +483,7 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
 
 
 def _load(source: LevelSource) -> LoadedLevel:
+    """Return the level of a source. Raises the errors of ``load_level``. The files that the level names are not checked here."""
     path = source.path
     if source.roots is not None:
         DataRoots(source.roots).check_path(path, str(path))

@@ -108,6 +108,7 @@ def vrt_elements(path: Path) -> ElementTree.Element | None:
 
 
 def _direct_links(source: str) -> Iterator[str]:
+    """Yield the files that a file refers to itself, as absolute paths or addresses; none for an unreadable file."""
     path = Path(source)
     if is_remote(source) or not path.is_file():
         return
@@ -179,6 +180,7 @@ def _linked_crs(path: Path) -> Iterator[str]:
 
 
 def _link_matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
+    """Yield the file names that the first group of ``pattern`` matches in a file."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
         for match in pattern.finditer(text):
             link = match[1].decode("utf-8", "replace").strip()
@@ -188,6 +190,7 @@ def _link_matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
 
 
 def _gltf_addresses(path: Path) -> Iterator[str]:
+    """Yield the addresses of the buffers and images of a glTF file."""
     for part in ("buffers", "images"):
         for item in gltf_array(path, part):
             if isinstance(item.get("uri"), str):

@@ -115,6 +115,7 @@ def _key_errors(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object,
 
 
 def _with_height(position: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    """Return a position of two numbers with the height 0 appended, and any other position unchanged."""
     return (*position, 0.0) if position is not None and len(position) == 2 else position
 
 

@@ -49,6 +49,7 @@ def parse_time(text: str) -> datetime:
 
 
 def _check_no_nul(name: str) -> str:
+    """Return a file name. Raises ``PydanticCustomError`` if it contains a NUL character."""
     if "\0" in name:
         raise PydanticCustomError("file", "a file name without NUL characters")
     return name

@@ -132,6 +132,7 @@ def _union_parts(annotation: Any) -> Iterator[Any]:
 
 
 def _without_annotation(annotation: Any) -> Any:
+    """Return the type in an ``Annotated`` type, and any other type unchanged."""
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
@@ -146,6 +147,7 @@ def _limits_text(annotation: Any) -> str:
 
 
 def _limit_values(metadata: tuple[Any, ...]) -> Iterator[Any]:
+    """Yield the metadata of an ``Annotated`` type, those of a ``Field`` one by one."""
     for item in metadata:
         if isinstance(item, FieldInfo):
             yield from item.metadata

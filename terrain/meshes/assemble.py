@@ -64,10 +64,11 @@ class _Pose:
 
 
 def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
-    """Return a level's meshes and their positions, independent of its clock.
+    """Return a level's meshes at the positions that they have before they move.
 
-    Raises ``LevelError`` for a key that does not apply, a position off the terrain or a path under the ground. Raises
-    ``SourceError`` for an unusable file.
+    The result holds for every time of the level's clock (simulated time): ``solids`` moves the bodies. Raises ``LevelError`` for a
+    key that does not apply, a position off the terrain, or a mesh whose path goes under the ground. Raises ``SourceError`` for an
+    unusable file.
     """
     visible: list[PlacedBody] = []
     casting: list[PlacedBody] = []
@@ -148,6 +149,10 @@ def _pose(placed: PlacedBody, seconds: float, pose_cache: dict[int, _Pose]) -> t
 
 
 def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
+    """Return the bodies of a mesh that a file or a generator makes, in their own coordinates.
+
+    ``spec.color`` replaces their colours.
+    """
     if spec.generate is None:
         assert spec.source is not None
         bodies = [read_model(loaded.resolve(spec.source))]
@@ -207,6 +212,10 @@ def _ground_pose(position: MapPosition | None, key_path: str, geolocator: Geoloc
 
 
 def _reject_keys(spec: MeshSpec, keys: tuple[str, ...], key_path: str, problem: str) -> None:
+    """Raise ``LevelError`` if a level's mesh sets one of ``keys``, which do not apply to it.
+
+    ``key_path`` is the path of the mesh's key in the level file, ``problem`` the reason for the message.
+    """
     for key in keys:
         if key in spec.model_fields_set:
             raise LevelError(f"{key_path}.{key}", Problem(problem), "Remove this key")

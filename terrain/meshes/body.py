@@ -168,6 +168,7 @@ def rotation_about_up(yaw_deg: float) -> np.ndarray:
 
 
 def _body_of_mesh(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None) -> Body:
+    """Return a mesh of trimesh, moved by ``centre_m`` (3,). Its linear albedo is by default that of ``NEUTRAL_GRAY``."""
     color = srgb_albedo(NEUTRAL_GRAY) if albedo is None else np.asarray(albedo, np.float32)
     return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
 
@@ -182,6 +183,7 @@ def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 @cached("scene", 256 * MIB)
 def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
+    """Return the result of ``Body.corner_normals``, read-only."""
     merged_triangles = body.merged_triangles
     count = int(merged_triangles.max(initial=-1)) + 1
     corners_by_vertex = np.argsort(merged_triangles.ravel(), kind="stable")
@@ -195,9 +197,11 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
 
 @compiled
 def _smoothed_normals(corners, corners_by_vertex, first, min_cos, max_corners):
-    """Return angle-weighted means of face normals within the crease angle, per corner (m, 3, 3).
+    """Return angle-weighted means of face normals within the crease angle, float32 (m, 3, 3), at the corners of m triangles.
 
-    Corners at a vertex with more than ``max_corners`` corners get the normal of their own face.
+    ``corners`` (m, 3, 3) are the triangles' corners. ``corners_by_vertex`` (3 m,) holds flat indices of corners, of which those at
+    vertex n are ``corners_by_vertex[first[n] : first[n + 1]]``. ``min_cos`` is the cosine of the crease angle. Corners at a vertex
+    with more than ``max_corners`` corners get the normal of their own face.
     """
     count = corners.shape[0]
     normal = np.empty((count, 3))

@@ -238,6 +238,7 @@ def _height_attributes(
 
 
 def _open_raster(loaded: LoadedLevel, source: str | None) -> Elevation:
+    """Return the raster that a mesh's key ``surface`` or ``ground`` names. ``source`` must not be ``None``."""
     assert source is not None
     return Elevation(source if source in BUNDLED else loaded.resolve(source))
 
@@ -324,6 +325,7 @@ def _transform(crs: CRS, raster: Elevation) -> Transform:
 
 
 def _identity(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coordinates unchanged: the ``Transform`` from a CRS to itself."""
     return x, y
 
 
@@ -354,6 +356,11 @@ def _ground_heights_along(polygons: np.ndarray, elevation: Elevation) -> tuple[n
 
 
 def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
+    """Return the blocks as placed bodies.
+
+    ``crs`` is the CRS of their outlines. ``albedo`` (3,) is the linear albedo of all blocks; ``None`` derives a block's albedo from
+    its ``color_key``.
+    """
     rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
     xy, ring = shapely.get_coordinates(rings, return_index=True)
     is_corner = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first

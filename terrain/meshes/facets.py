@@ -25,7 +25,7 @@ class NodeFaces(NamedTuple):
 
 
 def node_faces(nodes: int, triangles: np.ndarray) -> NodeFaces:
-    """Return the faces around each of ``nodes`` nodes of a mesh of triangles (m, 3)."""
+    """Return the faces around each node of a mesh of triangles (m, 3). ``nodes`` is the number of nodes."""
     return NodeFaces(*_adjacent_faces(nodes, triangles))
 
 
@@ -38,6 +38,7 @@ def face_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 @compiled
 def _face_normals(first, last, position, triangles, out):
+    """Write the unit normals of the triangles from ``first`` to ``last`` (exclusive) to ``out`` (m, 3), which must hold zeros."""
     for t in range(first, last):
         o, a, b = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
         ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
@@ -57,6 +58,10 @@ def smooth_normals(normals: np.ndarray, adjacency: NodeFaces) -> np.ndarray:
 
 @compiled
 def _smooth_normals(first, last, normals, adjacency, out):
+    """Write the unit normals of the nodes from ``first`` to ``last`` (exclusive) to ``out`` (n, 3), which must hold zeros.
+
+    ``normals`` (m, 3) are those of the faces, ``adjacency`` is a ``NodeFaces``.
+    """
     for n in range(first, last):
         for i in range(adjacency.start[n], adjacency.start[n + 1]):
             for c in range(3):
@@ -88,6 +93,7 @@ def creases(
 
 @compiled
 def _adjacent_faces(nodes, triangles):
+    """Return the fields ``start`` and ``faces`` of ``NodeFaces``. ``nodes`` is the number of nodes."""
     start = np.zeros(nodes + 1, np.int64)
     for t in range(len(triangles)):
         for k in range(3):
@@ -106,6 +112,10 @@ def _adjacent_faces(nodes, triangles):
 
 @compiled
 def _creases(first, last, position, normals, triangles, adjacency, max_distance, selected, out):
+    """Write the result of ``creases`` to ``out`` (m,) for the selected faces from ``first`` to ``last`` (exclusive).
+
+    The other parameters are those of ``creases``.
+    """
     for t in range(first, last):
         if not selected[t]:
             continue

@@ -133,6 +133,7 @@ def _check_counts(source: str) -> None:
 
 
 def _too_many_triangles(source: str, count: int) -> SourceError:
+    """Return the error of a model with ``count`` triangles, which are too many."""
     return SourceError.over_limit(source, f"{count} triangles", str(MAX_MODEL_TRIANGLES), "Simplify the model")
 
 
@@ -154,7 +155,8 @@ def _check_texture(source: str, part: trimesh.Trimesh) -> None:
 def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
     """Return the linear albedo (m, 3) of a mesh's triangles.
 
-    In glTF files colour factors are linear and textures sRGB (glTF 2.0, section 3.9.2). In other files all colours are sRGB.
+    ``linear`` is whether colour factors are linear, as in glTF files, whose textures are sRGB (glTF 2.0, section 3.9.2). In other
+    files all colours are sRGB.
     """
     decode = _linear_from_bytes if linear else _linear_from_srgb_bytes
     faces, visual = np.asarray(part.faces), part.visual
@@ -179,8 +181,10 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
 
 
 def _linear_from_bytes(color: np.ndarray) -> np.ndarray:
+    """Return linear colours (..., 3) float32 in [0, 1] from linear bytes (..., 3 or 4). Alpha is dropped."""
     return np.asarray(color)[..., :3].astype(np.float32) / np.float32(255)
 
 
 def _linear_from_srgb_bytes(color: np.ndarray) -> np.ndarray:
+    """Return linear colours (..., 3) float32 in [0, 1] from sRGB bytes (..., 3 or 4). Alpha is dropped."""
     return srgb_albedo(np.asarray(color)[..., :3] / 255.0)

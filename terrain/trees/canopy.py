@@ -287,6 +287,7 @@ class Canopy:
         self._dataset.close()
 
     def _metres_from_cells(self, crs: CRS, unit_m: float, window: CellWindow) -> np.ndarray:
+        """Return the matrix (2, 2) from an offset in columns and rows to metres on the ground, in the middle of a window."""
         return self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
 
     def _jacobian(self, crs: CRS, row: float, col: float) -> np.ndarray:

@@ -254,6 +254,7 @@ def foliage() -> Foliage:
 
 
 def _paint_variants() -> tuple[np.ndarray, ...]:
+    """Return the ``mip_levels`` of ``Foliage``: the textures of all variants, painted anew."""
     layers = [
         coverage_mips(_texture(view, has_stem), ALPHA_THRESHOLD)
         for seed, (_, model) in enumerate(_VARIANT_MODELS)
@@ -406,8 +407,10 @@ def _fill_transparent(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[
 
 
 def _downsample(values: np.ndarray) -> np.ndarray:
+    """Return the means (h / 2, w / 2, ...) of 2 x 2 texels of values (h, w, ...)."""
     return 0.25 * (values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2])
 
 
 def _to_bytes(values: np.ndarray) -> np.ndarray:
+    """Return values in [0, 1] as uint8 from 0 to 255."""
     return np.round(values * 255.0).astype(np.uint8)

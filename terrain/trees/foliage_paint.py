@@ -187,6 +187,7 @@ class _Branches:
 
 
 def _grow_whorled(model: WhorledTree, rng: np.random.Generator) -> Strokes:
+    """Return the strokes of a conifer: stem, boughs (branches without twigs), twigs and leader (the shoot at the top)."""
     branches = _branches(model, rng)
     boughs, twigs = _boughs(model, branches), _twigs(model, branches, rng)
     shoots = rng.normal(0.0, 0.003, (7, 3)) + (0.0, 0.0, 0.03)
@@ -197,6 +198,7 @@ def _grow_whorled(model: WhorledTree, rng: np.random.Generator) -> Strokes:
 
 
 def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
+    """Return the branches of a conifer, from the lowest whorl to the highest."""
     whorl = np.repeat(np.arange(model.whorl_count), model.branches_per_whorl)
     whorl = whorl[rng.random(len(whorl)) >= model.missing_share]
     n = len(whorl)
@@ -217,13 +219,17 @@ def _branches(model: WhorledTree, rng: np.random.Generator) -> _Branches:
 
 
 def _points_on_branches(model: WhorledTree, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the points (n, 3) on branches ``i`` at parameters ``t`` in [0, 1]."""
+    """Return the points (n, 3) on the branches ``i`` (n,) at the shares ``t`` (n,) of their lengths.
+
+    ``i`` are indices into ``branches``. ``t`` is 0 at the stem and 1 at the tip.
+    """
     rise = branches.slope[i] * t + branches.crown_depth[i] * (model.tip_upturn * t**4 - model.branch_sag * t**1.6)
     horizontal_offset = branches.direction[i] * t[:, None]
     return branches.foot[i] + branches.length[i, None] * (horizontal_offset + np.outer(rise, (0.0, 0.0, 1.0)))
 
 
 def _boughs(model: WhorledTree, branches: _Branches) -> Strokes:
+    """Return the strokes of the branches without their twigs: six pieces for each branch, thinner towards its tip."""
     pieces = 6
     i, piece = np.divmod(np.arange(len(branches.length) * pieces), pieces)
     t0, t1 = piece / pieces, (piece + 1) / pieces
@@ -252,7 +258,11 @@ def _twigs(model: WhorledTree, branches: _Branches, rng: np.random.Generator) ->
 def _needle_twigs(
     start: np.ndarray, twig: np.ndarray, brightness: np.ndarray, model: WhorledTree, rng: np.random.Generator
 ) -> Strokes:
-    """Return twigs with needles: each a tapering stroke with three side shoots that make its edge ragged."""
+    """Return twigs with needles: each a tapering stroke with three side shoots that make its edge ragged.
+
+    ``start`` (n, 3) are the lower ends of the twigs, ``twig`` (n, 3) the vectors from there to their tips. ``brightness`` (n,) is a
+    factor of the needles' albedo.
+    """
     n, reach = len(start), np.linalg.norm(twig, axis=1, keepdims=True)
     half_width = model.twig_half_width * rng.uniform(0.7, 1.2, n)
     tint = _random_tints(model.needle_albedo, n, rng) * brightness[:, None]
@@ -265,12 +275,14 @@ def _needle_twigs(
 
 
 def _grow_clumped(model: ClumpedTree, rng: np.random.Generator) -> Strokes:
+    """Return the strokes of a tree with clumps: stem, limbs and leaves."""
     centre, size = _clump_centres(model, rng)
     stem = _stem(model.stem_radius, 0.8, 0.2 * model.stem_radius, model.bark_albedo, model.limb_albedo, rng)
     return _concatenate_strokes(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
 
 
 def _leaves(model: ClumpedTree, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
+    """Return the strokes of the leaves in clumps with the centres ``centre`` (n, 3) and the radii ``size`` (n,)."""
     # A clump is a dome of sprigs, a sprig a bunch of leaves: three scales of raggedness.
     clump = np.repeat(np.arange(len(centre)), model.sprigs_per_clump)
     direction = _normalized(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
@@ -315,7 +327,10 @@ def _clump_centres(model: ClumpedTree, rng: np.random.Generator) -> tuple[np.nda
 
 
 def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
-    """Return limbs from the stem to each clump. Beginning with the innermost, each clump joins the nearest limb or the stem."""
+    """Return limbs from the stem to the clumps with the centres ``centre`` (n, 3).
+
+    Beginning with the innermost clump, each one joins the nearest limb or the stem.
+    """
     height = np.linspace(model.lowest_limb_height, 0.8, 24)
     nodes = np.column_stack([np.zeros((24, 2)), height])
     radii = 0.75 * model.stem_radius * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem_radius
@@ -339,7 +354,11 @@ def _limbs(model: ClumpedTree, centre: np.ndarray, rng: np.random.Generator) -> 
 def _stem(
     radius: float, top_height: float, top_radius: float, low_albedo: Colour, high_albedo: Colour, rng: np.random.Generator
 ) -> Strokes:
-    """Return a stem of short pieces with mottled bark, flared at the foot and nearly straight above."""
+    """Return a stem of short pieces with mottled bark, flared at the foot and nearly straight above.
+
+    ``radius`` is the stem's above the flare, ``top_radius`` that at ``top_height``, in tree heights. The bark changes from
+    ``low_albedo`` to ``high_albedo`` upwards.
+    """
     pieces = 80
     z = np.linspace(-0.02, top_height, pieces + 1)
     share = np.clip(z / top_height, 0.0, 1.0)
@@ -366,6 +385,7 @@ def _darken_inside(tree: Strokes, radius: float) -> Strokes:
     """Darken the strokes' albedo by ambient occlusion inside the crown (Beer's law through the strokes' own density).
 
     A renderer that lights a flat picture has no interreflection between leaves. Without this shading a crown has no depth.
+    ``radius`` is the crown's, in tree heights.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -389,9 +409,9 @@ def _darken_inside(tree: Strokes, radius: float) -> Strokes:
 
 
 def _fit_to_box(tree: Strokes, radius: float, size_px: int) -> Strokes:
-    """Scale a tree about its stem to fill its bounding box except the border texels.
+    """Scale a tree about its stem to fill its bounding box except the border texels of a picture of ``size_px`` texels a side.
 
-    The few outlying strokes (``OUTLIER_SHARES``) are removed.
+    The box extends to ``radius`` tree heights from the stem. The few outlying strokes (``OUTLIER_SHARES``) are removed.
     """
     ends, thick = np.stack([tree.start, tree.end]), tree.radius.T
     reach = np.hypot(ends[..., 0], ends[..., 1])
@@ -434,7 +454,21 @@ def _paint_view(
 
 @compiled
 def _nearest_strokes(start, end, radius, front, left, bottom, step_x, step_y, size_px):
-    """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
+    """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top.
+
+    Strokes are sorted front to back. Coordinates are right, up and towards the viewer.
+
+    Parameters
+    ----------
+    start, end, radius
+        Ends (n, 3) and radii (n, 2) of the strokes.
+    front
+        (n,), the depth of each stroke's point nearest to the viewer.
+    left, bottom
+        The picture's lower left corner.
+    step_x, step_y, size_px
+        Width and height of a sample, and number of samples along a side.
+    """
     stroke_index = np.full((size_px, size_px), -1, dtype=np.int32)
     nearest = np.full((size_px, size_px), -np.inf)
     for k in range(len(start)):
@@ -485,12 +519,15 @@ def _texels(stroke_index, albedo, samples):
 
 
 def _strokes(start: np.ndarray, end: np.ndarray, radius: np.ndarray, albedo: Colour | np.ndarray) -> Strokes:
+    """Return strokes from their ends (n, 3), their radii (n, 2) at both ends, and one albedo (3,) or one for each stroke (n, 3)."""
     return Strokes(start, end, radius, np.broadcast_to(np.asarray(albedo, dtype=np.float64), start.shape))
 
 
 def _concatenate_strokes(*parts: Strokes) -> Strokes:
+    """Return the strokes of all ``parts``, in order."""
     return Strokes(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("start", "end", "radius", "albedo")))
 
 
 def _normalized(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (n, 3) scaled to unit length."""
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -114,6 +114,7 @@ class Stems:
     off_terrain_count: int = 0
 
     def __getitem__(self, chosen: np.ndarray) -> Stems:
+        """Return the stems that indices or a mask select. Notes, omissions and warnings do not change."""
         p, crown, room = self.positions, self.crown_diameter_m, self.growing_space_m
         positions = TreePositions(p.x[chosen], p.y[chosen], p.key[chosen])
         return replace(
@@ -221,7 +222,11 @@ class StandFeatures:
 
 
 def _stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
-    """Return the stems of a stand from a file of polygons, points or canopy heights. The file's content decides which."""
+    """Return the stems of a stand from a file of polygons, points or canopy heights. The file's content decides which.
+
+    ``source`` is the file that ``spec`` names, resolved. ``key_path`` is the path of the stand's key in the level file, for
+    messages. ``max_trees`` is the number of trees that the level may still get; ``LevelError`` is raised if the stand has more.
+    """
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
         names = attribute_names(source, layer.name or 0)
@@ -301,6 +306,7 @@ def _is_vector(source: str) -> bool:
 
 
 def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
+    """Return the stems that are scattered in a stand's polygons. The other parameters are those of ``_stems``."""
     if spec.density is None:
         raise LevelError.missing(f"{key_path}.density", "Set the trees per hectare: the source has polygons")
     geometry = stand.features.geometry
@@ -326,6 +332,7 @@ def _polygon_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planti
 
 
 def _point_stems(spec: ForestSpec, stand: StandFeatures, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
+    """Return the stems at a stand's points, one for each place. The other parameters are those of ``_stems``."""
     if spec.density is not None:
         problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
         raise LevelError(f"{key_path}.density", problem, "Remove the key")
@@ -361,6 +368,7 @@ def _sizes_m(
 
 
 def _canopy_stems(spec: ForestSpec, source: str, key_path: str, planting_map: PlantingMap, max_trees: int) -> Stems:
+    """Return the stems of a raster of canopy heights. The parameters are those of ``_stems``."""
     for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             problem = Problem(f"'{getattr(spec, name)}' does not apply to a raster of canopy heights")
@@ -489,6 +497,10 @@ def _single_parts(features: Features) -> Features:
 
 
 def _too_many_trees_error(key_path: str, count: int, max_trees: int, qualifier: str = "") -> LevelError:
+    """Return the error of a stand with more trees than the level may still get.
+
+    ``qualifier`` is a word before the number ``count``, such as "at least". The other parameters are those of ``_stems``.
+    """
     remaining_text = "" if max_trees == MAX_TREES else f" ({max_trees:,} left for this stand)"
     limit = f"{MAX_TREES:,} trees in a level{remaining_text}"
     return LevelError.over_limit(key_path, " ".join(f"{qualifier} {count:,} trees".split()), limit, "Plant fewer trees")

@@ -50,6 +50,7 @@ class PlantingMap:
 
     @property
     def _geodetic_crs(self) -> CRS:
+        """Return the CRS of longitudes and latitudes on the level's celestial body."""
         return GeographicCRS() if self.world.is_on_earth else longitude_latitude_of(self.elevation.crs)
 
     @property
@@ -79,4 +80,5 @@ class PlantingMap:
 
 
 def transform_coordinates(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates (n,) transformed from one CRS to another; infinite where the target is undefined."""
     return (x, y) if source == target else transformer(source, target).transform(x, y)

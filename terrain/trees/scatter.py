@@ -103,12 +103,17 @@ def join_positions(position_sets: list[TreePositions]) -> tuple[TreePositions, n
 
 
 def _concatenate_positions(position_sets: list[TreePositions]) -> TreePositions:
+    """Return the positions of all sets, in order."""
     if not position_sets:
         return TreePositions(np.empty(0), np.empty(0), np.empty(0, np.uint64))
     return TreePositions(*(np.concatenate([getattr(positions, name) for positions in position_sets]) for name in ("x", "y", "key")))
 
 
 def _scatter_in_polygon(area: shapely.Polygon, cell_side: float, seed: int) -> Iterator[TreePositions]:
+    """Yield the positions of the lattice's trees in a polygon, tile by tile.
+
+    ``cell_side`` is the side of the lattice's cells, in units of the polygon's CRS.
+    """
     west, south, east, north = (int(np.floor(v / cell_side)) for v in area.bounds)
     cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE_CELLS), np.arange(south, north + 1, _TILE_CELLS)))
     shapely.prepare(area)
@@ -143,11 +148,13 @@ def pair_key(seed, i, j):
 
 @internal
 def _uniform_number(key, stream):
+    """Return a uniform random number in [0, 1) from a hash and the number of a stream (random sequence)."""
     return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _SHIFT_11) * 2.0**-53
 
 
 @compiled
 def _hash_pairs(seed, i, j):
+    """Return the hashes uint64 (n,) of ``pair_keys``."""
     out = np.empty(i.size, np.uint64)
     for n in range(i.size):
         out[n] = pair_key(seed, i[n], j[n])
@@ -156,6 +163,7 @@ def _hash_pairs(seed, i, j):
 
 @compiled
 def _uniform_numbers(key, stream):
+    """Return the random numbers float64 (n,) of ``uniform_numbers``."""
     out = np.empty(key.size)
     for n in range(key.size):
         out[n] = _uniform_number(key[n], stream)
@@ -164,7 +172,7 @@ def _uniform_numbers(key, stream):
 
 @compiled
 def _jittered_positions(seed, row0, col0, rows, cols):
-    """Return x, y (in cells) and hashes of the trees of a window of cells, row by row.
+    """Return x, y (in cells) and hashes of the trees of a window of ``rows`` x ``cols`` cells from (row0, col0) on, row by row.
 
     Cells have four colours in a 2 x 2 pattern, and the loop fills them colour by colour. A cell uses its first random position that
     keeps the minimum spacing to its neighbours of earlier colours, or else its centre.

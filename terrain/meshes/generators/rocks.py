@@ -43,6 +43,7 @@ def rocks() -> list[Body]:
 
 
 def _ring() -> list[Body]:
+    """Return the stones of one ring, placed round the origin."""
     slot = 360.0 / RING_SLOT_COUNT
     chord = RING_RADIUS_M * np.cos(np.pi / RING_SLOT_COUNT)
     stones = []
@@ -111,5 +112,6 @@ def _weathering(points_m: np.ndarray, outward: np.ndarray, seed: int) -> np.ndar
 
 
 def _stone_color(seed: int) -> Vector:
+    """Return a random sRGB colour between ``STONE_COLOR`` and ``MOSS_COLOR``."""
     share = np.random.default_rng(seed).uniform()
     return tuple(STONE_COLOR + (MOSS_COLOR - STONE_COLOR) * share)

@@ -149,4 +149,5 @@ def _furniture() -> list[Body]:
 
 
 def _moved_bodies(bodies: list[Body], east_m: float, north_m: float, up_m: float = 0.0, yaw_deg: float = 0.0) -> list[Body]:
+    """Return the bodies, turned by ``yaw_deg`` counter-clockwise about the up axis, and then moved."""
     return [transformed(body, (east_m, north_m, up_m), yaw_deg) for body in bodies]

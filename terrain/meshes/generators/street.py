@@ -96,5 +96,6 @@ def _furniture() -> list[Body]:
 
 
 def _pyramid(middle: tuple[float, float], half_width_m: float, bottom_m: float, top_m: float, color: Colour) -> Body:
+    """Return a pyramid over a square, with its apex at ``top_m``. ``middle`` (east, north) is the middle of the square."""
     corners = [(middle[0] + i * half_width_m, middle[1] + j * half_width_m, bottom_m) for i in (-1, 1) for j in (-1, 1)]
     return hull([*corners, (*middle, top_m)], color)

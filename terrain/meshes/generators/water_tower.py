@@ -141,10 +141,12 @@ def _ladder() -> list[Body]:
 
 
 def _leg_angles_deg() -> np.ndarray:
+    """Return the azimuths of the legs, degrees counter-clockwise from east."""
     return 30.0 + np.arange(LEG_COUNT) * 360.0 / LEG_COUNT
 
 
 def _on_circle(radius_m: float, azimuth_deg: float) -> tuple[float, float]:
+    """Return the point (east, north) on a circle round the origin. The angle is counter-clockwise from east."""
     return radius_m * np.cos(np.radians(azimuth_deg)), radius_m * np.sin(np.radians(azimuth_deg))
 
 
