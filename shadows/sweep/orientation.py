@@ -81,6 +81,7 @@ class GridOrientation:
 
     @property
     def _index_slices(self) -> tuple[slice, slice]:
+        """Slices that reverse rows and columns, where needed, once the axes are swapped."""
         return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
 
 
