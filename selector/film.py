@@ -36,13 +36,14 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX, Scene
 
 COLOR_NEEDS: Needs = frozenset({"color"})
+"""The products that a film needs of each picture: its colours alone."""
 
 log = logging.getLogger("skugga")
 
 
 @dataclass(frozen=True, eq=False)
 class FrameMoment:
-    """The time and the view of one frame.
+    """The time and the view of one frame of a film.
 
     Attributes
     ----------
@@ -220,6 +221,7 @@ def _frame_makers(
 
 
 def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+    """Return a frame of a film outside of a transition, with the colours of the picture that ``draw_picture`` draws."""
     color = draw_picture().color
     assert color is not None
     return FilmFrame(moment, color, plan, None, switch)

@@ -93,6 +93,10 @@ class MapProbes(BaseModel):
 
 
 def _with_block_noise(observation: Observation) -> Observation:
+    """Return an observation whose noises include the deviations between blocks of a level.
+
+    These are ``BLOCK_ERROR_SD`` and ``BLOCK_TIME_SD``.
+    """
     return observation.model_copy(
         update={
             "error_noise": hypot(observation.error_noise, BLOCK_ERROR_SD),

@@ -11,7 +11,7 @@ from skugga.terrain.level.level import CasterKind
 
 @dataclass(frozen=True)
 class Mix:
-    """A combination of algorithms, each for some kinds of casters.
+    """A named combination of algorithms, each for some kinds of casters.
 
     Attributes
     ----------

@@ -156,6 +156,7 @@ class HillCurve(BaseModel):
     steepness: float = Field(gt=0)
 
     def evaluate(self, texel_px: float) -> float:
+        """Return the curve's value, in [0, ``most``), for texels with sides of ``texel_px`` pixels."""
         return self.most / (1.0 + (self.half_px / max(texel_px, 1e-9)) ** self.steepness)
 
 
@@ -218,7 +219,7 @@ def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], m
 
 
 def error_group_of(descriptor: Descriptor, step: Step) -> str:
-    """Return the name of the error group that has the fitted constants of a step."""
+    """Return the name of the error group (views and algorithms with common constants) of a step."""
     return ALGORITHMS[step.algorithm].error_group(descriptor)
 
 
@@ -277,6 +278,7 @@ def is_dense_wood(descriptor: Descriptor, light: str) -> bool:
 
 
 def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants:
+    """Return the constants of a step's error group. Raises ``UnmeasuredError`` if there are none."""
     constants = constants_of(descriptor, step, model)
     if constants is None:
         raise UnmeasuredError(step.algorithm, NO_ERRORS_REASON)

@@ -56,9 +56,11 @@ class ShadowRequest:
 
     @property
     def _pin_scope(self) -> str:
+        """The view and the suns for which the pin applies, in words; empty without a pin."""
         return "" if self.pin is None else self.pin.scope_text
 
     def _is_pinned(self, key: str) -> bool:
+        """Return whether the pin sets the setting ``key``, and the request does not."""
         return key not in self.overrides and self.pin is not None and key in self.pin.settings
 
 
