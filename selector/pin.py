@@ -47,6 +47,7 @@ PIN_COMMENT = "#: Pinned by skugga select"
 
 PINNED_KEYS_COMMENT = "#: Pinned keys: "
 """Beginning of the comment line that lists the pinned keys of ``shadows``."""
+
 COMMENT_WIDTH = 116
 """Maximum length of a comment's line, characters."""
 
@@ -58,8 +59,10 @@ _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 
 Pair = tuple[ScalarNode, Node]
 """A key of a YAML mapping, and its value."""
+
 Edit = tuple[int, int, str]
 """A replacement in a text: the first index, the index after the last one, and the new text."""
+
 Comment = tuple[int, str]
 """Index of a comment in the text, and the comment from its ``#`` on."""
 

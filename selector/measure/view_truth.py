@@ -29,7 +29,6 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 View = MapView | PerspectiveView
-
 """A view of any kind."""
 
 ErrorName = Literal["wrong_cast", "coverage"]
