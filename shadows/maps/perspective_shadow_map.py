@@ -1,7 +1,7 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``skugga.shadows.maps.post_perspective`` computes the map's matrix. This module fits it to the receivers, draws the map and looks it
-up. ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, cached maps and
+The method is that of Stamminger and Drettakis 2002, "Perspective shadow maps". ``skugga.shadows.maps.post_perspective`` computes
+the map's matrix. This module fits it to the receivers, draws the map and looks it up. ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, cached maps and
 foliage are as in ``docs/shadow-maps.md``. A fall-back to a uniform map is recorded with its reason.
 """
 
@@ -161,7 +161,10 @@ def perspective_map(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> FittedMap:
-    """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
+    """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one.
+
+    ``trees`` are the casting trees; ``None`` without any.
+    """
     chosen = np.flatnonzero(receiver_mask)
     sampled = chosen[:: max(len(chosen) // RECEIVER_SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
@@ -275,9 +278,10 @@ def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light
 def _bounds_in_map(matrix, plane, min_distance, position, point_indices):
     """Return the bounds, in a map, of the points (m, 3) at the indices ``point_indices``, and the outermost of these points.
 
-    The bounds are the minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane
-    ``plane`` (4,). The outermost points (5,) are indices: both ends in x and in y, and the point nearest to the map's horizon (w =
-    0). Points nearer than ``min_distance`` to the plane do not count in z.
+    ``matrix`` (4, 4) maps homogeneous points of the frame to the map. The bounds are the minimum and maximum (4,) of x, y and z in
+    the map, and of w as a share of the distance from the plane ``plane`` (4,). The outermost points (5,) are indices: both ends in
+    x and in y, and the point nearest to the map's horizon (w = 0). Points nearer than ``min_distance`` to the plane do not count in
+    z.
     """
     low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, point_indices[0])
     v = np.empty(4)

@@ -57,7 +57,7 @@ class Camera:
     eye_m
         (3,): position of the eye, metres.
     camera_from_frame
-        (3, 3): rotation from the frame to right, down and forward.
+        (3, 3): rotation from the local frame to right, down and forward.
     """
 
     eye_m: np.ndarray
@@ -65,10 +65,11 @@ class Camera:
 
     @property
     def forward_axis(self) -> np.ndarray:
+        """The unit vector (3,) along which the camera looks, in the frame."""
         return self.camera_from_frame[2]
 
     def to_camera(self, points_m: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) in camera coordinates: right, down and forward of the eye."""
+        """Return points (..., 3) of the frame in camera coordinates: metres right, down and forward of the eye."""
         return (points_m - self.eye_m) @ self.camera_from_frame.T
 
 
@@ -227,7 +228,7 @@ def post_perspectives(
 def texel_size_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3).
 
-    Sizes in the picture are tangents of angles from the view's axis.
+    ``matrix`` (4, 4) is that of the map. Sizes in the picture are tangents of angles from the view's axis.
     """
     return float(_rms_texel_size(matrix, points, *_ray_axes_and_picture_derivatives(camera, light, points)))
 
@@ -304,9 +305,10 @@ def _outline_indices(image_points: np.ndarray) -> np.ndarray:
 
 
 def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner_half_width: float) -> np.ndarray:
-    """Return a matrix with the map rotated and scaled so that an outline (n, 3) fills its inner part best.
+    """Return a map's matrix (4, 4), rotated and scaled so that an outline of points (n, 3) fills the map's inner part best.
 
-    The map rotates about its centre, by one of ``MAP_ROTATIONS``.
+    The map rotates about its centre, by one of ``MAP_ROTATIONS``. ``inner_half_width`` is the part of its half width that the
+    outline may fill.
     """
     axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
         -1, 2, 2
@@ -345,7 +347,8 @@ def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np
 def _rms_texel_size(matrix, points, ray_axes, picture_derivatives):
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3) and two directions.
 
-    It is in tangents of angles. ``ray_axes`` and ``picture_derivatives`` are those of ``_ray_axes_and_picture_derivatives``.
+    It is in tangents of angles. ``matrix`` (4, 4) is that of the map. ``ray_axes`` and ``picture_derivatives`` are the results of
+    ``_ray_axes_and_picture_derivatives``.
     """
     total = 0.0
     for n in range(len(points)):

@@ -1,4 +1,7 @@
-"""Resolve the settings of depth maps: texels, cascades, bits and taps, with the reasons."""
+"""Resolve the settings of depth maps: texels, cascades, bits and taps, with the reasons.
+
+A perspective map is a perspective shadow map (Stamminger and Drettakis 2002, "Perspective shadow maps").
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Compute texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture."""
+"""Compute texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture.
+
+A perspective map is a perspective shadow map (Stamminger and Drettakis 2002, "Perspective shadow maps").
+"""
 
 from __future__ import annotations
 

@@ -88,10 +88,12 @@ class DepthMap:
 
     @property
     def texel_count(self) -> int:
+        """Number of texels of all faces."""
         return self.face_size[0] * self.face_size[1] * len(self.face_rotations)
 
     @property
     def nbytes(self) -> int:
+        """Size of the texels in bytes."""
         return self.texel_count * (2 if self.depth_bits == 16 else 4)
 
 
@@ -131,7 +133,10 @@ def _sun_map(
     trees: TreeInstances | None,
     nearest_caster_m: float,
 ) -> DepthMap:
-    """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols)."""
+    """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols).
+
+    ``trees`` are the casting trees; ``None`` without any. ``nearest_caster_m`` is the light-space depth of the nearest caster.
+    """
     assert scene.light_space is not None
     rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, receiver_mask, rotation, translation)
@@ -176,7 +181,7 @@ def _sun_map(
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
-    """Return the map of a lamp; ``None`` where it shines on nothing."""
+    """Return the map of a lamp; ``None`` where it shines on nothing. ``trees`` are the casting trees; ``None`` without any."""
     position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
     faces = tuple(CUBE_FACES) if lamp.kind == "omni" else (np.eye(3),)
@@ -202,9 +207,10 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 @compiled
 def _depth_range_m(points, mask, position, faces, tangent):
-    """Return the smallest and largest depth, metres, of the masked points (rows, cols, 3) in a lamp's faces (n, 3, 3).
+    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) in ``mask``, in a lamp's faces (n, 3, 3).
 
-    Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
+    ``position`` (3,) is that of the lamp, ``faces`` are the rotations from the frame to the faces' right, up and forward axes. Each
+    face reaches as far as ``tangent`` times the depth from its axis. The result is infinity and 0 where no face contains a point.
     """
     nearest, farthest = np.inf, 0.0
     for i in range(mask.shape[0]):
@@ -254,7 +260,10 @@ def _depth_margin_m(
 
 @compiled
 def _write_depth_margins(first, last, normal, corners, position, mask, rotation, tap_reach_m, out):
-    """Write the largest depth margin of each row's points to ``out`` (rows,), metres (``_depth_margin_m``)."""
+    """Write the largest depth margin of each row's points to ``out`` (rows,), metres, for the rows in [``first``, ``last``).
+
+    The other parameters are those of ``_depth_margin_m``.
+    """
     for i in range(first, last):
         margin_m = 0.0
         for j in range(mask.shape[1]):
@@ -286,7 +295,10 @@ def _max_coordinate_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
 
 @compiled
 def _write_max_corner_coordinates(first, last, corners, mask, out):
-    """Write the largest corner coordinate of each row of masked pixels (rows, cols, 9)."""
+    """Write the largest absolute coordinate of the corners (rows, cols, 9) of each row's pixels in ``mask`` to ``out`` (rows,).
+
+    The rows are those in [``first``, ``last``).
+    """
     for i in range(first, last):
         largest = np.float32(0.0)
         for j in range(mask.shape[1]):
@@ -316,7 +328,8 @@ def _map_window(
 def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
     """Return the position of depth 0 and the depth step, in metres of light space, on a lattice of steps.
 
-    The step is doubled until the depths reach ``high_m``, if the plan expected a smaller range.
+    The depths reach from at most ``low_m`` over ``step_count`` steps of ``step_m`` metres. The step is doubled until they reach
+    ``high_m``, if the plan expected a smaller range.
     """
     while True:
         near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
@@ -326,5 +339,8 @@ def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) 
 
 
 def _tight_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
-    """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds."""
+    """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds.
+
+    ``step_count`` is the number of steps; ``step_m`` is not used.
+    """
     return low_m, (high_m - low_m) / step_count * (1.0 + 1e-6)
