@@ -48,7 +48,7 @@ SAMPLES_PER_PIXEL = EDGE_SAMPLES_PER_SIDE * EDGE_SAMPLES_PER_SIDE
 """Number of samples of a pixel that an edge crosses."""
 
 SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "surface_kind", "albedo")
-"""NamedArrays of a geometry buffer that shading reads."""
+"""Names of the arrays of a geometry buffer that shading reads."""
 
 
 def anti_alias_block(

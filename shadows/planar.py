@@ -195,7 +195,11 @@ def _draw_stencil(
 def _draw_casters(
     gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
 ) -> None:
-    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded."""
+    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded.
+
+    ``clip_from_caster`` (4, 4) maps homogeneous points of casters, in metres from ``Projection.origin_frame_m``, to clip
+    coordinates.
+    """
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:
@@ -221,10 +225,12 @@ def _draw_casters(
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    """Return no settings, since the algorithm has none, and the reason why a requested filter has no effect."""
     return None, request.ignored_filter_reasons("planar")
 
 
 def _work(workload: Workload, settings: None) -> Work:
+    """Return the counts of work by name (blocks, pixels, triangles, trees), under the name of the algorithm's only part."""
     caster_counts = {
         "triangles": workload.picture_count * workload.triangle_count("meshes"),
         "trees": workload.picture_count * workload.tree_count,

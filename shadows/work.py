@@ -25,7 +25,7 @@ Counts = dict[str, float]
 """Count of each kind of thing, by name."""
 
 Work = dict[str, Counts]
-"""Counts by part of an algorithm."""
+"""Counts by name of a part of the work."""
 
 MAX_CASTER_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""

@@ -7,9 +7,9 @@ A step is one call of an algorithm.
 pixels follows from the settings. It is the side in light space divided by that of a pixel. For the sun it depends on the cascade,
 for a lamp on the width of the light cone at the lamp's distance (J. Sindholt's equation 1, solved for the texel). Only a part of
 the differing pixels counts as wrong, since ground truth does not decide pixels on a shadow's edge, and filter taps smooth the edge.
-This part, ``counted``, grows with the texel from 0 to its limit. A perspective shadow map has texels that follow the picture's
-pixels. ``perspective`` of them cover a pixel's side if the map has as many texels as the picture has pixels. They are never larger
-than those of a uniform map.
+This part, ``counted``, grows with the texel from 0 to its limit. A perspective shadow map (Stamminger and Drettakis 2002,
+"Perspective shadow maps") has texels that follow the picture's pixels. ``perspective`` of them cover a pixel's side if the map has
+as many texels as the picture has pixels. They are never larger than those of a uniform map.
 
 **Planar** shadows are right on the ground only, so cast shadow on bodies is wrong. **All other algorithms** are exact except for a
 constant error, the floor. It is larger for sweeps in a perspective view whose ground is drawn with fewer triangles.

@@ -2,7 +2,8 @@
 
 Most rules are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The other
 rules cover cases outside of the thesis: maps without perspective, and heightfields, which the line sweep can draw.
-``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source.
+``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source. A perspective
+shadow map is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
 """
 
 from __future__ import annotations

@@ -145,9 +145,10 @@ def _rotate_corners(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray,
 
 
 def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Return the intersections (n, 3) of segments with the plane z = z_near, from points ahead of it to points behind it.
+    """Return the intersections (n, 3) of segments with the plane z = ``z_near_m``.
 
-    Triangles and edges use the same arithmetic, so shared edges have identical cuts.
+    The segments lead from ``front_points`` (n, 3) ahead of the plane to ``back_points`` (n, 3) behind it. Triangles and edges use
+    the same arithmetic, so shared edges have identical cuts.
     """
     share = (front_points[:, 2] - z_near_m) / (front_points[:, 2] - back_points[:, 2])
     intersections = front_points + share[:, None] * (back_points - front_points)
@@ -157,7 +158,10 @@ def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, 
 
 @compiled
 def _classify_each_point(nearest_depth, nearest_other_depth, shadow_depth, u, v, depth, depth_rounding, on_caster):
-    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``."""
+    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``.
+
+    The other parameters are those of ``classify_points``, as arrays (n,).
+    """
     rows, cols = nearest_depth.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):

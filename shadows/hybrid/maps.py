@@ -96,7 +96,11 @@ def classify_pixels(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere.
+
+    ``volumes`` are the shadow volumes of all casters. ``map_size`` is the number of texels along a side of each map. ``passes`` are
+    the names of the algorithm's passes for the light and the kinds.
+    """
     classes, on_caster = np.full(receiver_mask.shape, LIT, np.uint8), _caster_mask(buffer, scene, light, kinds, receiver_mask)
     with log.record_pass(passes[1]), log.record_pass(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
@@ -150,7 +154,7 @@ def maps_as_picture(
 
 
 def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
-    """Return the map of a window, and whether it comes from the cache."""
+    """Return the conservative map of a window, and whether it comes from the cache. ``volumes`` hold the casters."""
     conservative = _map_cache.get(window.cache_key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
@@ -219,9 +223,10 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
 
 @compiled
 def _transform_to_light(points, pixels, rotation, translation, is_lamp):
-    """Transform points (m, 3) of given indices to a light's axes, with projection for a lamp.
+    """Transform the points (m, 3) with the indices ``pixels`` (n,) to a light's axes, with projection for a lamp.
 
-    Returns x, y and depth (n,), their lower and upper bounds (3,), and the largest absolute coordinate of the points in the frame.
+    ``rotation`` (3, 3) and ``translation`` (3,) are those of ``_MapWindow``. Returns x, y and depth (n,), their lower and upper
+    bounds (3,), and the largest absolute coordinate of the points in the frame.
     """
     n = len(pixels)
     x, y, depth = np.empty(n), np.empty(n), np.empty(n)
@@ -246,6 +251,9 @@ def _transform_to_light(points, pixels, rotation, translation, is_lamp):
 
 @compiled
 def _to_texels(coordinates, map_origin, texel_size):
-    """Convert coordinates (n,) along one axis of a map to texels, in place."""
+    """Convert coordinates (n,) along one axis of a map to texels, in place.
+
+    ``map_origin`` and ``texel_size`` are those of ``_MapWindow`` along this axis.
+    """
     for k in range(len(coordinates)):
         coordinates[k] = (coordinates[k] - map_origin) / texel_size

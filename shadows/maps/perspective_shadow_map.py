@@ -1,8 +1,9 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
 The method is that of Stamminger and Drettakis 2002, "Perspective shadow maps". ``skugga.shadows.maps.post_perspective`` computes
-the map's matrix. This module fits it to the receivers, draws the map and looks it up. ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, cached maps and
-foliage are as in ``docs/shadow-maps.md``. A fall-back to a uniform map is recorded with its reason.
+the map's matrix. This module fits it to the receivers, draws the map and looks it up. ``docs/perspective-shadow-maps.md`` derives
+the window, the comparison of depths and the bias. Taps, their weights, cached maps and foliage are as in ``docs/shadow-maps.md``. A
+fall-back to a uniform map is recorded with its reason.
 """
 
 from __future__ import annotations

@@ -201,7 +201,7 @@ class _BlockSpells:
     view
         The block.
     orientation
-        How the grid is sun_aligned.
+        How the grid is turned to become the sun-aligned grid.
     spells
         The intervals of sun so far, (n, m) in the order of the sun-aligned grid.
     """

@@ -297,7 +297,10 @@ def _compute_far_from_edges(shadow_mask, valid, row, col, distance_px):
 
 @internal
 def _is_edge(shadow_mask, valid, i, j):
-    """Return whether a 4-neighbour of a pixel has the other class."""
+    """Return whether a 4-neighbour of the pixel at row ``i`` and column ``j`` has the other class.
+
+    ``shadow_mask`` and ``valid`` are those of ``is_far_from_edges``.
+    """
     rows, cols = shadow_mask.shape
     centre = shadow_mask[i, j]
     return (

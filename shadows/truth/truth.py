@@ -411,12 +411,14 @@ def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    """Return the samples of an area light, or a point light and the reason why a requested filter has no effect."""
     if request.is_area_light:
         return TruthSettings(light_samples=AREA_LIGHT_SAMPLES), []
     return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
 def _work(workload: Workload, settings: TruthSettings) -> Work:
+    """Return the counts of work by name (blocks, points, rays, triangles), under the name of the algorithm's only part."""
     rays = workload.facing_pixel_count * settings.light_samples
     return {"truth": {"blocks": 1.0, "seen": workload.visible_pixel_count, "rays": rays, "triangles": workload.all_triangle_count}}
 

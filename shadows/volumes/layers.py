@@ -193,9 +193,12 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
 
 @compiled
 def _winding_steps(directions, edges, multiplicity, lune_of_end, runs_left, first_phi, lune_width, lune_count):
-    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``).
+    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``), (n,) each.
 
-    A position is the lune's number plus v as a share of 1.
+    A position is the lune's number plus v as a share of 1. ``directions`` (m, 3), ``edges`` (e, 2) and ``multiplicity`` (e,) are
+    those of ``_max_winding``. ``lune_of_end`` int (e, 2) is the lune of each end of an edge, and ``runs_left`` bool (e,) tells
+    whether phi grows along the edge. The first of the ``lune_count`` lunes starts at the angle ``first_phi``, and each is
+    ``lune_width`` wide, radians.
     """
     line = first_phi + lune_width * np.arange(lune_count + 1)
     line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * lune_width), np.sin(line + 0.5 * lune_width)
@@ -233,13 +236,19 @@ def _winding_steps(directions, edges, multiplicity, lune_of_end, runs_left, firs
 
 @internal
 def _lune_height(lune, forward, up):
-    """Return a lune's number plus a direction's height, as a share of the way between the poles."""
+    """Return the number ``lune`` plus a direction's height, as a share of the way between the poles.
+
+    ``forward`` and ``up`` are the direction's components ahead in the middle of the lune and upwards.
+    """
     return lune + 0.5 + np.arctan2(up, max(forward, 0.0)) / 3.2
 
 
 @compiled
 def _count_caps_at_lower_pole(directions, caps):
-    """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding."""
+    """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding.
+
+    ``caps`` holds the triangles' indices in ``directions`` (n, 2), the vertices as seen from the lamp: ahead and left.
+    """
     count = 0
     for t in range(len(caps)):
         inside = True

@@ -243,10 +243,10 @@ def _depths(points, buffer_indices, clip_rows, origin):
 
 @compiled
 def _depth_image(row, col, uses_drawn_depth, depth, part_rectangles, rows, cols):
-    """Return the points' depths at their pixels, float32 (rows, cols).
+    """Return the points' depths at their pixels, float32 (``rows``, ``cols``).
 
-    The value is -1 where drawing the surface gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside
-    of the parts.
+    ``row``, ``col``, ``uses_drawn_depth`` and ``depth`` (n,) are those of ``VisiblePoints``. The value is -1 where drawing the
+    surface gives the depth. It is NaN at other pixels of the rectangles ``part_rectangles`` (k, 4), and undefined outside of them.
     """
     out = np.empty((rows, cols), np.float32)
     for k in range(len(part_rectangles)):

@@ -53,7 +53,7 @@ CONTACT_TOLERANCE_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Volumes of a set of casters in a frame.
+    """Shadow volumes of a batch of casting triangles under one light, in one local frame.
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ class Volumes:
     faces
         int32 (m, 3): counter-clockwise from outside of the volumes.
     caster_of_face
-        int32 (m,): the caster of each face.
+        int32 (m,): the caster of each face, as its index in ``caster_low_m``.
     caster_low_m, caster_high_m
-        float64 (parts, 3): bounds of the casters, metres.
+        float64 (casters, 3): bounds of the casters, metres.
     silhouette_edges
         int32 (e, 2): vertex numbers of the silhouette's edges.
     first_cap, cap_count
@@ -87,6 +87,7 @@ class Volumes:
 
     @property
     def nbytes(self) -> int:
+        """Size in bytes of the vertices and faces."""
         return self.vertices.nbytes + self.faces.nbytes
 
 
@@ -102,10 +103,14 @@ def volumes_of(
     casters: Casters,
     record: PassRecord,
 ) -> list[Volumes]:
-    """Return the volumes of all casters of a buffer's points under a light (4,).
+    """Return the volumes of all casters that may shade a buffer's points, for one light: one element for each batch of triangles.
 
-    ``record`` takes the numbers of edges, bytes and cached volumes. A map's ground is never the same arrays twice, so the pictures
-    of its blocks are cached instead.
+    A batch holds casting triangles of one mesh or of one sheet of ground. Their volumes are in the arrays of one ``Volumes``, and
+    the stencil can count them together. A point is in shadow if it lies in a volume of any element.
+
+    ``light_in_frame`` (4,) is the light as a homogeneous point of the buffer's frame. ``kinds`` are the kinds of casters.
+    ``casters`` is the ground beside a map's block. ``record`` takes the numbers of edges, bytes and cached volumes. A map's ground
+    is never the same arrays twice, so the pictures of its blocks are cached instead.
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
