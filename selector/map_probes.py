@@ -51,7 +51,10 @@ class MapClass(NamedTuple):
 
 
 def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None:
-    """Return the class of a map with pixels of ``pixel_m`` metres; ``None`` for a sun that is down or unknown."""
+    """Return the class of a map with pixels of ``pixel_m`` metres; ``None`` for a sun that is down or unknown.
+
+    ``sun_altitude_deg`` is the sun's altitude; ``None`` if it is unknown.
+    """
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))

@@ -349,7 +349,7 @@ def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[i
     """Return the text of a value, to be inserted behind its key and the colon.
 
     A list of mappings has one item per line, with ``item_comments`` by the index of the item. Any other value stands on the key's
-    line.
+    line. ``indent`` is that of the key, and ``line_end`` the text's line end.
     """
     if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
         return f" {_flow_text(value, quoted=False)}"
@@ -377,7 +377,7 @@ def _flow_text(value: Any, quoted: bool) -> str:
 def _comment(reasons: Sequence[str], indent: str) -> list[str]:
     """Return the indented comment lines (``#: ...``) of a pin: the reasons, wrapped at ``COMMENT_WIDTH``.
 
-    Unprintable characters become spaces.
+    Unprintable characters become spaces. Each line begins with ``indent``.
     """
     lines = ["".join(letter if letter.isprintable() else " " for letter in line) for line in reasons]
     return [f"{indent}#: {part}" for line in lines for part in wrap(line, COMMENT_WIDTH)]

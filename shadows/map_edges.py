@@ -146,7 +146,10 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
 
 def _windows_with_edges(edge_mask: np.ndarray) -> Iterator[tuple[slice, slice]]:
-    """Yield the parts of a block that contain edge pixels, as slices of its rows and columns."""
+    """Yield the parts of a block that contain edge pixels, as slices of its rows and columns.
+
+    ``edge_mask`` (rows, cols) are the block's edge pixels.
+    """
     for top in range(0, edge_mask.shape[0], SAMPLED_PART_PX):
         for left in range(0, edge_mask.shape[1], SAMPLED_PART_PX):
             down = slice(top, min(top + SAMPLED_PART_PX, edge_mask.shape[0]))
@@ -185,7 +188,7 @@ def _append_samples(
     """Return a buffer's array (rows, cols, ...) with samples as extra rows below it.
 
     ``samples`` (n, ``SAMPLES_PER_PIXEL``, ...) belong to the pixels ``row``, ``col`` (n,). Samples in the mask ``missing_mask``
-    take their pixel's own value.
+    take their pixel's own value. ``pixel_values`` is the buffer's array.
     """
     of_pixels = pixel_values[row, col][:, None]
     is_missing = missing_mask.reshape(missing_mask.shape + (1,) * (samples.ndim - 2))

@@ -123,7 +123,10 @@ def fill_visibility(
 
 
 def plane_projection(light_m: np.ndarray) -> np.ndarray:
-    """Return the projection (4, 4) of homogeneous points onto z = 0, away from a homogeneous light (4,) above it: p' / H."""
+    """Return the projection (4, 4) of homogeneous points onto z = 0, away from the homogeneous light ``light_m`` (4,): p' / H.
+
+    The light is above the plane.
+    """
     return np.eye(4) - np.outer(light_m / light_m[2], [0.0, 0.0, 1.0, 0.0])
 
 
@@ -169,7 +172,10 @@ def _draw_stencil(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask)."""
+    """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask).
+
+    ``passes`` are the names of the algorithm's passes for the light and the kinds.
+    """
     if not (receivers.any() and projection.reaches_ground):
         for name in passes:
             with log.record_pass(name):

@@ -148,7 +148,10 @@ def check_pixel_count(view: MapView | PerspectiveView) -> None:
 
 
 def pass_names_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
-    """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
+    """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms.
+
+    ``effects`` and ``shadow_passes`` hold their names.
+    """
 
     def effect_names(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
@@ -354,7 +357,10 @@ def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBl
 
 
 def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
-    """Write the sky's colour to the pixels and samples without a surface."""
+    """Write the sky's colour to the pixels and samples without a surface.
+
+    ``linear`` (rows, cols, 3) is the linear colour of the buffer's points, which is changed in place.
+    """
     row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of_points(row, col)
     linear[row, col] = sky_pixel_colors(scene, view, pixel_row, pixel_col)

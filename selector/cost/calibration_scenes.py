@@ -206,7 +206,7 @@ def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
 def _positions(count: int, side_m: float) -> list[list[float]]:
     """Return evenly spread positions x and y, metres, in a square with sides of ``side_m`` around the origin.
 
-    They are multiples of the golden ratio along one axis, and even steps along the other.
+    They are multiples of the golden ratio along one axis, and even steps along the other. There are ``count`` of them.
     """
     number = np.arange(count)
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)

@@ -101,11 +101,11 @@ def classify_points(
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip triangles (t, 3, 3) in lamp space at z >= z_near and return the parts (t', 3, 3) with the same winding.
+    """Clip triangles in lamp space at z >= ``z_near_m`` and return the parts (t', 3, 3) with the same winding.
 
-    A cut bounds a part like a silhouette edge, but is not added to the edges. This requires that no caster is nearer to the lamp
-    than sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and
-    the map misses no clipped part.
+    ``corners_lamp_m`` (t, 3, 3) are the triangles' corners, metres. A cut bounds a part like a silhouette edge, but is not added to
+    the edges. This requires that no caster is nearer to the lamp than sqrt(1 + 2 tangent²) z_near, with the tangent of half the
+    map's angle of view. Then all cuts fall outside of the map, and the map misses no clipped part.
     """
     is_in_front = corners_lamp_m[..., 2] >= z_near_m
     front_count = is_in_front.sum(axis=1)
@@ -124,9 +124,9 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
 
 
 def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip edges (e, 2, 3) in lamp space at z >= z_near and return the parts (e', 2, 3).
+    """Clip edges in lamp space at z >= ``z_near_m`` and return the parts (e', 2, 3).
 
-    The cut points are bit-identical to those of `clipped_triangles`.
+    ``ends_lamp_m`` (e, 2, 3) are the edges' ends, metres. The cut points are bit-identical to those of `clipped_triangles`.
     """
     is_in_front = ends_lamp_m[..., 2] >= z_near_m
     front_count = is_in_front.sum(axis=1)

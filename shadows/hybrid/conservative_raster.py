@@ -188,7 +188,8 @@ def _insert_depth_run(runs, count, near, far, layers):
 def _u_range_of_triangle(corners, low, high):
     """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
-    The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``.
+    The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``. ``corners``
+    (3, 3) are in (u, v, depth).
     """
     u_min, u_max = np.inf, -np.inf
     for k in range(3):

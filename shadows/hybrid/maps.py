@@ -141,7 +141,7 @@ def maps_as_picture(
 ) -> np.ndarray:
     """Return the maps' nearest depths as one picture, the maps side by side: 0 is nearest to the light, 1 has no caster.
 
-    The light's up direction is at the top.
+    The light's up direction is at the top. ``map_size`` is the number of texels along a side of each map.
     """
     arrays = []
     for window in _windows(buffer, scene, light, map_size, receiver_mask):
@@ -167,7 +167,11 @@ def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[Conservativ
 
 
 def _transform_to_texels(window: _MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
-    """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
+    """Transform triangles or edges of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane.
+
+    ``points`` (n, k, 4) are their k corners, homogeneous points of the frame. ``clip`` is ``clipped_triangles`` or
+    ``clipped_edges``.
+    """
     light_points = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.is_lamp:
         light_points = _project_to_tangents(clip(light_points, window.near_m))
@@ -180,7 +184,10 @@ def _project_to_tangents(points: np.ndarray) -> np.ndarray:
 
 
 def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_MapWindow]:
-    """Yield the faces of a light's map that contain any points."""
+    """Yield the faces of a light's map that contain any points.
+
+    ``map_size`` is the number of texels along a side of each face.
+    """
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
         assert scene.light_space is not None
@@ -226,7 +233,8 @@ def _transform_to_light(points, pixels, rotation, translation, is_lamp):
     """Transform the points (m, 3) with the indices ``pixels`` (n,) to a light's axes, with projection for a lamp.
 
     ``rotation`` (3, 3) and ``translation`` (3,) are those of ``_MapWindow``. Returns x, y and depth (n,), their lower and upper
-    bounds (3,), and the largest absolute coordinate of the points in the frame.
+    bounds (3,), and the largest absolute coordinate of the points in the frame. ``is_lamp`` is false for the sun, whose map is
+    orthographic.
     """
     n = len(pixels)
     x, y, depth = np.empty(n), np.empty(n), np.empty(n)

@@ -219,7 +219,8 @@ def _min_map_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray,
     """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error of positions.
 
     ``error_m`` (n,) are the errors of the positions ``points`` (n, 3). The bounds apply to a single receiver, or to a few at one
-    place, where finer texels would resolve rounding only.
+    place, where finer texels would resolve rounding only. ``matrix`` (4, 4) maps points of the frame to the map, which has
+    ``map_size`` texels along a side.
     """
     w = horizon_distance(matrix, points)[:, None]
     projected_xy = project_points(matrix, points)[:, :2]
@@ -235,7 +236,8 @@ def _latest_start_depths(
     Depths are the z of ``matrix``, which maps to texels in x and y. A map clamps casters in front of its first depth to that depth.
     Such a caster shades a point under two conditions. The point is deeper by all that the comparison subtracts. The point's
     triangle begins no earlier than the map at the texels up to ``tap_reach_texels`` beside the point. The result allows for twice
-    the amount that the shader subtracts, except for the shader's share of the whole depth range.
+    the amount that the shader subtracts, except for the shader's share of the whole depth range. ``corners`` (n, 3, 3) are those of
+    the triangles, and ``error_m`` (n,) the errors of the positions.
     """
     w = horizon_distance(matrix, points)[:, None]
     in_map = project_points(matrix, points)
@@ -282,7 +284,7 @@ def _bounds_in_map(matrix, plane, min_distance, position, point_indices):
     ``matrix`` (4, 4) maps homogeneous points of the frame to the map. The bounds are the minimum and maximum (4,) of x, y and z in
     the map, and of w as a share of the distance from the plane ``plane`` (4,). The outermost points (5,) are indices: both ends in
     x and in y, and the point nearest to the map's horizon (w = 0). Points nearer than ``min_distance`` to the plane do not count in
-    z.
+    z. ``position`` (n, 3) are the positions of all points, metres in the frame.
     """
     low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, point_indices[0])
     v = np.empty(4)

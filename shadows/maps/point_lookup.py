@@ -175,7 +175,10 @@ def _rotate_to_light(drawn_map, vectors, i, first):
 
 @internal
 def _translate_to_light(drawn_map, rotated):
-    """Return a vector along the light's axes (a tuple of three) as a position in the map, metres: right, up and depth."""
+    """Return a vector along the light's axes as a position in the map, metres: right, up and depth.
+
+    ``rotated`` is the vector, a tuple of three (``_rotate_to_light``), and ``drawn_map`` the ``SunMap``.
+    """
     offset = drawn_map.light_offset_m
     return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
@@ -185,7 +188,8 @@ def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
     """Return a point moved along its normal, off every surface that passes through it.
 
     ``point_m`` is a position in the map, metres, and ``normal`` a unit vector along the light's axes, tuples of three. ``crease``
-    is at least 0 (``LookupPoints.crease``). Without ``comparison.uses_offset`` the point is returned unchanged.
+    is at least 0 (``LookupPoints.crease``). Without ``comparison.uses_offset`` the point is returned unchanged. ``drawn_map`` is
+    the ``SunMap``.
     """
     if not comparison.uses_offset:
         return point_m
@@ -208,7 +212,7 @@ def _first_tap(drawn_map, point_m, side_taps):
     """Return the column and the row of the first texel of a square of taps around a point, and two offsets of the square.
 
     The square has ``side_taps`` taps along a side. The offsets, in columns and in rows, lead from the texel to the square's corner,
-    in [0, 1). ``point_m`` is a position in the map, metres.
+    in [0, 1). ``point_m`` is a position in the map, metres. ``drawn_map`` is the ``SunMap``.
     """
     half = np.float32(0.5) * np.float32(side_taps - 1)
     x, y = point_m[0] / drawn_map.texel_m[0] - half, point_m[1] / drawn_map.texel_m[1] - half
@@ -218,9 +222,9 @@ def _first_tap(drawn_map, point_m, side_taps):
 
 @internal
 def _is_free_of_casters(drawn_map, point_m, side_taps):
-    """Return whether a ``SunMap`` holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point.
+    """Return whether a map holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point.
 
-    ``point_m`` is a position in the map, metres.
+    ``drawn_map`` is the ``SunMap``, and ``point_m`` a position in it, metres.
     """
     left, low, _, _ = _first_tap(drawn_map, point_m, side_taps)
     rows, cols = drawn_map.depths.shape
@@ -236,7 +240,7 @@ def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
     """Return whether a point at the depth ``depth_m``, metres, is not behind the map's depth at a texel.
 
     ``row`` and ``col`` are those of the texel; outside of the map every point is lit. ``depth_rounding`` is subtracted from the
-    point's depth, as a share of the map's depth range.
+    point's depth, as a share of the map's depth range. ``drawn_map`` is the ``SunMap``.
     """
     rows, cols = drawn_map.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
@@ -263,7 +267,8 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
     """Return the lit and the total weight of the taps whose texel centres lie in the own triangle of point ``i``.
 
     ``point_m`` is the point's position in the map, metres, and ``corners`` are those of ``LookupPoints``. Both weights are 0 if no
-    texel centre lies in the triangle, or if the triangle is unknown.
+    texel centre lies in the triangle, or if the triangle is unknown. ``drawn_map`` is the ``SunMap``, and ``comparison`` the
+    ``DepthComparison``.
     """
     lit, total_weight = np.float32(0.0), np.float32(0.0)
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
@@ -308,7 +313,8 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
 def _lit_share_without_triangle(drawn_map, comparison, moved_point):
     """Return the lit share, in [0, 1], of the taps around a point that was moved off its surface, wherever their texels lie.
 
-    ``moved_point`` is a position in the map, metres (``_move_off_surface``).
+    ``moved_point`` is a position in the map, metres (``_move_off_surface``). ``drawn_map`` is the ``SunMap``, and ``comparison``
+    the ``DepthComparison``.
     """
     count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero

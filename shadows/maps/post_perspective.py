@@ -117,8 +117,8 @@ class PostPerspective:
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_back_m: float) -> np.ndarray:
     """Return the projection (4, 4) of the virtual camera, which stands ``slide_back_m`` behind the real one.
 
-    ``tangent`` is that of half the angle of view. The planes' distances are measured from the real camera. Raises ``ValueError``
-    unless 0 < near < far for the virtual camera.
+    ``tangent`` is that of half the angle of view. ``near_m`` and ``far_m`` are the distances of the near and the far plane from the
+    real camera. Raises ``ValueError`` unless 0 < near < far for the virtual camera.
     """
     near, far = near_m + slide_back_m, far_m + slide_back_m
     if not 0.0 < near < far:
@@ -162,7 +162,8 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     """Return the light's perspective (4, 4) in the frame, without a camera: the matrix of a uniform map.
 
-    Its texels have one size across the sun's rays, or across a lamp's axis.
+    Its texels have one size across the sun's rays, or across a lamp's axis. For the sun, the matrix is centred on the bounds of
+    ``points`` (n, 3); a lamp's does not depend on them.
     """
     return light_matrix(
         light.homogeneous_position, light.lit_point_m if light.homogeneous_position[3] else _centre_of_bounds(points)
@@ -267,7 +268,10 @@ def project_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def horizon_distance(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the w (n,) of points (n, 3): their distance in front of a map's horizon (w = 0), in the map's own unit."""
+    """Return the w (n,) of points (n, 3) in a map: their distance in front of the map's horizon (w = 0), in the map's own unit.
+
+    ``matrix`` (4, 4) maps homogeneous points to the map.
+    """
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
@@ -286,7 +290,7 @@ def _centre_of_bounds(points: np.ndarray) -> np.ndarray:
 
 
 def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
-    """Return the angle, in degrees, between the view's axis and the direction from a point (3,) to a light.
+    """Return the angle, in degrees, between the view's axis and the direction from a point ``point_m`` (3,) to a light.
 
     The axis counts in either direction, so the angle is at most 90.
     """
@@ -296,9 +300,9 @@ def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
 
 
 def _outline_indices(image_points: np.ndarray) -> np.ndarray:
-    """Return the indices of the points (n, 2) that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
+    """Return the indices of the points that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
 
-    A homography maps the outline of points to the outline of their images.
+    ``image_points`` (n, 2) are the points in a picture. A homography maps the outline of points to the outline of their images.
     """
     angle = np.arange(OUTLINE_DIRECTIONS) * 2.0 * np.pi / OUTLINE_DIRECTIONS
     return np.unique(np.argmax((image_points - image_points.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
@@ -335,9 +339,9 @@ def perpendicular_axes(normals: np.ndarray) -> np.ndarray:
 
 
 def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np.ndarray) -> np.ndarray:
-    """Return the derivatives (n, 2, 2) of the picture's coordinates (tangents) along two directions (n, 3, 2), per metre.
+    """Return the derivatives (n, 2, 2) of the picture's coordinates (tangents) along two directions at points, per metre.
 
-    The points (n, 3) are in camera coordinates.
+    ``camera_points`` (n, 3) are the points in camera coordinates, and ``ray_axes`` (n, 3, 2) the two directions in the frame.
     """
     depth = camera_points[:, 2, None, None]
     return (camera.camera_from_frame[:2] - camera_points[:, :2, None] / depth * camera.forward_axis) / depth @ ray_axes

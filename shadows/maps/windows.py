@@ -251,7 +251,8 @@ def _depth_margin_m(
 
     The maximum is over the points (rows, cols) in ``mask``. The map samples the triangle at texel centres up to ``tap_reach_m``
     (2,) right and up of the point. It clamps depths in front of its first depth. A triangle that starts there could not be
-    distinguished from its casters.
+    distinguished from its casters. ``position`` and ``normal`` (rows, cols, 3) and the triangles' ``corners`` (rows, cols, 9) are
+    those of the buffer. ``rotation`` (3, 3) leads from the frame to the light's axes: right, up and depth.
     """
     row_margins_m = np.empty(len(mask))
     run_in_chunks(len(mask), _write_depth_margins, normal, corners, position, mask, rotation, tap_reach_m, row_margins_m)
@@ -309,7 +310,10 @@ def _write_max_corner_coordinates(first, last, corners, mask, out):
 
 
 def depth_step_count(depth_bits: int) -> int:
-    """Return the number of steps from depth 0 to depth 1. 32-bit floats count as 24 bits, since these are their steps near 1."""
+    """Return the number of steps from depth 0 to depth 1, for 16, 24 or 32 bits of depth.
+
+    32-bit floats count as 24 bits, since these are their steps near 1.
+    """
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
@@ -318,7 +322,9 @@ def _map_window(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first texel (2,) and the size (2,), in texels, of a map over light-space bounds and a border.
 
-    A stable map lies on a lattice of texels through the origin of light space.
+    ``low`` and ``high`` (2 or more,) are the bounds of the receivers, metres right and up. ``texel_m`` (2,) are the sides of a
+    texel, and ``border_texels_xy`` (2,) is the border at either side. If ``is_stable``, the map lies on a lattice of texels through
+    the origin of light space.
     """
     first = (np.floor(low[:2] / texel_m) if is_stable else low[:2] / texel_m) - border_texels_xy
     size = np.floor(high[:2] / texel_m - first).astype(np.int64) + 1 + border_texels_xy
@@ -341,6 +347,6 @@ def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) 
 def _tight_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
     """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds.
 
-    ``step_count`` is the number of steps; ``step_m`` is not used.
+    ``low_m`` and ``high_m`` are the bounds, and ``step_count`` is the number of steps. ``step_m`` is not used.
     """
     return low_m, (high_m - low_m) / step_count * (1.0 + 1e-6)

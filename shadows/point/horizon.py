@@ -274,5 +274,5 @@ def _tangent_of_altitude(altitude_deg: np.ndarray) -> np.ndarray:
 
 
 def _degrees_of_tangent(tangent: np.ndarray) -> np.ndarray:
-    """Return the angles, degrees, with the given tangents."""
+    """Return the angles, degrees, whose tangents are ``tangent``."""
     return np.degrees(np.arctan(tangent))

@@ -212,8 +212,9 @@ def _update_with_quad(quad, alpha, sine, cosine, tangent, seeks_highest, sightin
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
     """Search a segment of a quad from its upper end down for a leaf, and store it as the entry ``n`` of ``sighting``.
 
-    Each end of the segment has texture coordinates u and v, a distance s and a height z from the eye, metres. ``alpha`` (h, w) is
-    the texture's alpha channel, and ``m`` the index of the tree. The search ends at the elevation angle that the entry has already.
+    Each end of the segment, 0 and 1, has texture coordinates u and v, a distance s and a height z from the eye, metres. ``alpha``
+    (h, w) is the texture's alpha channel, and ``m`` the index of the tree. The search ends at the elevation angle that the entry
+    has already.
     """
     if s0 < MIN_DISTANCE_M or s1 < MIN_DISTANCE_M:  # clip at the vertical through the eye
         share = (MIN_DISTANCE_M - s0) / (s1 - s0)

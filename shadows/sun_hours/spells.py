@@ -316,7 +316,7 @@ def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
     """Refine the estimated time ``crossing`` at which the sun passes a cell's horizon, between ``t0`` and ``t1``, by walks.
 
     The cell has row ``i`` and column ``j`` of the block's sun-aligned grid. ``lit0`` tells whether it is sunlit at ``t0``. Times
-    are in minutes after the start of the day's window of time.
+    are in minutes after the start of the day's window of time. ``walk_input`` is a ``WalkInput``.
     """
     low, high = t0, t1
     t, before, clearance_before = crossing, np.nan, np.nan
@@ -366,7 +366,10 @@ def _end_spell(spells, i, j, since, until, clock):
 
 @compiled
 def _end_all_spells(spells, until, clock):
-    """End the current spells of all cells at the moment ``until``, minutes after the start of the day's window of time."""
+    """End the current spells of all cells at the moment ``until``, minutes after the start of the day's window of time.
+
+    ``clock`` is a ``ClockReading``.
+    """
     rows, cols = spells.spell_start_minutes.shape
     for i in range(rows):
         for j in range(cols):

@@ -310,7 +310,10 @@ class _TerrainBlock:
         )
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
-        """Return the scene with the sun at a moment of a day."""
+        """Return the scene with the sun at a moment of a day.
+
+        ``minutes`` counts from the start of the day's window of time.
+        """
         return replace(self._scene, sun=day.sun_at(minutes, self._scene.world))
 
     def _casters_by_moment(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
@@ -329,7 +332,10 @@ class _TerrainBlock:
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
     def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
-        """Return the ground beside the block that may shade it at a moment."""
+        """Return the ground beside the block that may shade it at a moment.
+
+        ``minutes`` counts from the start of the day's window of time.
+        """
         return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 

@@ -396,6 +396,7 @@ def _highest_above(columns, row, t, ray_height, needs_height, above_m):
 
     The point lies on the fractional sun-aligned row ``row``. Its ray has the position ``t`` across the rays, in cells, and the ray
     height ``ray_height``, metres. Unless ``needs_height``, the search ends at the first column that exceeds ``above_m``.
+    ``columns`` are ``SunAlignedColumns``.
     """
     heights = columns.height
     n, m = heights.shape

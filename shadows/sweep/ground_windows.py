@@ -132,7 +132,7 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     The last result is cached.
 
     If the drawn ground is decimated (drawn with fewer nodes), all other nodes get values on the drawn triangles. Quads are then cut
-    along the sides of these triangles.
+    along the sides of these triangles. ``needs_sunward`` tells whether to compute ``GroundWindow.sunward_m``.
     """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape

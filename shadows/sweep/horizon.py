@@ -207,6 +207,7 @@ def _walk_lines(horizon_grid, lines, first, start, stop, query):
     ``lines`` of them cross each cell. Lines are numbered from that with t = ``first`` / ``lines`` on, which has the number 0. Those
     with the numbers ``start`` to ``stop``, both included, are followed. ``query`` (``HorizonQuery``) holds the points. For the
     points between two adjacent lines, both lines give a tangent (``HorizonQuery.line_tangents``, changed in place).
+    ``horizon_grid`` is a ``HorizonGrid``.
     """
     ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     line_starts, order, row_before, position, line_tangents = query

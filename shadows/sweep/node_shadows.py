@@ -108,7 +108,10 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
 
 @internal
 def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first, count):
-    """Copy the first ``count`` of the shadow heights of nodes, metres, to row ``i`` of a grid, from column ``first`` on."""
+    """Copy the shadow heights of ``count`` nodes, metres, to row ``i`` of ``shadow_ray_heights``, from column ``first`` on.
+
+    The first ``count`` values of ``node_shadow_heights`` are copied.
+    """
     i = np.uintp(i)
     for n in range(count):
         shadow_ray_heights[i, np.uintp(first + n)] = node_shadow_heights[n]

@@ -95,7 +95,11 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
 
 @compiled
 def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
-    """Copy a strip's results to the arrays of all points: result k to index ``point_indices[k]``."""
+    """Copy the results of a strip's points to the arrays of all points: result k to index ``point_indices[k]``.
+
+    ``strip_lit`` and ``strip_above_m`` (n,) are ``lit`` and ``above_m`` of ``StripPoints``; ``lit`` and ``above_m`` are the
+    outputs.
+    """
     for k in range(point_indices.size):
         lit[point_indices[k]], above_m[point_indices[k]] = strip_lit[k], strip_above_m[k]
 
@@ -154,7 +158,10 @@ def evaluate_points(sun_aligned_grid, strip, i, points):
 
 @internal
 def row_cubic(cubics, i):
-    """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
+    """Return the four coefficients of row ``i``'s cubic as a tuple, constant term first.
+
+    ``cubics`` (rows, 4) holds those of all rows.
+    """
     return cubics[i, 0], cubics[i, 1], cubics[i, 2], cubics[i, 3]
 
 

@@ -226,7 +226,10 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
 
 
 def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
-    """Return the approximate size, bytes, of the arrays that a sweep holds."""
+    """Return the approximate size, bytes, of the arrays that a sweep holds.
+
+    ``has_soft_edges`` is true if the sun is a disc.
+    """
     sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
@@ -281,6 +284,7 @@ def _sweep_grounds(
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
     The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
+    ``lines`` is the number of sweep lines per column.
     """
     *coarser, ground = grounds
     entry, lod = None, 0

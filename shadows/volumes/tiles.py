@@ -41,7 +41,7 @@ def covering_rectangles(tiles: np.ndarray, size: tuple[int, int], face_count: in
     Consecutive rectangles are neighbours. ``face_count`` is the number of faces to draw in them. Another rectangle costs
     ``RECTANGLE_COST`` divided by ``face_count`` tiles. The bounding rectangle is cut in two, and its parts again, in two cases. The
     cut saves more tiles than a rectangle costs, or a side has more than twice as many tiles as a rectangle costs. Within small
-    rectangles depths vary little, and few faces matter.
+    rectangles depths vary little, and few faces matter. ``size`` is the rows and columns of the picture.
     """
     merged = _cover_tiles(tiles, max(RECTANGLE_COST / max(face_count, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
@@ -51,7 +51,10 @@ def covering_rectangles(tiles: np.ndarray, size: tuple[int, int], face_count: in
 def depth_bounds(
     rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, rectangles: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any."""
+    """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any.
+
+    ``rectangles`` (k, 4) are those of ``covering_rectangles``, and ``size`` is the rows and columns of the picture.
+    """
     tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
     tile_depths = _tile_depth_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
@@ -216,7 +219,8 @@ def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, 
     """Return the arrays of ``CulledFaces`` in the order of its fields.
 
     ``points`` (n, 4) are x, y and w in pixels, and z; ``triangles`` (m, 3) holds indices of points. ``rectangles`` (k, 4) and
-    ``depth_ranges`` (k, 2) are those of ``cull_faces``. Depths above ``near_plane`` are not drawn.
+    ``depth_ranges`` (k, 2) are those of ``cull_faces``. Depths above ``near_plane`` are not drawn. ``counts_behind`` is that of
+    ``cull_faces``.
     """
     m, k = len(triangles), len(rectangles)
     lines, sign = _weight_functions(points, triangles)
@@ -311,7 +315,11 @@ def _weight_functions(points, triangles):
 
 @internal
 def _range_in_rectangle(line, left, top, right, bottom):
-    """Return the minimum and maximum over a rectangle of a linear function: its factors of x and y, and a constant (3,)."""
+    """Return the minimum and maximum of a linear function over a rectangle.
+
+    ``line`` (3,) holds the function's factors of x and y, and its constant. The rectangle's sides ``left``, ``top``, ``right`` and
+    ``bottom`` are in the unit of x and y.
+    """
     x, y, z = line
     return (
         z + min(x * left, x * right) + min(y * top, y * bottom),

@@ -165,7 +165,10 @@ class _MeshStructure:
 
 @cached("scene", 1024 * MIB)
 def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _MeshStructure:
-    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies."""
+    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies.
+
+    ``triangles`` (m, 3) holds indices of ``vertices`` (n, 3).
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -184,7 +187,10 @@ def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: in
 
 
 def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
-    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count."""
+    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count.
+
+    ``triangles`` (m, 3) holds indices of ``vertices`` (n, 3), metres. ``ground_rule`` is that of ``_mesh_structure``.
+    """
     structure = _mesh_structure(vertices, triangles, ground_rule)
     edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule_of_triangle
     order = np.argsort(part, kind="stable")
@@ -209,7 +215,10 @@ def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray
 
 
 def _lamp_distances_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
-    """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
+    """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones.
+
+    ``triangles`` holds indices of ``vertices`` (n, 3), metres.
+    """
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
@@ -240,7 +249,8 @@ def _build_volumes(
     """Return the volumes of the near caps and along the edges of a silhouette.
 
     The side at an edge (a, b) has the corners b and a and their images at infinity. ``caster_of_vertex`` (n,) is the caster of each
-    vertex; ``low`` and ``high`` are the casters' bounds.
+    vertex; ``low`` and ``high`` are the casters' bounds. ``outline`` is the silhouette, whose ``vertices`` (n, 3) are in metres,
+    and ``light`` (4,) is homogeneous.
     """
     used_vertices, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
     edges = number[: outline.edges.size].reshape(-1, 2)
