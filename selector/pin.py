@@ -197,7 +197,7 @@ def _rewritten_text(text: str, new_values: Mapping[str, Any], reasons: Sequence[
 def _mapping_edits(text: str, shadows: MappingNode, new_values: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
     """Return the edits that set keys of the mapping ``shadows``: existing keys change in their place, new keys are appended.
 
-    ``quoted`` tells whether strings are quoted. ``line_end`` is the text's line end.
+    ``quoted`` tells whether strings are quoted. ``line_end`` is the text's line end. ``new_values`` are the new values by key.
     """
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     comments = _comments_in(text)
@@ -275,7 +275,10 @@ def _list_edits(
 
 
 def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
-    """Return the view and the suns for which an item of the list of pins applies."""
+    """Return the view and the suns for which an item of the list of pins applies.
+
+    ``pin_of_list`` is the item.
+    """
     return [pin_of_list.get(key) for key in PinScope.model_fields]
 
 
@@ -291,14 +294,17 @@ def _comments_in(text: str) -> list[Comment]:
 def _insert_edit(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
     """Return the edit that appends keys and values to a mapping in flow style (``{...}``) with the entries ``pairs``, at least one.
 
-    ``quoted`` tells whether keys and strings are quoted.
+    ``quoted`` tells whether keys and strings are quoted. ``new`` are the keys and their values.
     """
     insert_at = _span(text, pairs[-1])[1]
     return insert_at, insert_at, f", {_flow_text(new, quoted)[1:-1]}"
 
 
 def _fill_edit(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
-    """Return the edit that inserts keys and values into an empty mapping ``{}``; ``quoted`` tells whether strings are quoted."""
+    """Return the edit that inserts keys and values into an empty mapping ``{}``; ``quoted`` tells whether strings are quoted.
+
+    ``new`` are the keys and their values.
+    """
     insert_at = empty.end_mark.index - 1
     return insert_at, insert_at, _flow_text(new, quoted)[1:-1]
 
@@ -340,7 +346,7 @@ def _is_alias(key: Node, value: Node) -> bool:
 def _block_lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
     """Return the lines of keys and values in block style, indented by ``indent``, without their last line ends.
 
-    ``line_end`` separates the lines of a value that takes several.
+    ``line_end`` separates the lines of a value that takes several. ``pairs`` are the keys with their values.
     """
     return [f"{indent}{key}:{_block_text(value, indent, line_end)}" for key, value in pairs.items()]
 

@@ -28,6 +28,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
 ESTIMATED_TIMES_REASON = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
+"""Reason in a plan of the policy ``predict`` on a device whose time rates are estimates."""
 
 TARGET_MISSED = ": target missed"
 """End of the name of the reason for a missed target; a light's name comes first."""

@@ -321,7 +321,7 @@ def mix_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndar
     """Mix two pictures (rows, cols, ...) of one view: an evenly spread ``share`` of the pixels shows ``after``.
 
     With a larger share, further pixels show ``after``, and all earlier ones still do. The pixels are ordered by the R2 sequence (M.
-    Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
+    Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018). All other pixels show ``before``.
     """
     order = _pixel_order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
@@ -370,7 +370,8 @@ def _with_prediction(
 def _merge_choices(choices: Mapping[str, Choice], new_choices: Mapping[str, Choice]) -> dict[str, Choice]:
     """Merge two choices for each light that agree on the kinds of casters that cast shadows now.
 
-    Kinds that cast no shadows any more keep their algorithm from ``choices``.
+    Kinds that cast no shadows any more keep their algorithm from ``choices``. ``choices`` are those so far, and ``new_choices``
+    those of the present frame, by light.
     """
     before = {light: choices.get(light, choice) for light, choice in new_choices.items()}
     return {

@@ -118,7 +118,8 @@ def _sample_edges(
 def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: NamedArrays) -> bool:
     """Return whether no edge can cross a block or its sides.
 
-    That holds where the block has bare ground, nothing casts, and all ground faces the sun.
+    That holds where the block has bare ground, nothing casts, and all ground faces the sun. ``visibilities`` are those of the
+    lights at the block's points.
     """
     if plan.casts_shadows or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
@@ -126,7 +127,10 @@ def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visib
 
 
 def _find_casters_of_samples(scene: Scene, sample_buffer: GeometryBuffer, search_outside: bool) -> Casters:
-    """Return the casters beside a part of a block; none unless ``search_outside``."""
+    """Return the casters beside a part of a block; none unless ``search_outside``.
+
+    ``sample_buffer`` holds the samples of the part's edge pixels.
+    """
     return find_casters(scene, sample_buffer) if search_outside else NO_CASTERS
 
 

@@ -174,7 +174,7 @@ def _draw_stencil(
 ) -> np.ndarray:
     """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask).
 
-    ``passes`` are the names of the algorithm's passes for the light and the kinds.
+    ``passes`` are the names of the algorithm's passes for the light and the kinds. ``projection`` holds the casters and the light.
     """
     if not (receivers.any() and projection.reaches_ground):
         for name in passes:

@@ -243,6 +243,7 @@ def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
     """Return the points from which casters are searched.
 
     They are fewer in a perspective view in which nothing casts, since only the report of the casters' reach needs them there.
+    ``own_pixels`` is the buffer of the view's own pixels.
     """
     if plan.casts_shadows or isinstance(own_pixels.view, MapView):
         return own_pixels
@@ -288,7 +289,7 @@ def render_block(
 ) -> Frame:
     """Render a block of a map, or a band of a perspective view. The scene is one that ``apply_refraction`` returned.
 
-    Raises the errors of ``render_frame``.
+    Raises the errors of ``render_frame``. ``pixel_sampling`` is that of ``render_frame``.
     """
     with log.record_pass(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)

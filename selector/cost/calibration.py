@@ -182,7 +182,10 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
 
 
 def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
-    """Return the relative errors of the times that the rates predict for whole steps, by algorithm."""
+    """Return the relative errors of the times that the rates predict for whole steps, by algorithm.
+
+    ``rates_ns`` are the rates by part of the work and name of the count, and ``jobs`` the measured steps.
+    """
     errors: dict[str, list[float]] = {}
     for job in jobs:
         real_ms = sum(job.min_ms.values())

@@ -23,6 +23,7 @@ FLOOR_TERRAIN: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}
 """A level's ``terrain``: a flat ground of 160 x 160 m."""
 
 BALL_RADIUS_M = 5.0
+"""Default radius of the balls of ``_balls``, metres."""
 
 GLOBE_CRS, GLOBE_MIDDLE_M = "EPSG:32632", (500_000.0, 5_300_000.0)
 """CRS of the scenes on a globe, and the coordinates of their middle."""

@@ -365,6 +365,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     """Execute a plan's steps for a light on the blocks of a view, with empty caches, and measure the time.
 
     The time includes antialiasing samples at edges, as in any picture. The resulting visibilities are those of whole pixels.
+    ``pictures`` are the blocks of the view.
     """
     clear_caches("light")  # the time includes all work of a moving sun
     steps = plan.steps_of_light(light)

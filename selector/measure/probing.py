@@ -170,7 +170,7 @@ def probe_options(
     ``prior`` holds the options with their predictions. ``max_error`` and ``max_ms`` are the limits of error and time. ``budget_s``
     is the time limit of the probe in seconds; ``None`` means no limit. At least one option is drawn, whatever the limit.
     ``on_step(drawn)`` is called after each drawing, with the number of drawn options. If algorithms refuse to draw all options,
-    none remains in the result.
+    none remains in the result. ``prober`` draws the options and measures their errors.
     """
     drawn_ms: dict[int, float] = {}
     measurements: dict[int, ErrorMeasurement] = {}
@@ -254,7 +254,10 @@ def _fastest_likely(options: LightOptions, leader: int, max_error: float, max_ms
 def _gains(
     options: LightOptions, leader: int, option_numbers: Collection[int], max_error: float, max_ms: float | None
 ) -> dict[int, float]:
-    """Return the expected gains over the leader (``expected_gain``) of options by number."""
+    """Return the expected gains over the leader (``expected_gain``) of options by number.
+
+    ``option_numbers`` are their numbers.
+    """
     return {
         option_index: expected_gain(options, option_index, leader, max_error, max_ms)
         for option_index in sorted(option_numbers)

@@ -124,6 +124,8 @@ class Planner:
     left_out: list[NamedReason]
     algorithm_override: AlgorithmOverride
     forced_effects: frozenset[EffectName]
+    # Caches, filled on demand: settings and reasons by light, algorithm and open settings; algorithms by kind of casters, by light
+    # and choice; and one object for equal settings.
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[NamedReason]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
@@ -398,7 +400,7 @@ def _choose_algorithm(
 
     ``requested`` is the algorithm that the request or the level sets, if any. ``left_out_reasons`` has a reason for each effect
     that is left out. ``forced`` holds the effects that the level forces on. ``choice`` is the policy's choice; ``None``:
-    ``FALLBACK_ALGORITHM``.
+    ``FALLBACK_ALGORITHM``. ``caster`` is the kind of casters.
     """
     needed_effects = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed_effects | ({"lamps"} if light != SUN else set())):
@@ -433,7 +435,7 @@ def _check_served(
 ) -> None:
     """Raise ``UnsupportedError`` if an algorithm does not meet ``requirements``.
 
-    The message names the algorithms that do.
+    The message names the algorithms that do. ``caster`` is the kind of casters that it is used for.
     """
     reason = ALGORITHMS[name].refusal_reason(requirements)
     if reason is not None:

@@ -214,7 +214,8 @@ def lamp_map_settings(
     """Return the settings of a lamp's map, and the reasons for automatic values.
 
     If the size is automatic, a texel at the lamp's reference distance keeps to ``MAX_TEXEL_PX`` where the largest size allows it.
-    ``light_point_count`` is the number of points of the lamp for the filter ``sun``.
+    ``light_point_count`` is the number of points of the lamp for the filter ``sun``. ``taps_reasons`` are the reasons for ``taps``,
+    the filter.
     """
     width_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []

@@ -44,7 +44,10 @@ def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tu
 
 @cached("process", 16 * MIB)
 def _cached_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and directions of ``sun_samples``."""
+    """Return the times and directions of ``sun_samples``.
+
+    The arguments are those of ``sun_samples``.
+    """
     utc_s = np.append(np.arange(begin_s, end_s, step_s), end_s)
     return utc_s, _sun_directions_on_earth(world, utc_s)
 
@@ -64,7 +67,10 @@ def scene_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
 
 
 def _sun_directions_on_earth(world: World, utc_s: np.ndarray) -> np.ndarray:
-    """Return the directions of ``sun_directions``."""
+    """Return the directions of ``sun_directions``.
+
+    The times ``utc_s`` (n,) are UTC seconds since 1970.
+    """
     times = np.rint(np.asarray(utc_s) * 1e6).astype(np.int64).astype("datetime64[us]")
     path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
     azimuth, altitude = np.radians(path.azimuth_deg), np.radians(path.altitude_deg)

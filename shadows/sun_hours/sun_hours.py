@@ -229,7 +229,10 @@ class _BlockSpells:
 def _add_span(
     block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
 ) -> _BlockSpells:
-    """Return the sun at a block's cells after a span, an interval of a day with the sun up."""
+    """Return the sun at a block's cells after a span, an interval of a day with the sun up.
+
+    ``block_spells`` is the sun before it.
+    """
     moments: list[ClearanceSample] = []
     is_first_step = True
 

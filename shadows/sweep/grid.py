@@ -290,7 +290,8 @@ def flat_world_grid(
     """Return how a flat world's grid is turned towards the sun's azimuth, and the positions of its lines.
 
     ``shape`` is the grid's rows and columns. The result is the orientation, the sides of a cell along a column and along a row in
-    metres, and the cubics ``column_of_t`` and ``t_of_column`` of ``position_cubics``.
+    metres, and the cubics ``column_of_t`` and ``t_of_column`` of ``position_cubics``. ``cell_m`` is the size of a cell in metres,
+    one number or its sides along a column and along a row.
     """
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m

@@ -129,6 +129,7 @@ def horizon_tangents(
     ``row`` and ``t`` (k,) are the points' positions on the sun-aligned grid and across its lines. ``point_ray_height`` and
     ``point_sunward_m`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
     on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_TANGENT`` if no ground lies towards the sun.
+    ``horizon_grid`` holds the ground, and ``lines`` is the number of lines per cell.
     """
     ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     if not len(row) or len(ray_height) < 2:

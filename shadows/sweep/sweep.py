@@ -284,7 +284,7 @@ def _sweep_grounds(
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
     The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
-    ``lines`` is the number of sweep lines per column.
+    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
     """
     *coarser, ground = grounds
     entry, lod = None, 0
@@ -316,7 +316,7 @@ def _sweep_grounds(
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float) -> np.ndarray:
     """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols).
 
-    ``lines`` is the number of sweep lines per column.
+    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
     """
     lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
@@ -331,7 +331,8 @@ def _shadow_height_m(
 ) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface.
 
-    ``height_m`` (rows, cols) is the height of the surface. ``lines`` is the number of sweep lines per column.
+    ``height_m`` (rows, cols) is the height of the surface. ``lines`` is the number of sweep lines per column. ``grounds`` are the
+    ground by level of detail, the coarsest first.
     """
     ray_height = grounds[-1].sun_aligned_grid.ray_height
     shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)

@@ -248,7 +248,8 @@ def _render_in_rectangles(
 ) -> None:
     """Draw the faces of each rectangle in ``clip_rectangles`` (k, 4) of a framebuffer, clipped to the rectangle.
 
-    ``face_starts`` (k + 1,) are the indices of the rectangles' first faces.
+    ``face_starts`` (k + 1,) are the indices of the rectangles' first faces. ``array`` is the vertex array of all faces, rectangle
+    by rectangle.
     """
     for part, first, end in zip(clip_rectangles.tolist(), face_starts[:-1].tolist(), face_starts[1:].tolist(), strict=True):
         if end > first:
