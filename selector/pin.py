@@ -51,6 +51,8 @@ PINNED_KEYS_COMMENT = "#: Pinned keys: "
 COMMENT_WIDTH = 116
 """Maximum length of a comment's line, characters."""
 
+# Patterns of a level file's text: the comment above pinned keys, the line of it that lists them, the end of a YAML document, any
+# comment, and an alias behind a key.
 _PIN_BLOCK = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
 _PINNED_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
 _DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
