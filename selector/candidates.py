@@ -24,7 +24,7 @@ MAX_CANDIDATES = 40
 """Maximum number of candidates of a view."""
 
 DEFAULT_PLAN_FILTERS: tuple[int | str, ...] = (1, 3, "sun")
-"""Filters for variants of the default plan."""
+"""Values of the setting ``filter`` for variants of the default plan: taps along a side, or the sun's disc."""
 
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
@@ -59,6 +59,7 @@ def name_of(plan: Plan, light: str = SUN) -> str:
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
+    """Yield the plans that ``candidates`` describes, in its order; several may have the same name."""
     with suppress(UnsupportedError):  # the level's own algorithm may not serve this view
         default = make_plan(descriptor, level)
         yield default
@@ -81,13 +82,18 @@ def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
 
 
 def _widest_served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
+    """Return a list with the plan that uses ``overrides["algorithm"]`` for the most kinds of casters that it can serve.
+
+    These are all kinds, or under the sun relief and meshes, or relief alone. The list is empty if there is no such plan.
+    ``overrides`` are values by field of ``Shadows``.
+    """
     name: AlgorithmName = overrides["algorithm"]
     parts = [name, *([{"relief": name, "meshes": name}, {"relief": name}] if light == SUN else [])]
     return next(filter(None, (_served_plans(descriptor, level, light, overrides | {"algorithm": part}) for part in parts)), [])
 
 
 def _served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
-    """Return the plan for the overrides in a list.
+    """Return a list with the plan for ``overrides`` (values by field of ``Shadows``).
 
     The list is empty if the requested algorithm cannot draw the view. It is also empty if the plan has shadows, but does not use
     the algorithm under the light.

@@ -23,13 +23,16 @@ class PlanRequest(Protocol):
     """The part of a request that does not depend on the view. ``Level`` and ``StandaloneRequest`` implement it."""
 
     @property
-    def shadows(self) -> Shadows: ...
+    def shadows(self) -> Shadows:
+        """The requested shadow settings."""
 
     @property
-    def effects(self) -> Any: ...
+    def effects(self) -> Any:
+        """``auto``, or ``on`` or ``off`` by the name of an effect."""
 
     @property
-    def light_names(self) -> tuple[str, ...]: ...
+    def light_names(self) -> tuple[str, ...]:
+        """The names of the lights."""
 
 
 @dataclass(frozen=True)

@@ -47,12 +47,17 @@ class Forecast:
         return 0.0 if max_ms is None else logistic_probability_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
 
     def miss_chance(self, max_ms: float | None) -> float:
-        """Return the probability, in [0, 1], that the error or the time exceeds its limit."""
+        """Return the probability, in [0, 1], that the error or the time exceeds its limit.
+
+        ``max_ms`` is the limit of the time; ``None`` means no limit.
+        """
         return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - self.late_chance(max_ms))
 
 
 def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
     """Return the candidate with the least expected loss.
+
+    ``max_error`` is the limit of the error, in [0, 1], and ``max_ms`` that of the time, milliseconds; ``None`` means no limit.
 
     1. If some candidates are likely to meet the target: that with the least expected time among them. A miss counts as
        ``MISS_PENALTY`` times their median time.
@@ -94,4 +99,5 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
 
 
 def _expected_value(loss: float, missed: float, chance: float) -> float:
+    """Return the expected value of a loss that is ``missed`` with the probability ``chance``, in [0, 1], and ``loss`` otherwise."""
     return (1.0 - chance) * loss + chance * missed

@@ -37,13 +37,14 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX, Scene
 
 COLOR_NEEDS: Needs = frozenset({"color"})
+"""The products that a film needs of each picture: its colours alone."""
 
 log = logging.getLogger("skugga")
 
 
 @dataclass(frozen=True, eq=False)
 class FrameMoment:
-    """The time and the view of one frame.
+    """The time and the view of one frame of a film.
 
     Attributes
     ----------
@@ -205,6 +206,7 @@ def _frame_makers(
     """Yield, for each frame, a function that returns the drawn frame.
 
     If the frame is drawn by one of ``threads``, the function waits for the result. Otherwise it draws the frame when it is called.
+    ``moments`` and ``replanner`` are those of ``film_frames``.
     """
     level, overrides = scene.loaded.level, dict(request.overrides)
     before = None if replanner.state is None else replanner.state.plan
@@ -227,6 +229,10 @@ def _frame_makers(
 
 
 def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+    """Return a frame of a film outside of a transition, with the colours of the picture that ``draw_picture`` draws.
+
+    ``plan`` is the frame's plan, and ``switch`` the change of algorithms or settings that begins with it.
+    """
     color = draw_picture().color
     assert color is not None
     return FilmFrame(moment, color, plan, None, switch)
@@ -235,7 +241,8 @@ def _film_frame(moment: FrameMoment, draw_picture: Callable[[], Picture], plan: 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, reason: str | None) -> PlanSwitch | None:
     """Return the change of algorithms or settings between the plans of two successive frames; ``None`` without a change.
 
-    ``reason`` is the replanner's reason for the change; ``None`` if the change follows from the view.
+    ``reason`` is the replanner's reason for the change; ``None`` if the change follows from the view. ``before`` and ``after`` are
+    these plans.
     """
     names = _choice_text(before), _choice_text(after)
     if names[0] == names[1]:

@@ -32,5 +32,9 @@ def format_two_digits(value: float) -> str:
 
 
 def format_wrong_share(share: float, is_coverage: bool) -> str:
-    """Return an error as text: the wrong share of the cast shadow, or in dense woods the error of coverage."""
+    """Return an error, a share in [0, 1], as text.
+
+    It is the wrong share of the cast shadow, or in dense woods (``is_coverage``) the error of coverage, the share of shadow in
+    blocks of pixels.
+    """
     return f"coverage off by {format_percent(share)}" if is_coverage else f"{format_percent(share)} of the cast shadow wrong"

@@ -71,7 +71,8 @@ class GaussianEstimate:
         """Return the prior distribution, before any candidate was measured.
 
         ``expected_log`` holds the expected logarithms of the n candidates, and ``scales`` the scales of their logistic
-        distributions. Candidates with equal ``families`` belong to one family.
+        distributions. Candidates with equal ``families`` belong to one family. ``shared`` are the shares of the variance that
+        candidates have in common.
         """
         count = len(families)
         same_family = np.array(

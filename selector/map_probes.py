@@ -51,7 +51,10 @@ class MapClass(NamedTuple):
 
 
 def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None:
-    """Return the class of a map with pixels of ``pixel_m`` metres; ``None`` for a sun that is down or unknown."""
+    """Return the class of a map with pixels of ``pixel_m`` metres; ``None`` for a sun that is down or unknown.
+
+    ``sun_altitude_deg`` is the sun's altitude; ``None`` if it is unknown.
+    """
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))
@@ -93,6 +96,10 @@ class MapProbes(BaseModel):
 
 
 def _with_block_noise(observation: Observation) -> Observation:
+    """Return an observation whose noises include the deviations between blocks of a level.
+
+    These are ``BLOCK_ERROR_SD`` and ``BLOCK_TIME_SD``.
+    """
     return observation.model_copy(
         update={
             "error_noise": hypot(observation.error_noise, BLOCK_ERROR_SD),

@@ -1,4 +1,7 @@
-"""Combinations of algorithms for different kinds of casters. They belong to no single algorithm's module."""
+"""Combinations of algorithms for different kinds of casters. They belong to no single algorithm's module.
+
+``perspective_shadow_map`` is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from skugga.terrain.level.level import CasterKind
 
 @dataclass(frozen=True)
 class Mix:
-    """A combination of algorithms, each for some kinds of casters.
+    """A named combination of algorithms, each for some kinds of casters.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
 HARD_EDGES = ("filter", 1)
-"""A setting and its value for edges without a filter."""
+"""The shadow setting, and its value, that leave shadow edges unfiltered."""
 
 MIN_MS = 1e-6
 """Lower bound in milliseconds of a time before its logarithm is taken."""
@@ -65,6 +65,7 @@ class PredictedChoice:
 
     @property
     def algorithms(self) -> frozenset[AlgorithmName]:
+        """The names of the algorithms of all steps."""
         return frozenset(step.algorithm for step in self.steps)
 
     @property
@@ -151,7 +152,7 @@ class LightOptions:
         return posterior
 
     def figures(self, option_index: int) -> CandidateFigures:
-        """Return the expected time and errors of an option."""
+        """Return the expected time and errors of the option with the number ``option_index``, an index of ``options``."""
         error, interior = exp(self.error.mean[option_index]) - ERROR_OFFSET, exp(self.interior.mean[option_index]) - INTERIOR_OFFSET
         return CandidateFigures(
             self.options[option_index].choice.name,
@@ -161,7 +162,7 @@ class LightOptions:
         )
 
     def wrong(self, option_index: int) -> float:
-        """Return the expected share, in [0, 1], of all pixels that are wrong with an option."""
+        """Return the expected share, in [0, 1], of all pixels that are wrong with the option number ``option_index``."""
         errors = self.options[option_index].errors
         return (
             min(errors.wrong * self.figures(option_index).error / errors.wrong_cast, 1.0)

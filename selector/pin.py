@@ -43,10 +43,16 @@ PINS = "pins"
 """Key, under ``shadows``, of the list of pins: algorithms and settings for some views and suns."""
 
 PIN_COMMENT = "#: Pinned by skugga select"
+"""Beginning of the first line of the comment above pinned keys."""
+
 PINNED_KEYS_COMMENT = "#: Pinned keys: "
+"""Beginning of the comment line that lists the pinned keys of ``shadows``."""
+
 COMMENT_WIDTH = 116
 """Maximum length of a comment's line, characters."""
 
+# Patterns of a level file's text: the comment above pinned keys, the line of it that lists them, the end of a YAML document, any
+# comment, and an alias behind a key.
 _PIN_BLOCK = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
 _PINNED_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
 _DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
@@ -54,7 +60,11 @@ _COMMENT = re.compile(r"#[^\r\n]*")
 _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 
 Pair = tuple[ScalarNode, Node]
+"""A key of a YAML mapping, and its value."""
+
 Edit = tuple[int, int, str]
+"""A replacement in a text: the first index, the index after the last one, and the new text."""
+
 Comment = tuple[int, str]
 """Index of a comment in the text, and the comment from its ``#`` on."""
 
@@ -152,6 +162,11 @@ def pinned_text(text: str, chosen: Mapping[str, Any], reasons: Sequence[str]) ->
 
 
 def _rewritten_text(text: str, new_values: Mapping[str, Any], reasons: Sequence[str]) -> str:
+    """Return a level file's YAML text with ``new_values`` set under ``shadows``, and ``reasons`` as comment lines above that key.
+
+    The key ``shadows`` is appended if it is missing. The result may change the meaning of other keys, for which ``pinned_text``
+    checks.
+    """
     line_end = "\r\n" if "\r\n" in text else "\n"
     root = YAML(typ="safe", pure=True).compose(text)
     shadows_pair = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
@@ -182,7 +197,10 @@ def _rewritten_text(text: str, new_values: Mapping[str, Any], reasons: Sequence[
 
 
 def _mapping_edits(text: str, shadows: MappingNode, new_values: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
-    """Return the edits that set keys of the mapping ``shadows``: existing keys change in their place, new keys are appended."""
+    """Return the edits that set keys of the mapping ``shadows``: existing keys change in their place, new keys are appended.
+
+    ``quoted`` tells whether strings are quoted. ``line_end`` is the text's line end. ``new_values`` are the new values by key.
+    """
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     comments = _comments_in(text)
     edits: list[Edit] = []
@@ -221,10 +239,11 @@ def _is_list_of_lines(pair: Pair) -> bool:
 def _list_edits(
     text: str, pair: Pair, items: Sequence[Any], line_end: str, comments: Sequence[Comment]
 ) -> tuple[list[Edit], list[str]]:
-    """Return the edits that replace a list of pins by another one with one item per line, and the comments that lose their place.
+    """Return the edits that replace a list of pins by ``items``, one per line, and the texts of the comments that lose their place.
 
-    A comment stays at the item for the same view and suns. Without such an item it loses its place. The comment behind the list's
-    key stays there.
+    ``pair`` is the list's key and value, ``line_end`` the text's line end, and ``comments`` are all comments of the text. A comment
+    stays at the item for the same view and suns. Without such an item it loses its place. The comment behind the list's key stays
+    there.
     """
     key, value = pair
     assert isinstance(value, SequenceNode)
@@ -258,7 +277,10 @@ def _list_edits(
 
 
 def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
-    """Return the view and the suns for which an item of the list of pins applies."""
+    """Return the view and the suns for which an item of the list of pins applies.
+
+    ``pin_of_list`` is the item.
+    """
     return [pin_of_list.get(key) for key in PinScope.model_fields]
 
 
@@ -272,12 +294,19 @@ def _comments_in(text: str) -> list[Comment]:
 
 
 def _insert_edit(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
+    """Return the edit that appends keys and values to a mapping in flow style (``{...}``) with the entries ``pairs``, at least one.
+
+    ``quoted`` tells whether keys and strings are quoted. ``new`` are the keys and their values.
+    """
     insert_at = _span(text, pairs[-1])[1]
     return insert_at, insert_at, f", {_flow_text(new, quoted)[1:-1]}"
 
 
 def _fill_edit(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
-    """Return the edit that inserts keys and values into an empty mapping ``{}``."""
+    """Return the edit that inserts keys and values into an empty mapping ``{}``; ``quoted`` tells whether strings are quoted.
+
+    ``new`` are the keys and their values.
+    """
     insert_at = empty.end_mark.index - 1
     return insert_at, insert_at, _flow_text(new, quoted)[1:-1]
 
@@ -300,6 +329,7 @@ def _span(text: str, pair: Pair) -> tuple[int, int]:
 
 
 def _end(text: str, node: Node) -> int:
+    """Return the index in the text behind a node's last character, without the comments and line ends behind a block."""
     if isinstance(node, MappingNode) and not node.flow_style and node.value:
         return _span(text, node.value[-1])[1]
     if isinstance(node, SequenceNode) and not node.flow_style and node.value:
@@ -316,7 +346,10 @@ def _is_alias(key: Node, value: Node) -> bool:
 
 
 def _block_lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
-    """Return the lines of keys and values in block style, indented."""
+    """Return the lines of keys and values in block style, indented by ``indent``, without their last line ends.
+
+    ``line_end`` separates the lines of a value that takes several. ``pairs`` are the keys with their values.
+    """
     return [f"{indent}{key}:{_block_text(value, indent, line_end)}" for key, value in pairs.items()]
 
 
@@ -324,7 +357,7 @@ def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[i
     """Return the text of a value, to be inserted behind its key and the colon.
 
     A list of mappings has one item per line, with ``item_comments`` by the index of the item. Any other value stands on the key's
-    line.
+    line. ``indent`` is that of the key, and ``line_end`` the text's line end.
     """
     if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
         return f" {_flow_text(value, quoted=False)}"
@@ -350,12 +383,16 @@ def _flow_text(value: Any, quoted: bool) -> str:
 
 
 def _comment(reasons: Sequence[str], indent: str) -> list[str]:
+    """Return the indented comment lines (``#: ...``) of a pin: the reasons, wrapped at ``COMMENT_WIDTH``.
+
+    Unprintable characters become spaces. Each line begins with ``indent``.
+    """
     lines = ["".join(letter if letter.isprintable() else " " for letter in line) for line in reasons]
     return [f"{indent}#: {part}" for line in lines for part in wrap(line, COMMENT_WIDTH)]
 
 
 def _setting_values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
-    """Return the values of a setting by light and kind of casters."""
+    """Return the values of the setting ``key`` (a field of ``Shadows``) in a plan, by light and kind of casters."""
     values: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
@@ -365,25 +402,30 @@ def _setting_values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
 
 
 def _keys_of(comment: str) -> tuple[str, ...]:
+    """Return the keys of ``shadows`` that the comment of a pin lists; empty if it lists none."""
     match = _PINNED_KEYS.search(comment)
     return tuple(key.strip() for key in match.group(1).split(",")) if match else ()
 
 
 def _line_start(text: str, index: int) -> int:
+    """Return the index of the first character of the line with character ``index``; a byte order mark is no part of the line."""
     start = max(text.rfind("\n", 0, index), text.rfind("\r", 0, index)) + 1
     return max(start, 1) if text.startswith("\ufeff") else start
 
 
 def _line_end(text: str, index: int) -> int:
+    """Return the index of the first line end at or after ``index``, or the length of the text."""
     match = re.compile(r"[\r\n]").search(text, index)
     return match.start() if match else len(text)
 
 
 def _load(text: str) -> Any:
+    """Return the content of a YAML text as plain dictionaries, lists and scalars."""
     return YAML(typ="safe", pure=True).load(text)
 
 
 def _read(path: Path) -> str:
+    """Return the text of a level file, with its line ends. Raises ``LevelError`` for a raster and for an unreadable file."""
     if is_level_raster(path):
         raise LevelError(str(path), Problem("a raster, not a level file"), "Use a YAML file with 'terrain: {source: ...}'")
     try:

@@ -60,6 +60,7 @@ def _name_without_companion(algorithm: Algorithm) -> str:
 def _distinct_choices(
     descriptor: Descriptor, light: str, kinds: list[CasterKind], requested_shadows: Shadows | None
 ) -> Iterator[Choice]:
+    """Yield the choices of ``portfolio``. ``kinds`` are the kinds of casters that cast shadows, in the order of the descriptor."""
     yielded = set()
     for combination, named_algorithms in combinations():
         algorithm = {kind: named_algorithms.get(kind, FALLBACK_ALGORITHM) for kind in kinds}

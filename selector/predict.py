@@ -28,6 +28,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
 ESTIMATED_TIMES_REASON = "this device is not calibrated, so times are estimates (skugga calibrate measures them)"
+"""Reason in a plan of the policy ``predict`` on a device whose time rates are estimates."""
 
 TARGET_MISSED = ": target missed"
 """End of the name of the reason for a missed target; a light's name comes first."""
@@ -38,6 +39,7 @@ MAX_OPTIONS = 64
 The algorithms that come with Skugga have at most 47."""
 
 NO_PREDICTION_REASON = "no prediction is possible, so fixed rules choose"
+"""Reason in the plan of a view with a light for which no algorithm can be predicted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,15 +67,19 @@ class PlanOptions:
     observed_basis: str = "measured"
 
     def basis(self, light: str, option_index: int) -> str:
-        """Return the word for the origin of an option's time and errors: ``observed_basis`` or "expected"."""
+        """Return the word for the origin of an option's time and errors: ``observed_basis`` or "expected".
+
+        ``option_index`` is the index of the option in ``lights[light].options``.
+        """
         return self.observed_basis if option_index in self.lights[light].observations else "expected"
 
     @property
     def max_error(self) -> float:
+        """The requested limit of the error, in [0, 1]."""
         return self.planner.requested_shadows.max_error
 
     def time_limits_ms(self) -> dict[str, float | None]:
-        """Return the part of the time limit for each light, in milliseconds; ``None`` without a limit.
+        """Return, by light, the milliseconds of the time limit ``max_ms`` that each light may take; ``None`` without a limit.
 
         The limit is divided in proportion to the times of the options that would be chosen without it.
         """
@@ -143,7 +149,10 @@ def _with_basis(plan: Plan, device: DeviceProfile) -> Plan:
 
 
 def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedReason]:
-    """Return reasons that list the observations of choices, and tell how these changed the choice."""
+    """Return reasons that list the observations of choices, and tell how these changed the choice.
+
+    ``before`` are the options without, ``after`` those with the observations.
+    """
     reasons: list[NamedReason] = []
     if not all(light_options.numbers for light_options in after.lights.values()):
         return reasons
@@ -169,6 +178,7 @@ def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[NamedR
 
 
 def _winner_number(options: PlanOptions, light: str) -> int:
+    """Return the number of a light's option with the least expected loss: its index in ``LightOptions.options``."""
     light_options, max_error = options.lights[light], options.max_error
     return light_options.number(
         least_expected_loss(light_options.forecasts(max_error), max_error, options.time_limits_ms()[light]).winner.name
@@ -251,7 +261,7 @@ def _rules_plan(options: PlanOptions) -> Plan:
 
 
 def _with_reasons(options: PlanOptions, light: str, option_index: int, verdict: RankingResult) -> Choice:
-    """Return the choice of option ``option_index``, with the reasons for it."""
+    """Return the choice of a light's option number ``option_index``, with the reasons for it. ``verdict`` is its ranking."""
     light_options, max_error = options.lights[light], options.max_error
     winner, figures = light_options.options[option_index], light_options.figures(option_index)
     error = format_wrong_share(figures.error, winner.errors.is_coverage)
@@ -286,6 +296,7 @@ def _with_reasons(options: PlanOptions, light: str, option_index: int, verdict: 
 
 
 def _chance_text(light_options: LightOptions, option_index: int, max_error: float) -> str:
+    """Return, in words, the probability that an option's error exceeds ``max_error``."""
     chance = light_options.miss_chance(option_index, max_error)
     return (
         f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error "
@@ -294,6 +305,7 @@ def _chance_text(light_options: LightOptions, option_index: int, max_error: floa
 
 
 def _limit_text(max_error: float) -> str:
+    """Return a limit of the error, a share in [0, 1], as a percentage."""
     return f"{100.0 * max_error:g} %"
 
 
@@ -328,6 +340,10 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
 
 
 def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[NamedReason]:
+    """Return a reason, in words, for each light whose chosen option misses its target.
+
+    ``winners`` holds the number of the chosen option by light, ``verdicts`` the result of its ranking.
+    """
     return [
         NamedReason(
             name=f"{light}{TARGET_MISSED}",

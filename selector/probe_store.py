@@ -25,7 +25,8 @@ def probes_folder(renderer: str, version: str) -> Path:
 def save_probes(renderer: str, version: str, level_version: str, probes: MapProbes) -> Path:
     """Add probes of a version of a level to its file by an atomic write, and return the path of the file.
 
-    Raises ``OSError`` if the folder cannot be written.
+    Raises ``OSError`` if the folder cannot be written. ``level_version`` identifies the version of the level, and ``renderer`` and
+    ``version`` are OpenGL's strings of the device.
     """
     folder = probes_folder(renderer, version)
     path = folder / f"{level_version}.json"

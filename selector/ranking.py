@@ -57,13 +57,12 @@ class RankingResult:
 def best_candidate(
     candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, tie_ratio: float = TIME_TIE_RATIO
 ) -> RankingResult:
-    """Return the best candidate for a maximum error and, if it is not ``None``, a maximum time.
+    """Return the best candidate for a maximum error, in [0, 1], and a maximum time in milliseconds; ``None`` is no time limit.
 
     1. The fastest candidate that meets the limits of error, interior error and time. Of the candidates whose times are at most
        ``tie_ratio`` times the least time, the most accurate one wins.
     2. Otherwise, the most accurate candidate within the time limit. Candidates with an interior error of at most
-    ``MAX_INTERIOR_SHARE``
-       come first.
+       ``MAX_INTERIOR_SHARE`` come first.
     3. Otherwise, the candidate with the smallest ``relative_overshoot``.
 
     Remaining ties are resolved by error, interior error, time and name. The algorithm ``none``, which draws no shadows, wins only
@@ -106,10 +105,12 @@ def _interior_rank(figures: CandidateFigures, max_error: float) -> float:
 
 
 def _accuracy_key(figures: CandidateFigures) -> tuple[float, float, float, str]:
+    """Return a sort key that puts the most accurate candidate first: by error, interior error, time and name."""
     return figures.error, figures.interior, figures.ms, figures.name
 
 
 def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None) -> str:
+    """Return by how much a candidate exceeds each limit, in words; empty if it exceeds none. ``max_ms`` of ``None`` is no limit."""
     over = []
     if figures.error > max_error:
         over.append(

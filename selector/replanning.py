@@ -242,7 +242,11 @@ def _continue_transition(
     plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
 ) -> PlanState:
-    """Return the state in the next frame of a transition, or after its end."""
+    """Return the state in the next frame of a transition, or after its end.
+
+    ``state`` is that of the next frame so far, and ``transition`` that of the frame before. ``previous_choices`` are the choices,
+    by light, from which the transition leads away.
+    """
     ended = replace(state, previous_choices=None, transition=None)
     share = transition.share + state.step
     if share > 1.0 - 1e-9:
@@ -272,7 +276,8 @@ def is_better(new_plan: Plan, kept_plan: Plan) -> bool:
 def _switch_reason(new_plan: Plan, kept_plan: Plan, without_choice: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
     """Return the reason why a new plan replaces the kept one, in words.
 
-    ``without_choice`` holds the lights and kinds of casters that the kept choices do not cover.
+    ``without_choice`` holds the lights and kinds of casters that the kept choices do not cover. ``plans_in_a_row`` is the number of
+    successive frames in which a new plan was better.
     """
     if without_choice:
         return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in without_choice}))}"
@@ -316,7 +321,7 @@ def mix_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndar
     """Mix two pictures (rows, cols, ...) of one view: an evenly spread ``share`` of the pixels shows ``after``.
 
     With a larger share, further pixels show ``after``, and all earlier ones still do. The pixels are ordered by the R2 sequence (M.
-    Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
+    Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018). All other pixels show ``before``.
     """
     order = _pixel_order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
@@ -365,7 +370,8 @@ def _with_prediction(
 def _merge_choices(choices: Mapping[str, Choice], new_choices: Mapping[str, Choice]) -> dict[str, Choice]:
     """Merge two choices for each light that agree on the kinds of casters that cast shadows now.
 
-    Kinds that cast no shadows any more keep their algorithm from ``choices``.
+    Kinds that cast no shadows any more keep their algorithm from ``choices``. ``choices`` are those so far, and ``new_choices``
+    those of the present frame, by light.
     """
     before = {light: choices.get(light, choice) for light, choice in new_choices.items()}
     return {
@@ -394,6 +400,10 @@ def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
 
 
 def _comparable_choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
+    """Return choices by light as their algorithms by kind of casters and their settings, without names and reasons.
+
+    Two results are equal exactly if the choices use the same algorithms and settings.
+    """
     return {light: (dict(choice.algorithm), dict(choice.settings)) for light, choice in choices.items()}
 
 

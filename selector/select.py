@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from skugga.selector.observation import Observation
 
 UNCALIBRATED_REASON = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
+"""Reason in a plan of the policy ``predict`` on a device without a calibration."""
 
 
 def select(

@@ -116,7 +116,7 @@ class AccuracyInputs:
     texel_px
         Function that returns a texel's side perpendicular to the light, in pixels, in a band of distances from the eye
         (``skugga.selector.cost.error_model``). Its arguments are a descriptor, a light's name, settings, a band, and the fitted
-        number of a perspective map's texels per pixel. ``None``: the algorithm has no texels.
+        number of a perspective shadow map's texels per pixel. ``None``: the algorithm has no texels.
     texel_m
         Function that returns a texel's larger side on level ground, in metres: an array (rows, cols) for the points of a buffer, or
         one number for all. Its arguments are a scene, a light's name, kinds of casters, settings and a buffer. ``None``: the
@@ -261,14 +261,14 @@ class Algorithm:
         return next((self.refusals[requirement] for requirement in requirements if requirement in self.refusals), None)
 
     def work(self, workload: Workload, settings: AlgorithmSettings | None) -> Work:
-        """Return the work of one step (one call of the algorithm), as counts by part.
+        """Return the work of one step (one call of the algorithm), as counts by part of the work.
 
         Parameters
         ----------
         workload
             The descriptor's quantities for a light and some kinds of casters.
-        settings_types
-            The resolved settings.
+        settings
+            The resolved settings; ``None`` if the algorithm has none.
         """
         if self.cost.work is not None:
             return self.cost.work(workload, settings)

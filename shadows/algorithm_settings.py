@@ -126,6 +126,7 @@ class SettingsRequest:
 
     @property
     def _forces_hard_edges(self) -> bool:
+        """Whether the sun's shadows need hard edges although another filter is requested."""
         return self.light == SUN and self.hard_edges_reason is not None and self.shadows.filter != 1
 
 

@@ -28,7 +28,10 @@ GOLDEN_ANGLE_RAD = float(np.pi * (3.0 - 5.0**0.5))
 
 
 def disc_points(sample_count: int) -> np.ndarray:
-    """Return points (samples, 2) of the unit disc, each for an equal area: Vogel's spiral (1979)."""
+    """Return points (samples, 2) of the unit disc, each for an equal area: Vogel's spiral (1979).
+
+    ``sample_count`` is the number of points.
+    """
     number = np.arange(sample_count)
     angle, radius = number * GOLDEN_ANGLE_RAD, np.sqrt((number + 0.5) / sample_count)
     return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -37,7 +40,8 @@ def disc_points(sample_count: int) -> np.ndarray:
 def sun_disc_directions(to_sun: np.ndarray, sample_count: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
     """Return unit directions (samples, 3) to points of the sun's disc, each for an equal area of it.
 
-    ``to_sun`` (3,) is the unit direction to the disc's centre.
+    ``to_sun`` (3,) is the unit direction to the disc's centre. ``sample_count`` is their number, and ``radius_deg`` the disc's
+    angular radius.
     """
     right = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
@@ -51,7 +55,7 @@ def ball_points(sample_count: int) -> np.ndarray:
 
     The points' directions from the centre are spread evenly along a spiral. The density at radius r is 1 / sqrt(1 - r^2): its
     integrals along parallel lines are all equal. With r = sin t, the share of points within radius r is (2 t - sin 2t) / pi.
-    Consecutive points of the spiral have radii that lie far apart.
+    Consecutive points of the spiral have radii that lie far apart. ``sample_count`` is the number of points.
     """
     number = np.arange(sample_count)
     up, angle = 1.0 - (2.0 * number + 1.0) / sample_count, number * GOLDEN_ANGLE_RAD

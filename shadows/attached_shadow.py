@@ -37,9 +37,9 @@ def attached_shadow_mask(buffer: GeometryBuffer, scene: Scene, light: str = SUN)
 
 
 def faces_away(normal: np.ndarray, leaf_mask: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN.
+    """Return where unit normals (rows, cols, 3) do not face a direction, bool (rows, cols); True where a normal is NaN.
 
-    Where ``leaf_mask`` (rows, cols) is true, either side of a surface may face it.
+    ``to_light`` (3,) is the direction. Where ``leaf_mask`` (rows, cols) is true, either side of a surface may face it.
     """
     out = np.empty(leaf_mask.shape, np.bool_)
     run_in_chunks(len(out), _write_facing_away_mask, normal, leaf_mask, to_light, out)
@@ -48,7 +48,10 @@ def faces_away(normal: np.ndarray, leaf_mask: np.ndarray, to_light: np.ndarray) 
 
 @compiled
 def _write_facing_away_mask(first, last, normal, leaf_mask, to_light, out):
-    """Write to ``out`` (rows, cols) where normals (rows, cols, 3) do not face a direction (3,): rows ``first`` to ``last``."""
+    """Write to ``out`` (rows, cols) where normals (rows, cols, 3) do not face the unit direction ``to_light`` (3,).
+
+    The rows are those in [``first``, ``last``). Where ``leaf_mask`` (rows, cols) is true, either side of a surface may face it.
+    """
     for i in range(first, last):
         for j in range(normal.shape[1]):
             n = normal[i, j]
@@ -60,7 +63,9 @@ def _write_facing_away_mask(first, last, normal, leaf_mask, to_light, out):
 def _write_lamp_shadow_mask(first, last, point, normal, leaf_mask, lamp_position, lamp_axis, cutoff_cosine, out):
     """Write to ``out`` (rows, cols) where points (rows, cols, 3) face away from a lamp, or lie outside of its cone.
 
-    ``lamp_axis`` (3,) is the cone's unit axis, and ``cutoff_cosine`` the cosine of half its angle.
+    ``point`` are positions in metres, and ``normal`` (rows, cols, 3) the unit normals there. The rows are those in [``first``,
+    ``last``). Where ``leaf_mask`` (rows, cols) is true, either side of a surface may face the lamp. The lamp is at
+    ``lamp_position`` (3,). ``lamp_axis`` (3,) is its cone's unit axis, and ``cutoff_cosine`` the cosine of half the cone's angle.
     """
     for i in range(first, last):
         for j in range(normal.shape[1]):

@@ -49,7 +49,8 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     """Return the steps of a light that have to run for a map's block.
 
     The step for the ground's shadow under the sun is left out, and recorded as such, where provably no ground shades the block. It
-    is never left out where intermediate pictures are requested.
+    is never left out where intermediate pictures are requested. ``steps`` are all steps of the light, and ``receivers`` the block's
+    points.
     """
     cullable = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _allows_caster_culling(step)]
     if (

@@ -74,5 +74,5 @@ def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
 
 
 def _empty_picture(size: tuple[int, int], dtype: np.dtype) -> np.ndarray:
-    """Return a picture of NaN, or of 0 for integers."""
+    """Return a picture (rows, cols) of NaN, or of 0 for integers. ``size`` is its rows and columns."""
     return np.full(size, np.nan if dtype.kind == "f" else 0, dtype)

@@ -48,7 +48,7 @@ SAMPLES_PER_PIXEL = EDGE_SAMPLES_PER_SIDE * EDGE_SAMPLES_PER_SIDE
 """Number of samples of a pixel that an edge crosses."""
 
 SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "surface_kind", "albedo")
-"""NamedArrays of a geometry buffer that shading reads."""
+"""Names of the arrays of a geometry buffer that shading reads."""
 
 
 def anti_alias_block(
@@ -118,7 +118,8 @@ def _sample_edges(
 def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visibilities: NamedArrays) -> bool:
     """Return whether no edge can cross a block or its sides.
 
-    That holds where the block has bare ground, nothing casts, and all ground faces the sun.
+    That holds where the block has bare ground, nothing casts, and all ground faces the sun. ``visibilities`` are those of the
+    lights at the block's points.
     """
     if plan.casts_shadows or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
@@ -126,7 +127,10 @@ def _is_evenly_lit(scene: Scene, plan: Plan, block_buffer: GeometryBuffer, visib
 
 
 def _find_casters_of_samples(scene: Scene, sample_buffer: GeometryBuffer, search_outside: bool) -> Casters:
-    """Return the casters beside a part of a block; none unless ``search_outside``."""
+    """Return the casters beside a part of a block; none unless ``search_outside``.
+
+    ``sample_buffer`` holds the samples of the part's edge pixels.
+    """
     return find_casters(scene, sample_buffer) if search_outside else NO_CASTERS
 
 
@@ -146,7 +150,10 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
 
 def _windows_with_edges(edge_mask: np.ndarray) -> Iterator[tuple[slice, slice]]:
-    """Yield the parts of a block that contain edge pixels, as slices of its rows and columns."""
+    """Yield the parts of a block that contain edge pixels, as slices of its rows and columns.
+
+    ``edge_mask`` (rows, cols) are the block's edge pixels.
+    """
     for top in range(0, edge_mask.shape[0], SAMPLED_PART_PX):
         for left in range(0, edge_mask.shape[1], SAMPLED_PART_PX):
             down = slice(top, min(top + SAMPLED_PART_PX, edge_mask.shape[0]))
@@ -185,7 +192,7 @@ def _append_samples(
     """Return a buffer's array (rows, cols, ...) with samples as extra rows below it.
 
     ``samples`` (n, ``SAMPLES_PER_PIXEL``, ...) belong to the pixels ``row``, ``col`` (n,). Samples in the mask ``missing_mask``
-    take their pixel's own value.
+    take their pixel's own value. ``pixel_values`` is the buffer's array.
     """
     of_pixels = pixel_values[row, col][:, None]
     is_missing = missing_mask.reshape(missing_mask.shape + (1,) * (samples.ndim - 2))

@@ -124,7 +124,7 @@ class PassLog:
 
     @contextmanager
     def record_pass(self, name: str) -> Iterator[PassRecord]:
-        """Time a pass within the block, and record its time and all draw calls."""
+        """Time a pass within the ``with`` statement, and record its time and all draw calls."""
         record = self.records.setdefault(name, PassRecord(name))
         record.parts += 1
         start = time.perf_counter()

@@ -51,7 +51,11 @@ def light_point_count(descriptor: Descriptor, light: str) -> int:
 
 
 def _penumbra_width_m(lamp: LampFacts, lamp_distance_m: float, caster_distance_m: float | None) -> float:
-    """Return the width of a lamp's penumbra at a distance from the lamp, metres; an upper bound if the caster's is unknown."""
+    """Return the width of a lamp's penumbra at the distance ``lamp_distance_m`` from the lamp, metres.
+
+    ``caster_distance_m`` is the median distance of the casters in front of the receiver. If it is ``None`` (unknown), the result is
+    an upper bound.
+    """
     share = (
         MAX_CASTER_DISTANCE_SHARE
         if caster_distance_m is None

@@ -40,7 +40,7 @@ class Picture:
     reach
         The distance to which casters were searched; ``None`` unless needed.
     frame
-        The whole frame; ``None`` unless needed.
+        The rendered view with all of its arrays (``skugga.shadows.render.Frame``); ``None`` unless needed.
     shows_sky
         Whether pixels off the surface show the sky, as in a perspective view.
     """
@@ -60,7 +60,7 @@ class Picture:
         return np.ones(self.valid.shape, np.bool_) if self.shows_sky else self.valid
 
     def part(self, window: PixelWindow) -> Picture:
-        """Return a window of the picture, without a frame."""
+        """Return the rows and columns ``window`` of the picture as a picture, in which the field ``frame`` is ``None``."""
         color, opacity, visibility = (
             None if array is None else array[window] for array in (self.color, self.opacity, self.visibility)
         )  # fmt: skip

@@ -17,6 +17,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind
 
 
+# The base of the plan's models: immutable, without unknown fields.
 class _FrozenModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,6 +32,7 @@ class _SettingsSchema:
     """Annotation that adds the settings types of all algorithms to JSON schemas."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
+        """Return the JSON schema of the union of all algorithms' settings types."""
         return handler(TypeAdapter(settings_type(*ALGORITHMS)).core_schema)
 
 
@@ -61,7 +63,19 @@ class Predicted(_FrozenModel):
 
 @dataclass(frozen=True)
 class Step:
-    """One call of an algorithm: for a light, and for some kinds of casters together."""
+    """One call of an algorithm: for a light, and for some kinds of casters together.
+
+    Attributes
+    ----------
+    light
+        The name of the light.
+    kinds
+        The kinds of casters.
+    algorithm
+        The name of the algorithm.
+    settings
+        Its resolved settings; ``None`` if it has none.
+    """
 
     light: str
     kinds: tuple[CasterKind, ...]

@@ -123,7 +123,10 @@ def fill_visibility(
 
 
 def plane_projection(light_m: np.ndarray) -> np.ndarray:
-    """Return the projection (4, 4) of homogeneous points onto z = 0, away from a homogeneous light (4,) above it: p' / H."""
+    """Return the projection (4, 4) of homogeneous points onto z = 0, away from the homogeneous light ``light_m`` (4,): p' / H.
+
+    The light is above the plane.
+    """
     return np.eye(4) - np.outer(light_m / light_m[2], [0.0, 0.0, 1.0, 0.0])
 
 
@@ -169,7 +172,10 @@ def _draw_stencil(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask)."""
+    """Return the stencil (rows, cols) uint8 of a view after casters are projected onto its ground pixels ``receivers`` (mask).
+
+    ``passes`` are the names of the algorithm's passes for the light and the kinds. ``projection`` holds the casters and the light.
+    """
     if not (receivers.any() and projection.reaches_ground):
         for name in passes:
             with log.record_pass(name):
@@ -195,7 +201,11 @@ def _draw_stencil(
 def _draw_casters(
     gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projection: Projection, record: PassRecord
 ) -> None:
-    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded."""
+    """Draw the projected casters into the stencil: ground pixels that they cover change from lit to shaded.
+
+    ``clip_from_caster`` (4, 4) maps homogeneous points of casters, in metres from ``Projection.origin_frame_m``, to clip
+    coordinates.
+    """
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.increment_once_pass(target, LIT_VALUE, clip_distances=1):
         if projection.meshes:
@@ -221,10 +231,12 @@ def _draw_casters(
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    """Return no settings, since the algorithm has none, and the reason why a requested filter has no effect."""
     return None, request.ignored_filter_reasons("planar")
 
 
 def _work(workload: Workload, settings: None) -> Work:
+    """Return the counts of work by name (blocks, pixels, triangles, trees), under the name of the algorithm's only part."""
     caster_counts = {
         "triangles": workload.picture_count * workload.triangle_count("meshes"),
         "trees": workload.picture_count * workload.tree_count,

@@ -1,4 +1,7 @@
-"""The shadow algorithms by name. Each is declared as a record (``skugga.shadows.algorithm``) in its own module."""
+"""The shadow algorithms by name. Each is declared as a record (``skugga.shadows.algorithm``) in its own module.
+
+``perspective_shadow_map`` is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
+"""
 
 from __future__ import annotations
 

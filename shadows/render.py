@@ -148,7 +148,10 @@ def check_pixel_count(view: MapView | PerspectiveView) -> None:
 
 
 def pass_names_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
-    """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms."""
+    """Return the names of a frame's passes in order, given its effects and the passes of its shadow algorithms.
+
+    ``effects`` and ``shadow_passes`` hold their names.
+    """
 
     def effect_names(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
@@ -240,6 +243,7 @@ def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
     """Return the points from which casters are searched.
 
     They are fewer in a perspective view in which nothing casts, since only the report of the casters' reach needs them there.
+    ``own_pixels`` is the buffer of the view's own pixels.
     """
     if plan.casts_shadows or isinstance(own_pixels.view, MapView):
         return own_pixels
@@ -285,7 +289,7 @@ def render_block(
 ) -> Frame:
     """Render a block of a map, or a band of a perspective view. The scene is one that ``apply_refraction`` returned.
 
-    Raises the errors of ``render_frame``.
+    Raises the errors of ``render_frame``. ``pixel_sampling`` is that of ``render_frame``.
     """
     with log.record_pass(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
@@ -354,7 +358,10 @@ def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBl
 
 
 def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
-    """Write the sky's colour to the pixels and samples without a surface."""
+    """Write the sky's colour to the pixels and samples without a surface.
+
+    ``linear`` (rows, cols, 3) is the linear colour of the buffer's points, which is changed in place.
+    """
     row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of_points(row, col)
     linear[row, col] = sky_pixel_colors(scene, view, pixel_row, pixel_col)

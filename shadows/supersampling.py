@@ -196,7 +196,10 @@ def needs_outside_casters(plan: Plan, block_buffer: GeometryBuffer | BareGround,
 
 
 def lit_nodes(sampling: Supersampling, view: MapView, search_outside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
-    """Return the valid mask of the nodes and the sun's visibility at them, bool (rows, cols), from heights alone."""
+    """Return the valid mask of the nodes and the sun's visibility at them, bool (rows, cols), from heights alone.
+
+    ``search_outside`` tells whether ground beside the nodes is searched for casters.
+    """
     scene, plan = sampling.scene, sampling.plan
     with log.record_pass(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, sampling.nodes_per_pixel_side)
@@ -216,7 +219,10 @@ def lit_nodes(sampling: Supersampling, view: MapView, search_outside: bool, log:
 def _visibilities_at_nodes(
     sampling: Supersampling, view: MapView, search_outside: bool, log: PassLog
 ) -> tuple[np.ndarray, Visibilities]:
-    """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
+    """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer.
+
+    ``search_outside`` tells whether casters beside the nodes are searched.
+    """
     scene, plan = sampling.scene, sampling.plan
     with log.record_pass(GEOMETRY_PASS):
         buffer = geometry_buffer(scene, view)
@@ -225,5 +231,8 @@ def _visibilities_at_nodes(
 
 
 def _values_in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the means over the nodes in each pixel, or the maxima of integers."""
+    """Return the means over the nodes in each pixel, or the maxima of integers.
+
+    ``picture`` holds a value for each node of ``nodes``, and ``valid`` is the mask of the nodes that show a surface.
+    """
     return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else max_in_pixels(view, nodes, picture)

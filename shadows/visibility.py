@@ -85,7 +85,11 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
 
 @compiled
 def _write_nearer_mask(first, last, valid, position, eye, limit_m, out):
-    """Write to ``out`` (rows, cols) which valid points are nearer to an eye (3,) than ``limit_m`` metres."""
+    """Write to ``out`` (rows, cols) which valid points are nearer to an eye (3,) than ``limit_m`` metres.
+
+    ``valid`` (rows, cols) and ``position`` (rows, cols, 3), metres, are those of the buffer, ``eye`` is in its frame. The rows are
+    those in [``first``, ``last``).
+    """
     for i in range(first, last):
         for j in range(valid.shape[1]):
             p = position[i, j]

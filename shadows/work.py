@@ -25,7 +25,7 @@ Counts = dict[str, float]
 """Count of each kind of thing, by name."""
 
 Work = dict[str, Counts]
-"""Counts by part of an algorithm."""
+"""Counts by name of a part of the work."""
 
 MAX_CASTER_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""
@@ -156,7 +156,10 @@ class Workload:
         return self.level_ground_projected_m2 * self.facts.area_share
 
     def part_name_in_view(self, part_name: str) -> str:
-        """Return a part's name with the kind of view, for work that differs between maps and perspective views."""
+        """Return a part's name with the kind of view, for work that differs between maps and perspective views.
+
+        ``part_name`` is that of a part of the work.
+        """
         return f"{part_name}, {self.descriptor.view_kind}"
 
     @property

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from skugga.api.library.opened_level import OpenLevel, open_heights, open_level
     from skugga.terrain.errors import SkuggaError
 else:
+    # Public names, each with the module and the name there from which it is imported.
     _SOURCES = {
         "OpenLevel": ("skugga.api.library.opened_level", "OpenLevel"),
         "SkuggaError": ("skugga.terrain.errors", "SkuggaError"),
@@ -41,6 +42,7 @@ else:
     }
 
     def __getattr__(name: str) -> object:
+        """Import the public name ``name`` on its first use, and return it. Raises ``AttributeError`` for other names."""
         if name == "__version__":
             from importlib.metadata import version  # slow to import
 
@@ -53,6 +55,7 @@ else:
         return value
 
     def __dir__() -> list[str]:
+        """Return the names of the module, with the public names that are not imported yet."""
         return sorted({*globals(), *__all__})
 
 

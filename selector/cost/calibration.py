@@ -42,6 +42,7 @@ TIME_LIMIT_S = 90.0
 """Seconds after which the third round of timing stops. The first two rounds always complete."""
 
 ProgressCallback = Callable[[int, int], None]
+"""A function that is called with the number of steps done and the total number of steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +89,10 @@ def calibrate(on_step: ProgressCallback | None = None) -> DeviceProfile:
 
 
 def _timed_jobs(start_s: float, on_step: ProgressCallback) -> list[CalibrationJob]:
+    """Run the jobs of all calibration views for ``TIMING_ROUNDS`` rounds, and return them with their least times.
+
+    ``start_s`` is the start of the calibration by ``time.perf_counter``, for ``TIME_LIMIT_S``.
+    """
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
         jobs = [job for calibration_view in calibration_views(Path(folder)) for job in calibration_jobs(calibration_view)]
         for round_number in range(TIMING_ROUNDS):
@@ -152,6 +157,7 @@ def run_job(job: CalibrationJob) -> None:
 
 
 def _base_part(part: str) -> str:
+    """Return the name of a part of the work without its kind of view or light, which follows a comma."""
     return part.split(",")[0]
 
 
@@ -176,7 +182,10 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
 
 
 def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
-    """Return the relative errors of the times that the rates predict for whole steps, by algorithm."""
+    """Return the relative errors of the times that the rates predict for whole steps, by algorithm.
+
+    ``rates_ns`` are the rates by part of the work and name of the count, and ``jobs`` the measured steps.
+    """
     errors: dict[str, list[float]] = {}
     for job in jobs:
         real_ms = sum(job.min_ms.values())

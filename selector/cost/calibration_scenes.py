@@ -20,7 +20,10 @@ from skugga.terrain.level.level import CasterKind, load_level
 from skugga.terrain.scene import Scene, build_scene
 
 FLOOR_TERRAIN: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
+"""A level's ``terrain``: a flat ground of 160 x 160 m."""
+
 BALL_RADIUS_M = 5.0
+"""Default radius of the balls of ``_balls``, metres."""
 
 GLOBE_CRS, GLOBE_MIDDLE_M = "EPSG:32632", (500_000.0, 5_300_000.0)
 """CRS of the scenes on a globe, and the coordinates of their middle."""
@@ -148,6 +151,11 @@ def calibration_levels(
 def _level(
     terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **level_keys: Any
 ) -> dict[str, Any]:
+    """Return the content of a level file with a terrain, the view ``main``, and a view ``map`` of the ground's middle.
+
+    ``terrain`` and ``main`` are entries of the level file. ``sun`` is an azimuth and an altitude in degrees; ``None``: no sun.
+    ``level_keys`` are further keys of the level file.
+    """
     placed: Any = "none" if sun is None else {"azimuth": sun[0], "altitude": sun[1]}
     size_m = (terrain.get("flat") or terrain.get("generate") or {"size": [160.0]})["size"]
     half_m = 0.35 * size_m[0]  # away from the rim, where the ground ends
@@ -156,7 +164,10 @@ def _level(
 
 
 def _plain_on_globe(folder: Path, name: str, cell_m: float) -> dict[str, Any]:
-    """Return a level's ``terrain``: a plain of 160 x 160 m with a CRS, so that the world is a globe."""
+    """Return a level's ``terrain``: a plain of 160 x 160 m with a CRS, so that the world is a globe.
+
+    Its raster, which is named after ``name`` and has cells of ``cell_m`` metres, is written to ``folder``.
+    """
     import rasterio
 
     cells, (x, y) = round(160.0 / cell_m), GLOBE_MIDDLE_M
@@ -181,17 +192,22 @@ def _moved(meshes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _camera(eye: list[float], target: list[float]) -> dict[str, Any]:
+    """Return the level file's entry of a perspective view, with the positions x, y and z of eye and target in metres."""
     return {"kind": "perspective", "eye": eye, "target": target, "fov": 45}
 
 
 def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
+    """Return a level's ``terrain``: generated ridges, ``relief_m`` metres high, on a square.
+
+    The square has sides of ``side_m`` metres and cells of ``cell_m`` metres.
+    """
     return {"generate": {"kind": "ridges", "size": [side_m, side_m], "cell": cell_m, "relief": relief_m, "seed": 5}}
 
 
 def _positions(count: int, side_m: float) -> list[list[float]]:
     """Return evenly spread positions x and y, metres, in a square with sides of ``side_m`` around the origin.
 
-    They are multiples of the golden ratio along one axis, and even steps along the other.
+    They are multiples of the golden ratio along one axis, and even steps along the other. There are ``count`` of them.
     """
     number = np.arange(count)
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)
@@ -199,7 +215,10 @@ def _positions(count: int, side_m: float) -> list[list[float]]:
 
 
 def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_RADIUS_M) -> dict[str, Any]:
-    """Return an entry of a level's ``meshes``: ``count`` balls with 20 x 4^halvings triangles each."""
+    """Return an entry of a level's ``meshes``: ``count`` balls with 20 x 4^halvings triangles each, on evenly spread positions.
+
+    The file of a ball is written to ``folder``.
+    """
     import trimesh
 
     path = folder / f"ball_{halvings}_{radius_m:g}.ply"
@@ -219,7 +238,10 @@ def _box_lattice(folder: Path) -> dict[str, Any]:
 
 
 def _forest(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
-    """Return an entry of a level's ``forest``: a square of trees, ``density`` of them per hectare."""
+    """Return an entry of a level's ``forest``: a square with sides of ``side_m`` metres, with ``density`` trees per hectare.
+
+    The file of the square, which is named after ``name``, is written to ``folder``.
+    """
     half = side_m / 2.0
     ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}

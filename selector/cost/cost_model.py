@@ -17,6 +17,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind
 
 MS_PER_NS = 1e-6
+"""Milliseconds per nanosecond."""
 
 
 def step_work(

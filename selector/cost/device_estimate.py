@@ -43,7 +43,10 @@ def is_software_rasteriser(renderer: str) -> bool:
 
 
 def typical_profile(renderer: str, driver_version: str) -> DeviceProfile:
-    """Return a device's estimated profile with the typical device's rates, for plans that depend on ratios of times alone."""
+    """Return a device's estimated profile with the typical device's rates, for plans that depend on ratios of times alone.
+
+    ``renderer`` and ``driver_version`` are OpenGL's strings of the device.
+    """
     return typical_device().model_copy(
         update={"renderer": renderer, "version": driver_version, "cpus": os.cpu_count() or 1, "residuals": {}, "is_estimate": True}
     )

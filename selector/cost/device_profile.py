@@ -18,7 +18,10 @@ SCHEMA_VERSION: Final = 2
 """Version of the profile's format. It changes if the meaning of the rates changes. Profiles of another version are ignored."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Nanoseconds per counted operation."""
+
 RelativeError = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Absolute difference of a predicted time from the measured one, divided by the measured one."""
 
 
 class Residual(BaseModel):
@@ -59,7 +62,10 @@ class DeviceProfile(BaseModel):
 
 
 def profile_path(renderer: str, version: str) -> Path:
-    """Return the path of the profile of a device and driver. The file name has readable words and a unique digest."""
+    """Return the path of the profile of a device and its driver version. The file name has readable words and a unique digest.
+
+    ``renderer`` and ``version`` are OpenGL's strings.
+    """
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
     return user_cache_folder("devices") / f"{words}-{digest}.json"
@@ -94,6 +100,7 @@ def missing_profile_reason(renderer: str, version: str) -> str | None:
 
 
 def _read(renderer: str, version: str) -> DeviceProfile | str:
+    """Return the profile of a device and its driver version, or as a sentence the reason why there is no usable one."""
     path = profile_path(renderer, version)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -7,9 +7,9 @@ A step is one call of an algorithm.
 pixels follows from the settings. It is the side in light space divided by that of a pixel. For the sun it depends on the cascade,
 for a lamp on the width of the light cone at the lamp's distance (J. Sindholt's equation 1, solved for the texel). Only a part of
 the differing pixels counts as wrong, since ground truth does not decide pixels on a shadow's edge, and filter taps smooth the edge.
-This part, ``counted``, grows with the texel from 0 to its limit. A perspective shadow map has texels that follow the picture's
-pixels. ``perspective`` of them cover a pixel's side if the map has as many texels as the picture has pixels. They are never larger
-than those of a uniform map.
+This part, ``counted``, grows with the texel from 0 to its limit. A perspective shadow map (Stamminger and Drettakis 2002,
+"Perspective shadow maps") has texels that follow the picture's pixels. ``perspective`` of them cover a pixel's side if the map has
+as many texels as the picture has pixels. They are never larger than those of a uniform map.
 
 **Planar** shadows are right on the ground only, so cast shadow on bodies is wrong. **All other algorithms** are exact except for a
 constant error, the floor. It is larger for sweeps in a perspective view whose ground is drawn with fewer triangles.
@@ -156,6 +156,7 @@ class HillCurve(BaseModel):
     steepness: float = Field(gt=0)
 
     def evaluate(self, texel_px: float) -> float:
+        """Return the curve's value, in [0, ``most``), for texels with sides of ``texel_px`` pixels."""
         return self.most / (1.0 + (self.half_px / max(texel_px, 1e-9)) ** self.steepness)
 
 
@@ -218,7 +219,7 @@ def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], m
 
 
 def error_group_of(descriptor: Descriptor, step: Step) -> str:
-    """Return the name of the error group that has the fitted constants of a step."""
+    """Return the name of the error group (views and algorithms with common constants) of a step."""
     return ALGORITHMS[step.algorithm].error_group(descriptor)
 
 
@@ -277,6 +278,7 @@ def is_dense_wood(descriptor: Descriptor, light: str) -> bool:
 
 
 def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants:
+    """Return the constants of a step's error group. Raises ``UnmeasuredError`` if there are none."""
     constants = constants_of(descriptor, step, model)
     if constants is None:
         raise UnmeasuredError(step.algorithm, NO_ERRORS_REASON)

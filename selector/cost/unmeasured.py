@@ -5,7 +5,10 @@ from __future__ import annotations
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
 NO_ERRORS_REASON = "its errors are not measured yet: benchmarks/selection fits them"
+"""Reason why an algorithm cannot be predicted: its errors were never measured. They need not be small."""
+
 NO_RATES_REASON = "this device has no rates for {part}: run skugga calibrate again"
+"""Reason why an algorithm cannot be predicted: the calibration has no time rates for the part ``part`` of its work."""
 
 
 class UnmeasuredError(Exception):

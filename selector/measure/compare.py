@@ -32,6 +32,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
+"""Counters of the render passes that a comparison reports, summed over the passes."""
 
 TIMING_REPEATS = 5
 """Number of timed repeats of each candidate, if the time limit allows."""
@@ -40,6 +41,7 @@ TIME_LIMIT_S, DRAWING_TIME_SHARE = 70.0, 0.85
 """Time limit of a comparison in seconds, and the share of it after which no further candidates are drawn."""
 
 FINE_TRUTH_SAMPLES_PER_PIXEL = 16
+"""Number of sub-samples of a pixel for fine truth, a square number."""
 
 NO_CAST_SHADOW_REMARK = "no cast shadow in the view: only false shadow can be measured"
 """Remark on a view without cast shadow."""
@@ -129,7 +131,7 @@ class TimedRun:
     times
         Times of the execution, milliseconds.
     parts
-        Visibilities, (rows, cols) for each block of the view.
+        Visibilities in [0, 1], one array (rows, cols) for each block of the view.
     log
         Log of the render passes.
     """
@@ -281,6 +283,10 @@ def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
 
 
 def _check_light(scene: Scene, light: str | None) -> str:
+    """Return the name of the light to compare: ``light``, or by default the sun or the first light of a level without a sun.
+
+    Raises ``InputError`` for an unknown light.
+    """
     if light is not None and light not in scene.light_names:
         raise InputError("light", light, ", ".join(scene.light_names) or "none (the level has no lights)")
     return light or (*scene.light_names, SUN)[0]
@@ -348,7 +354,7 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
 def picture_blocks(scene: Scene, view: View) -> list[DrawnBlock]:
     """Return the geometry and the casters of each block of a view. The geometry includes antialiasing samples at edges.
 
-    A map is cut into blocks, and a perspective view into bands of rows, as in ``render_frame``.
+    The blocks of a map are its square blocks, and those of a perspective view are bands of rows, as in ``render_frame``.
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     pictures = [picture_buffer(scene, part) for part, _, _ in parts]
@@ -359,6 +365,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     """Execute a plan's steps for a light on the blocks of a view, with empty caches, and measure the time.
 
     The time includes antialiasing samples at edges, as in any picture. The resulting visibilities are those of whole pixels.
+    ``pictures`` are the blocks of the view.
     """
     clear_caches("light")  # the time includes all work of a moving sun
     steps = plan.steps_of_light(light)
@@ -405,6 +412,7 @@ def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
 
 
 def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:
+    """Return remarks for the reader on what a comparison cannot measure in this view."""
     truth, remarks = view_truth.full_truth, []
     if not truth.valid.any():
         remarks.append("the view shows no surface: there is nothing to compare")

@@ -60,10 +60,12 @@ class PointCounts:
     interior_count: int = 0
 
     def __add__(self, other: PointCounts) -> PointCounts:
+        """Return the sums of both objects' counts."""
         return PointCounts(*(a + b for a, b in zip(self.as_tuple, other.as_tuple, strict=True)))
 
     @property
     def as_tuple(self) -> tuple[int, ...]:
+        """The counts in the order of the fields."""
         return self.decidable_count, self.wrong_count, self.cast_count, self.wrong_cast_count, self.interior_count
 
 
@@ -115,7 +117,7 @@ class Lattice:
     truth: Truth
 
     def at_points(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of a picture (rows, cols) at the points of the lattice."""
+        """Return the values of the whole picture (rows, cols) at the points of the lattice, (m, n)."""
         return values[self.first_pixel[0] :: self.spacing_px, self.first_pixel[1] :: self.spacing_px]
 
 

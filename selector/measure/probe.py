@@ -29,7 +29,10 @@ DEFAULT_BUDGET_S = 3.0
 """Default time limit of a probe in seconds."""
 
 UNCALIBRATED_PROBE_REASON = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
+"""Reason in the plan of a probe on a device without a calibration or an estimate of its rates."""
+
 ESTIMATED_PROBE_REASON = "this device is not calibrated, so times are estimates, corrected by the candidates drawn"
+"""Reason in the plan of a probe on a device whose time rates are estimates."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,10 +91,12 @@ class ErrorMeasurement:
 
     @property
     def _error_noise(self) -> float:
+        """Standard deviation of the logarithm of ``error`` (``log_error``), from its interval."""
         return (log_error(self.high) - log_error(self.low)) / (2.0 * INTERVAL_Z)
 
     @property
     def _interior_noise(self) -> float:
+        """Standard deviation of the logarithm of ``interior`` (``log_interior``), from its interval."""
         return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * INTERVAL_Z)
 
     def to_observation(self, choice: str, ms: float) -> Observation:
@@ -168,7 +170,7 @@ def probe_options(
     ``prior`` holds the options with their predictions. ``max_error`` and ``max_ms`` are the limits of error and time. ``budget_s``
     is the time limit of the probe in seconds; ``None`` means no limit. At least one option is drawn, whatever the limit.
     ``on_step(drawn)`` is called after each drawing, with the number of drawn options. If algorithms refuse to draw all options,
-    none remains in the result.
+    none remains in the result. ``prober`` draws the options and measures their errors.
     """
     drawn_ms: dict[int, float] = {}
     measurements: dict[int, ErrorMeasurement] = {}
@@ -228,12 +230,18 @@ def probe_options(
 
 
 def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> int:
-    """Return the number of the option with the least expected loss."""
+    """Return the number of the option with the least expected loss: its index in ``LightOptions.options``.
+
+    ``max_error`` and ``max_ms`` are the limits of error, in [0, 1], and of time, milliseconds; ``None`` is no time limit.
+    """
     return options.number(least_expected_loss(options.forecasts(max_error), max_error, max_ms).winner.name)
 
 
 def _fastest_likely(options: LightOptions, leader: int, max_error: float, max_ms: float | None) -> int:
-    """Return the number of the fastest option that is likely to meet the target; ``leader`` if none is."""
+    """Return the number of the fastest option that is likely to meet the target; ``leader`` if none is.
+
+    ``max_error``, in [0, 1], and ``max_ms``, milliseconds, are the limits of error and time; ``None`` is no time limit.
+    """
     likely = [
         option_index
         for option_index in options.numbers
@@ -246,7 +254,10 @@ def _fastest_likely(options: LightOptions, leader: int, max_error: float, max_ms
 def _gains(
     options: LightOptions, leader: int, option_numbers: Collection[int], max_error: float, max_ms: float | None
 ) -> dict[int, float]:
-    """Return the expected gains over the leader (``expected_gain``) of options by number."""
+    """Return the expected gains over the leader (``expected_gain``) of options by number.
+
+    ``option_numbers`` are their numbers.
+    """
     return {
         option_index: expected_gain(options, option_index, leader, max_error, max_ms)
         for option_index in sorted(option_numbers)
@@ -283,8 +294,8 @@ def expected_gain(options: LightOptions, option_index: int, leader: int, max_err
 def _expected_saving(estimate: GaussianEstimate, option_index: int, than_log: float) -> float:
     """Return the expected relative saving of a log-normal value against a known value, whose logarithm is ``than_log``.
 
-    The log-normal value is that of candidate ``option_index``. A larger value counts as a saving of 0. The formula is that of a put
-    option's price (F. Black and M. Scholes, 1973).
+    The log-normal value is the error or the time, of which ``estimate`` is the distribution, of candidate ``option_index``. A
+    larger value counts as a saving of 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
     """
     mean, sd = float(estimate.mean[option_index]) - than_log, sqrt(max(float(estimate.covariance[option_index, option_index]), 0.0))
     if sd == 0.0:
@@ -293,4 +304,5 @@ def _expected_saving(estimate: GaussianEstimate, option_index: int, than_log: fl
 
 
 def _normal_below(z: float) -> float:
+    """Return the probability, in [0, 1], that a standard normal variable is below ``z``."""
     return 0.5 * (1.0 + erf(z / sqrt(2.0)))

@@ -59,6 +59,10 @@ class ProbedPictures:
 
     @cached_property
     def blocks(self) -> list[DrawnBlock]:
+        """The geometry and the casters of each block of the probed part of the view.
+
+        They are the single block of a map, or the bands of rows of a perspective view.
+        """
         if isinstance(self.view, MapView):
             ((picture, casters),) = picture_blocks(self.scene, self.view)
             return [(picture, casters)]
@@ -134,6 +138,7 @@ class SceneProber:
 
     @cached_property
     def _truths(self) -> list[PictureTruth]:
+        """Ground truth under the light, one for each block of the probed part."""
         pictures = self._pictures
         return [
             PictureTruth(pictures.scene, picture.pixel_buffer, casters, self._light, pictures.effects)
@@ -178,7 +183,8 @@ class SceneProber:
     def _coverage_measurement(self, option_index: int, total: PointCounts) -> ErrorMeasurement:
         """Return the errors of a drawn option, with the error of coverage.
 
-        It is the mean difference from truth of the shadow share in blocks of pixels. ``total`` gives the interior error.
+        It is the mean difference from truth of the shadow share in blocks of pixels. ``total`` are the counts of the sample points,
+        which give the interior error.
         """
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
@@ -214,6 +220,7 @@ class SceneProber:
 
     @property
     def _is_complete(self) -> bool:
+        """Whether the lattices in use contain all pixels of every block."""
         return all(
             len(picture_lattices) == truth.lattice_count
             for picture_lattices, truth in zip(self._lattices_so_far(), self._truths, strict=True)
@@ -232,7 +239,10 @@ class SceneProber:
 
 
 def is_warm(options: LightOptions, option_index: int, drawn: Collection[int]) -> bool:
-    """Return whether an option in ``drawn`` has the algorithms of option ``option_index``, each for the same kinds of casters."""
+    """Return whether the algorithms of option ``option_index``, each for the same kinds of casters, have drawn the scene before.
+
+    ``drawn`` holds the numbers of the options that were drawn.
+    """
     return options.options[option_index].algorithm_family in {options.options[number].algorithm_family for number in drawn}
 
 

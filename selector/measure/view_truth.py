@@ -29,8 +29,10 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 View = MapView | PerspectiveView
+"""A view of any kind."""
 
 ErrorName = Literal["wrong_cast", "coverage"]
+"""The error that ``max_error`` limits: the wrong share of the cast shadow, or the error of shadow shares in blocks of pixels."""
 
 TRUTH_SAMPLES_PER_PIXEL = 4
 """Number of sub-samples of a pixel. Truth decides between shadow and light only if all of them agree."""
@@ -168,7 +170,7 @@ def truth_of_parts(
     samples: int = TRUTH_SAMPLES_PER_PIXEL,
     effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
-    """Compute the ground truth of a view from parts, each with the row and column of its first pixel in the view.
+    """Compute the ground truth of a view from ``parts`` of it: views, each with the row and column of its first pixel in the view.
 
     ``ViewTruth.true_shares`` is not computed. The other parameters are those of ``truth_of_view``.
     """
@@ -189,6 +191,10 @@ def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.n
 
 
 def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> TruthBlock:
+    """Return the ground truth of one block of a view, whose first pixel lies at ``row`` and ``col`` of the view.
+
+    The other parameters are those of ``truth_of_view``. Points that an effect hides are not valid in the result.
+    """
     full_buffer = geometry_buffer(scene, block)
     casters = find_casters(scene, full_buffer)
     truth, buffer = (
@@ -217,6 +223,10 @@ def _area_visibility(ground: TruthBlock, spacing_px: int) -> np.ndarray:
 
 
 def _assemble(view: View, blocks: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    """Return one array of the view (rows, cols) from ``parts``, one array for each of its blocks.
+
+    Pixels outside of all blocks have the value ``empty``. Pixels of a block outside of the view are ignored.
+    """
     assembled = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
     for ground, part in zip(blocks, parts, strict=True):
         rows, cols = part.shape

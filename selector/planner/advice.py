@@ -12,10 +12,11 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import Shadows
 
 NO_RULE_REASON = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
+"""Reason for ``FALLBACK_ALGORITHM`` where no rule applies."""
 
 
 def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[str]) -> dict[str, Choice]:
-    """Return the choices of the fixed rules by light.
+    """Return the choices of the fixed rules by light, for the names of lights in ``lights``.
 
     For each kind of casters the first rule that applies decides. The reason is that of the rule, with its source.
     """

@@ -2,7 +2,8 @@
 
 Most rules are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The other
 rules cover cases outside of the thesis: maps without perspective, and heightfields, which the line sweep can draw.
-``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source.
+``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source. A perspective
+shadow map is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
 """
 
 from __future__ import annotations
@@ -139,6 +140,7 @@ class Rule:
 
 
 def _needs_map_settings_reason(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: the request sets settings that only shadow maps have. ``None`` if it sets none."""
     taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
     unforced_values = {"filter": ("auto", *taps)}
     keys = [key for key in MAP_SETTINGS if getattr(case.requested_shadows, key) not in unforced_values.get(key, ("auto",))]
@@ -150,12 +152,17 @@ def _needs_map_settings_reason(case: RuleInput) -> str | None:
 
 
 def _heightfield_reason(case: RuleInput) -> str | None:
+    """Return the reason for the sweep: the casters are relief, a heightfield, under the sun. ``None`` for others."""
     if case.light != SUN or case.kind != "relief" or sunlit_ground_extent_m(case.descriptor) is None:
         return None
     return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 
 
 def _needs_exact_shadows_reason(case: RuleInput) -> str | None:
+    """Return the reason for shadow volumes: the limit of the error is too small for shadow maps, without a limit of the time.
+
+    It is ``None`` for a larger limit of the error, or with a limit of the time.
+    """
     if case.requested_shadows.max_error >= TYPICAL_MAP_ERROR or case.requested_shadows.max_ms is not None:
         return None  # rules know no upper bound of the time of volumes
     return (
@@ -164,6 +171,10 @@ def _needs_exact_shadows_reason(case: RuleInput) -> str | None:
 
 
 def _reason_for_foliage_map(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: the casters are trees, or other casters in a view with trees.
+
+    It is ``None`` in a view without trees.
+    """
     if case.kind == "forest":
         return "alpha-tested foliage needs a shadow map; a perspective shadow map has no finer texels on trees"
     if "forest" in case.descriptor.casters:
@@ -172,6 +183,7 @@ def _reason_for_foliage_map(case: RuleInput) -> str | None:
 
 
 def _few_polygons_reason(case: RuleInput) -> str | None:
+    """Return the reason for shadow volumes: the casters have few triangles, most of them in closed meshes. ``None`` otherwise."""
     casters = case.caster_facts
     if casters is None or not 0 < casters.triangles <= MAX_VOLUME_TRIANGLES or casters.closed_share < MIN_CLOSED_SHARE:
         return None
@@ -179,6 +191,7 @@ def _few_polygons_reason(case: RuleInput) -> str | None:
 
 
 def _narrow_light_cone_reason(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: the light is a spot whose cone is so narrow that texels are small. ``None`` otherwise."""
     if case.lamp is None or case.lamp.kind != "spot":
         return None
     across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
@@ -189,6 +202,7 @@ def _narrow_light_cone_reason(case: RuleInput) -> str | None:
 
 
 def _lamp_near_camera_reason(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: the lamp is so near to the eye that all texels look equally large. ``None`` otherwise."""
     light_facts = case.light_facts
     if light_facts is None or light_facts.eye_to_lamp_m is None or light_facts.nearest_edge_m is None:
         return None
@@ -201,10 +215,15 @@ def _lamp_near_camera_reason(case: RuleInput) -> str | None:
 
 
 def _map_view_reason(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: the view is a map, without perspective. ``None`` for a perspective view."""
     return "map view: all shadow edges are equally far away" if case.descriptor.view_kind == "map" else None
 
 
 def _far_edges_reason(case: RuleInput) -> str | None:
+    """Return the reason for a shadow map: even the nearest shadow edge is so far away that texels look small.
+
+    It is ``None`` otherwise, and in a map view.
+    """
     texel_px = _near_texel_px(case)
     if texel_px is None or texel_px > MIN_COARSE_TEXEL_PX:
         return None
@@ -212,6 +231,10 @@ def _far_edges_reason(case: RuleInput) -> str | None:
 
 
 def _complex_near_shadows_reason(case: RuleInput) -> str | None:
+    """Return the reason for ``hybrid``: shadow volumes overlap in many layers, and a shadow edge is near the eye.
+
+    It is ``None`` otherwise, and in a map view.
+    """
     texel_px = _near_texel_px(case)
     if (
         texel_px is None
@@ -227,6 +250,7 @@ def _complex_near_shadows_reason(case: RuleInput) -> str | None:
 
 
 def _small_visible_lit_area_reason(case: RuleInput) -> str | None:
+    """Return the reason for a perspective shadow map: the camera sees a small part of the lit area. ``None`` otherwise."""
     light_facts = case.light_facts
     if case.descriptor.camera_moves:
         return None  # its texels follow the camera, so edges would crawl
@@ -273,6 +297,7 @@ def _near_texel_px(case: RuleInput) -> float | None:
 
 
 THESIS_SECTION = "Sindholt 2005, 8.2"
+"""Source of the rules that come from the thesis's section of advice."""
 
 RULES: tuple[Rule, ...] = (
     Rule("settings of a map", "shadow_map", _needs_map_settings_reason, "docs/algorithms.md"),

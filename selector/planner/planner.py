@@ -95,6 +95,7 @@ def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dic
 SUPERSAMPLING_REASON = (
     "pixels are larger than the data's cells: each shows the mean visibility of {side} x {side} sub-pixel samples"
 )
+"""Reason for supersampling; ``side`` is the number of samples along a pixel's side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +124,8 @@ class Planner:
     left_out: list[NamedReason]
     algorithm_override: AlgorithmOverride
     forced_effects: frozenset[EffectName]
+    # Caches, filled on demand: settings and reasons by light, algorithm and open settings; algorithms by kind of casters, by light
+    # and choice; and one object for equal settings.
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[NamedReason]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
@@ -211,9 +214,15 @@ class Planner:
 
     @cached_property
     def _left_out_reasons(self) -> dict[str, str]:
+        """The reasons for the effects that are left out, by name of the effect."""
         return {effect.name: effect.reason for effect in self.left_out}
 
     def _assignments(self, light: str, choice: Choice | None) -> list[_Assignment]:
+        """Return the algorithm for each kind of casters under a light, in the order of the descriptor's casters.
+
+        ``choice`` decides what the request and the level leave open; without it, ``FALLBACK_ALGORITHM`` does. Raises
+        ``UnsupportedError`` if an algorithm cannot serve its casters.
+        """
         kind_of_light, assignments = self.descriptor.light_kinds[light], []
         left_out_reasons = self._left_out_reasons
         for caster in self.descriptor.casters:
@@ -339,6 +348,7 @@ def _effects_to_run(
 
 
 def _requested_effect(plan_request: PlanRequest, name: EffectName) -> str:
+    """Return whether a request wants an effect: ``auto``, ``on`` or ``off``."""
     return "auto" if plan_request.effects == "auto" else plan_request.effects.get(name, "auto")
 
 
@@ -407,7 +417,8 @@ def _choose_algorithm(
     """Return the algorithm for a light and a kind of casters, the reason, and whether the policy chose it.
 
     ``requested`` is the algorithm that the request or the level sets, if any. ``left_out_reasons`` has a reason for each effect
-    that is left out. ``forced`` holds the effects that the level forces on.
+    that is left out. ``forced`` holds the effects that the level forces on. ``choice`` is the policy's choice; ``None``:
+    ``FALLBACK_ALGORITHM``. ``caster`` is the kind of casters.
     """
     needed_effects = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed_effects | ({"lamps"} if light != SUN else set())):
@@ -442,7 +453,7 @@ def _check_served(
 ) -> None:
     """Raise ``UnsupportedError`` if an algorithm does not meet ``requirements``.
 
-    The message names the algorithms that do.
+    The message names the algorithms that do. ``caster`` is the kind of casters that it is used for.
     """
     reason = ALGORITHMS[name].refusal_reason(requirements)
     if reason is not None:

@@ -39,26 +39,37 @@ class ShadowRequest:
     pin_number: int | None = None
 
     def requester(self, key: str) -> str:
-        """Return who set a setting, in words: the request, the level, or a pin of the level."""
+        """Return who set a setting, in words: the request, the level, or a pin of the level.
+
+        ``key`` is a field of ``Shadows``.
+        """
         if key in self.overrides:
             return "the request"
         return "the level" if not self._is_pinned(key) else f"the level's pin for {self._pin_scope}"
 
     def reason_for(self, key: str) -> str:
-        """Return who set a setting, the request or the level, as a reason in words."""
+        """Return who set a setting, the request or the level, as a reason in words.
+
+        ``key`` is a field of ``Shadows``.
+        """
         return f"pinned by the level for {self._pin_scope}" if self._is_pinned(key) else f"set by {self.requester(key)}"
 
     def key_path(self, key: str) -> str:
-        """Return the name of the parameter, or the path of the key in the level file, that sets a setting."""
+        """Return the name of the parameter, or the path of the key in the level file, that sets a setting.
+
+        ``key`` is a field of ``Shadows``.
+        """
         if key in self.overrides:
             return key
         return f"shadows.pins.{self.pin_number}.{key}" if self._is_pinned(key) else f"shadows.{key}"
 
     @property
     def _pin_scope(self) -> str:
+        """The view and the suns for which the pin applies, in words; empty without a pin."""
         return "" if self.pin is None else self.pin.scope_text
 
     def _is_pinned(self, key: str) -> bool:
+        """Return whether the pin sets the setting ``key``, and the request does not."""
         return key not in self.overrides and self.pin is not None and key in self.pin.settings
 
 

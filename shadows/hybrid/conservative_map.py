@@ -101,11 +101,11 @@ def classify_points(
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip triangles (t, 3, 3) in lamp space at z >= z_near and return the parts (t', 3, 3) with the same winding.
+    """Clip triangles in lamp space at z >= ``z_near_m`` and return the parts (t', 3, 3) with the same winding.
 
-    A cut bounds a part like a silhouette edge, but is not added to the edges. This requires that no caster is nearer to the lamp
-    than sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and
-    the map misses no clipped part.
+    ``corners_lamp_m`` (t, 3, 3) are the triangles' corners, metres. A cut bounds a part like a silhouette edge, but is not added to
+    the edges. This requires that no caster is nearer to the lamp than sqrt(1 + 2 tangent²) z_near, with the tangent of half the
+    map's angle of view. Then all cuts fall outside of the map, and the map misses no clipped part.
     """
     is_in_front = corners_lamp_m[..., 2] >= z_near_m
     front_count = is_in_front.sum(axis=1)
@@ -124,9 +124,9 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
 
 
 def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Clip edges (e, 2, 3) in lamp space at z >= z_near and return the parts (e', 2, 3).
+    """Clip edges in lamp space at z >= ``z_near_m`` and return the parts (e', 2, 3).
 
-    The cut points are bit-identical to those of `clipped_triangles`.
+    ``ends_lamp_m`` (e, 2, 3) are the edges' ends, metres. The cut points are bit-identical to those of `clipped_triangles`.
     """
     is_in_front = ends_lamp_m[..., 2] >= z_near_m
     front_count = is_in_front.sum(axis=1)
@@ -145,9 +145,10 @@ def _rotate_corners(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray,
 
 
 def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Return the intersections (n, 3) of segments with the plane z = z_near, from points ahead of it to points behind it.
+    """Return the intersections (n, 3) of segments with the plane z = ``z_near_m``.
 
-    Triangles and edges use the same arithmetic, so shared edges have identical cuts.
+    The segments lead from ``front_points`` (n, 3) ahead of the plane to ``back_points`` (n, 3) behind it. Triangles and edges use
+    the same arithmetic, so shared edges have identical cuts.
     """
     share = (front_points[:, 2] - z_near_m) / (front_points[:, 2] - back_points[:, 2])
     intersections = front_points + share[:, None] * (back_points - front_points)
@@ -157,7 +158,10 @@ def _near_plane_intersection(front_points: np.ndarray, back_points: np.ndarray, 
 
 @compiled
 def _classify_each_point(nearest_depth, nearest_other_depth, shadow_depth, u, v, depth, depth_rounding, on_caster):
-    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``."""
+    """Return the class (n,) uint8 of each point, by the three depths (rows, cols) of a ``ConservativeMap``.
+
+    The other parameters are those of ``classify_points``, as arrays (n,).
+    """
     rows, cols = nearest_depth.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):

@@ -85,10 +85,12 @@ def certain_depths(cols, rows, corners, edges):
 
 @internal
 def _draw_triangle(runs, counts, corners):
-    """Add a triangle's depth interval to each texel that it touches.
+    """Add the depth interval of a triangle, ``corners`` (3, 3) in (u, v, depth), to each texel that it touches.
 
     The interval holds the extremes of the triangle's plane over the texel's square, limited to the extremes of its corners. It
-    counts as a layer if the triangle covers the point ``LAYER_PROBE`` of the texel.
+    counts as a layer if the triangle covers the point ``LAYER_PROBE`` of the texel. ``runs`` (rows, cols, ``MAX_DEPTH_RUNS`` + 1,
+    3) holds the runs of each texel as near bound, far bound and layers, and ``counts`` (rows, cols) their number. Both are changed
+    in place.
     """
     rows, cols = counts.shape
     a, b, c = corners[0], corners[1], corners[2]
@@ -127,9 +129,10 @@ def _draw_triangle(runs, counts, corners):
 
 @internal
 def _draw_edge(runs, counts, a, b):
-    """Add an edge's depth interval to each texel that it touches.
+    """Add the depth interval of the edge from ``a`` to ``b`` (3,), in (u, v, depth), to each texel that it touches.
 
-    Its run gets ``EDGE_RUN_LAYERS`` layers or more, which tells that the run has an edge.
+    Its run gets ``EDGE_RUN_LAYERS`` layers or more, which tells that the run has an edge. ``runs`` and ``counts`` are those of
+    ``_draw_triangle``.
     """
     rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
@@ -152,9 +155,10 @@ def _draw_edge(runs, counts, a, b):
 
 @internal
 def _insert_depth_run(runs, count, near, far, layers):
-    """Insert an interval of depths into a texel's runs, and return the new number of runs.
+    """Insert the interval of depths from ``near`` to ``far`` into a texel's runs, and return the new number of runs.
 
-    The interval merges with the runs that it overlaps or touches, and their layers add up.
+    ``runs`` (``MAX_DEPTH_RUNS`` + 1, 3) holds near bound, far bound and layers of the texel's first ``count`` runs. The interval
+    adds ``layers`` layers. It merges with the runs that it overlaps or touches, and their layers add up.
     """
     first = 0
     while first < count and runs[first, 1] < near:
@@ -184,7 +188,8 @@ def _insert_depth_run(runs, count, near, far, layers):
 def _u_range_of_triangle(corners, low, high):
     """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
-    The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``.
+    The part is convex, so it meets exactly the texels between these bounds in a row of texels from ``low`` to ``high``. ``corners``
+    (3, 3) are in (u, v, depth).
     """
     u_min, u_max = np.inf, -np.inf
     for k in range(3):
@@ -199,7 +204,10 @@ def _u_range_of_triangle(corners, low, high):
 
 @internal
 def _clip_interval(a, b, low, high, start, stop):
-    """Clip the parameter interval [start, stop] of the segment from a to b to low <= value <= high; start > stop if empty."""
+    """Clip the parameter interval [start, stop] of the segment from ``a`` to ``b``, one coordinate each, to low <= value <= high.
+
+    Of the result, start > stop if it is empty.
+    """
     if a == b:
         return (start, stop) if low <= a <= high else (1.0, 0.0)
     at_low, at_high = (low - a) / (b - a), (high - a) / (b - a)

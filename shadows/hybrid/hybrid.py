@@ -92,7 +92,8 @@ def _classify_by_comparison(
 ) -> np.ndarray:
     """Return the class of each point by comparison with 2 x 2 texels: LIT, SHADED or MASKED, uint8 (rows, cols).
 
-    Further samples (rows below the view's) are masked: volumes decide them.
+    Further samples (rows below the view's) are masked: volumes decide them. ``passes`` are the names of the algorithm's passes for
+    the light and the kinds.
     """
     map_settings = settings.map
     if isinstance(map_settings, ShadowMapSettings):

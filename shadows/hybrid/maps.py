@@ -96,7 +96,11 @@ def classify_pixels(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    """Return the class of each point in ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere.
+
+    ``volumes`` are the shadow volumes of all casters. ``map_size`` is the number of texels along a side of each map. ``passes`` are
+    the names of the algorithm's passes for the light and the kinds.
+    """
     classes, on_caster = np.full(receiver_mask.shape, LIT, np.uint8), _caster_mask(buffer, scene, light, kinds, receiver_mask)
     with log.record_pass(passes[1]), log.record_pass(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
@@ -137,7 +141,7 @@ def maps_as_picture(
 ) -> np.ndarray:
     """Return the maps' nearest depths as one picture, the maps side by side: 0 is nearest to the light, 1 has no caster.
 
-    The light's up direction is at the top.
+    The light's up direction is at the top. ``map_size`` is the number of texels along a side of each map.
     """
     arrays = []
     for window in _windows(buffer, scene, light, map_size, receiver_mask):
@@ -150,7 +154,7 @@ def maps_as_picture(
 
 
 def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
-    """Return the map of a window, and whether it comes from the cache."""
+    """Return the conservative map of a window, and whether it comes from the cache. ``volumes`` hold the casters."""
     conservative = _map_cache.get(window.cache_key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
@@ -163,7 +167,11 @@ def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[Conservativ
 
 
 def _transform_to_texels(window: _MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
-    """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
+    """Transform triangles or edges of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane.
+
+    ``points`` (n, k, 4) are their k corners, homogeneous points of the frame. ``clip`` is ``clipped_triangles`` or
+    ``clipped_edges``.
+    """
     light_points = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.is_lamp:
         light_points = _project_to_tangents(clip(light_points, window.near_m))
@@ -176,7 +184,10 @@ def _project_to_tangents(points: np.ndarray) -> np.ndarray:
 
 
 def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_MapWindow]:
-    """Yield the faces of a light's map that contain any points."""
+    """Yield the faces of a light's map that contain any points.
+
+    ``map_size`` is the number of texels along a side of each face.
+    """
     pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
         assert scene.light_space is not None
@@ -219,9 +230,11 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
 
 @compiled
 def _transform_to_light(points, pixels, rotation, translation, is_lamp):
-    """Transform points (m, 3) of given indices to a light's axes, with projection for a lamp.
+    """Transform the points (m, 3) with the indices ``pixels`` (n,) to a light's axes, with projection for a lamp.
 
-    Returns x, y and depth (n,), their lower and upper bounds (3,), and the largest absolute coordinate of the points in the frame.
+    ``rotation`` (3, 3) and ``translation`` (3,) are those of ``_MapWindow``. Returns x, y and depth (n,), their lower and upper
+    bounds (3,), and the largest absolute coordinate of the points in the frame. ``is_lamp`` is false for the sun, whose map is
+    orthographic.
     """
     n = len(pixels)
     x, y, depth = np.empty(n), np.empty(n), np.empty(n)
@@ -246,6 +259,9 @@ def _transform_to_light(points, pixels, rotation, translation, is_lamp):
 
 @compiled
 def _to_texels(coordinates, map_origin, texel_size):
-    """Convert coordinates (n,) along one axis of a map to texels, in place."""
+    """Convert coordinates (n,) along one axis of a map to texels, in place.
+
+    ``map_origin`` and ``texel_size`` are those of ``_MapWindow`` along this axis.
+    """
     for k in range(len(coordinates)):
         coordinates[k] = (coordinates[k] - map_origin) / texel_size

@@ -42,7 +42,10 @@ def hybrid_work(workload: Workload, settings: HybridSettings) -> Work:
 
 
 def _texel_px(workload: Workload, map_size: int) -> tuple[float, float]:
-    """Return the size of a map's texel in pixels, and the number of texels a side."""
+    """Return the size of a map's texel in pixels, and the number of texels a side.
+
+    ``map_size`` is the requested number of texels a side, which is lowered where texels would get too small.
+    """
     extent_m = np.sqrt(workload.visible_ground_projected_m2)
     far_m = max((band.far_m for band in workload.descriptor.bands), default=extent_m)
     texel_m = max(extent_m / map_size, MIN_TEXEL_SHARE * far_m / 2.0)

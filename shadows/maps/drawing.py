@@ -169,7 +169,10 @@ def _map_cache_key(
 
 
 def _trees_in_map(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
-    """Return the trees to draw into a map: those that may shade a visible point."""
+    """Return the trees to draw into a map: those that may shade a visible point.
+
+    ``samples_sun_disc`` is true if the map is looked up for the sun's disc.
+    """
     if depth_map.trees is None or depth_map.tree_bounds is None:
         return depth_map.trees
     return depth_map.trees.select(relevant_trees(depth_map, buffer, samples_sun_disc))

@@ -140,7 +140,7 @@ def look_up(
 
 
 def _depth_comparison(settings: MapSettings, taps: int) -> DepthComparison:
-    """Return the comparison of depths by settings, with ``taps`` along a side for points on known triangles."""
+    """Return how the loop on the CPU compares depths by some settings, with ``taps`` along a side for points on known triangles."""
     uses_triangles = settings.bias == "receiver_plane"
     # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
     taps_without_triangle = min(taps, 2) if uses_triangles else taps
@@ -154,7 +154,8 @@ def _lookup_program(
 ) -> Program:
     """Return the shader program that samples a map, with all uniforms set but those of the points.
 
-    ``triangle_flags`` are constants of the shader: from where it reads the triangles round a point, if they are known.
+    ``filter`` is the number of taps along a side, or ``sun``. ``triangle_flags`` are constants of the shader: from where it reads
+    the triangles round a point, if they are known.
     """
     from moderngl import Uniform
 
@@ -258,9 +259,11 @@ def _nodes_with_cuts(sheet: Sheet) -> np.ndarray:
 
 @compiled
 def _gather_points(point_indices, position, normal, crease, corners, surface_kind, points, normals_and_creases, triangles):
-    """Copy a buffer's points at the indices ``point_indices`` to float32 arrays: positions, normals with creases, and triangles.
+    """Copy the points of a buffer with the flat indices ``point_indices`` (n,) to float32 arrays for textures.
 
-    The three corners of a tree's triangle are the point itself. Shaders take this as an unknown triangle.
+    ``position``, ``normal``, ``crease``, ``corners`` and ``surface_kind`` are those of the buffer, one row for each of its points.
+    The outputs are ``points`` (n, 3), ``normals_and_creases`` (n, 4) and the corners of the points' ``triangles`` (n, 9). The three
+    corners of a tree's triangle are the point itself. Shaders take this as an unknown triangle.
     """
     for n in range(len(point_indices)):
         i = point_indices[n]

@@ -1,8 +1,9 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``skugga.shadows.maps.post_perspective`` computes the map's matrix. This module fits it to the receivers, draws the map and looks it
-up. ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, cached maps and
-foliage are as in ``docs/shadow-maps.md``. A fall-back to a uniform map is recorded with its reason.
+The method is that of Stamminger and Drettakis 2002, "Perspective shadow maps". ``skugga.shadows.maps.post_perspective`` computes
+the map's matrix. This module fits it to the receivers, draws the map and looks it up. ``docs/perspective-shadow-maps.md`` derives
+the window, the comparison of depths and the bias. Taps, their weights, cached maps and foliage are as in ``docs/shadow-maps.md``. A
+fall-back to a uniform map is recorded with its reason.
 """
 
 from __future__ import annotations
@@ -161,7 +162,10 @@ def perspective_map(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> FittedMap:
-    """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one."""
+    """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one.
+
+    ``trees`` are the casting trees; ``None`` without any.
+    """
     chosen = np.flatnonzero(receiver_mask)
     sampled = chosen[:: max(len(chosen) // RECEIVER_SAMPLE_SIZE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
@@ -215,7 +219,8 @@ def _min_map_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray,
     """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error of positions.
 
     ``error_m`` (n,) are the errors of the positions ``points`` (n, 3). The bounds apply to a single receiver, or to a few at one
-    place, where finer texels would resolve rounding only.
+    place, where finer texels would resolve rounding only. ``matrix`` (4, 4) maps points of the frame to the map, which has
+    ``map_size`` texels along a side.
     """
     w = horizon_distance(matrix, points)[:, None]
     projected_xy = project_points(matrix, points)[:, :2]
@@ -231,7 +236,8 @@ def _latest_start_depths(
     Depths are the z of ``matrix``, which maps to texels in x and y. A map clamps casters in front of its first depth to that depth.
     Such a caster shades a point under two conditions. The point is deeper by all that the comparison subtracts. The point's
     triangle begins no earlier than the map at the texels up to ``tap_reach_texels`` beside the point. The result allows for twice
-    the amount that the shader subtracts, except for the shader's share of the whole depth range.
+    the amount that the shader subtracts, except for the shader's share of the whole depth range. ``corners`` (n, 3, 3) are those of
+    the triangles, and ``error_m`` (n,) the errors of the positions.
     """
     w = horizon_distance(matrix, points)[:, None]
     in_map = project_points(matrix, points)
@@ -275,9 +281,10 @@ def homogeneous_light(buffer: GeometryBuffer, scene: Scene, light: str) -> Light
 def _bounds_in_map(matrix, plane, min_distance, position, point_indices):
     """Return the bounds, in a map, of the points (m, 3) at the indices ``point_indices``, and the outermost of these points.
 
-    The bounds are the minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane
-    ``plane`` (4,). The outermost points (5,) are indices: both ends in x and in y, and the point nearest to the map's horizon (w =
-    0). Points nearer than ``min_distance`` to the plane do not count in z.
+    ``matrix`` (4, 4) maps homogeneous points of the frame to the map. The bounds are the minimum and maximum (4,) of x, y and z in
+    the map, and of w as a share of the distance from the plane ``plane`` (4,). The outermost points (5,) are indices: both ends in
+    x and in y, and the point nearest to the map's horizon (w = 0). Points nearer than ``min_distance`` to the plane do not count in
+    z. ``position`` (n, 3) are the positions of all points, metres in the frame.
     """
     low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, point_indices[0])
     v = np.empty(4)

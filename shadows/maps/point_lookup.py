@@ -52,7 +52,7 @@ class SunMap(NamedTuple):
 
 
 class DepthComparison(NamedTuple):
-    """The comparison of depths (``skugga.shadows.maps.settings``).
+    """How a point's depth is compared with the depths in a map: the bias and the filter (``skugga.shadows.maps.settings``).
 
     Attributes
     ----------
@@ -117,13 +117,22 @@ def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
 def look_up_points(
     drawn_map: SunMap, comparison: DepthComparison, points: LookupPoints, point_indices: np.ndarray, visibility: np.ndarray
 ) -> None:
-    """Write the share of lit texels around the points at the indices ``point_indices`` to ``visibility`` (n,) float32."""
+    """Write the visibility of points in a map of the sun to ``visibility`` (n,) float32: the share of lit taps, in [0, 1].
+
+    The points are those of ``points`` with the indices ``point_indices`` (k,), and only their entries are written. ``comparison``
+    tells how their depths are compared with the map's.
+    """
     run_in_chunks(len(point_indices), _look_up_chunk, drawn_map, comparison, points, point_indices, visibility)
 
 
 @compiled
 def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, visibility):
-    """Write the lit share of the points ``point_indices[first:last]`` to ``visibility``."""
+    """Write the visibility of a chunk of points in a map of the sun to ``visibility`` (n,): the share of lit taps, in [0, 1].
+
+    The chunk is ``point_indices[first:last]``, the indices of points in ``points`` (``LookupPoints``) and in ``visibility``.
+    ``drawn_map`` is the ``SunMap``. ``comparison`` (``DepthComparison``) tells by which bias and how many taps the points' depths
+    are compared with the map's.
+    """
     _, _, _, taps, taps_without_triangle = comparison
     for m in range(first, last):
         i = point_indices[m]
@@ -151,9 +160,9 @@ def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, vi
 
 @internal
 def _rotate_to_light(drawn_map, vectors, i, first):
-    """Return the vector ``vectors[i, first : first + 3]`` along the light's axes, as a tuple.
+    """Return the vector ``vectors[i, first : first + 3]``, metres of the frame, along the light's axes, as a tuple.
 
-    Allocating an array would cost more than all other work.
+    ``drawn_map`` is a ``SunMap``. Allocating an array would cost more than all other work.
     """
     x, y, z = np.float32(vectors[i, first]), np.float32(vectors[i, first + 1]), np.float32(vectors[i, first + 2])
     axes = drawn_map.light_from_frame
@@ -166,14 +175,22 @@ def _rotate_to_light(drawn_map, vectors, i, first):
 
 @internal
 def _translate_to_light(drawn_map, rotated):
-    """Return a rotated vector (a tuple) as a position in the map, metres."""
+    """Return a vector along the light's axes as a position in the map, metres: right, up and depth.
+
+    ``rotated`` is the vector, a tuple of three (``_rotate_to_light``), and ``drawn_map`` the ``SunMap``.
+    """
     offset = drawn_map.light_offset_m
     return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
 
 @internal
 def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
-    """Return a point moved along its normal, off every surface that passes through it."""
+    """Return a point moved along its normal, off every surface that passes through it.
+
+    ``point_m`` is a position in the map, metres, and ``normal`` a unit vector along the light's axes, tuples of three. ``crease``
+    is at least 0 (``LookupPoints.crease``). Without ``comparison.uses_offset`` the point is returned unchanged. ``drawn_map`` is
+    the ``SunMap``.
+    """
     if not comparison.uses_offset:
         return point_m
     side = np.float32(-1.0) if normal[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
@@ -192,9 +209,10 @@ def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
 
 @internal
 def _first_tap(drawn_map, point_m, side_taps):
-    """Return the first texel (column, row) of a square of taps around a point, and the square's offset from the texel's corner.
+    """Return the column and the row of the first texel of a square of taps around a point, and two offsets of the square.
 
-    The square has ``side_taps`` taps along a side.
+    The square has ``side_taps`` taps along a side. The offsets, in columns and in rows, lead from the texel to the square's corner,
+    in [0, 1). ``point_m`` is a position in the map, metres. ``drawn_map`` is the ``SunMap``.
     """
     half = np.float32(0.5) * np.float32(side_taps - 1)
     x, y = point_m[0] / drawn_map.texel_m[0] - half, point_m[1] / drawn_map.texel_m[1] - half
@@ -204,7 +222,10 @@ def _first_tap(drawn_map, point_m, side_taps):
 
 @internal
 def _is_free_of_casters(drawn_map, point_m, side_taps):
-    """Return whether the map holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point."""
+    """Return whether a map holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point.
+
+    ``drawn_map`` is the ``SunMap``, and ``point_m`` a position in it, metres.
+    """
     left, low, _, _ = _first_tap(drawn_map, point_m, side_taps)
     rows, cols = drawn_map.depths.shape
     for r in range(max(low, 0), min(low + side_taps, rows)):
@@ -216,7 +237,11 @@ def _is_free_of_casters(drawn_map, point_m, side_taps):
 
 @internal
 def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
-    """Return whether a point at ``depth_m`` is not behind the map's depth at a texel. Points outside of the map are lit."""
+    """Return whether a point at the depth ``depth_m``, metres, is not behind the map's depth at a texel.
+
+    ``row`` and ``col`` are those of the texel; outside of the map every point is lit. ``depth_rounding`` is subtracted from the
+    point's depth, as a share of the map's depth range. ``drawn_map`` is the ``SunMap``.
+    """
     rows, cols = drawn_map.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True
@@ -228,7 +253,10 @@ def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
 
 @internal
 def _tap_weight(side_taps, tap_index, fraction):
-    """Return the overlap, along one axis, of a tap with the square of count - 1 texels around the point."""
+    """Return the overlap, in [0, 1], along one axis, of a tap with the square of ``side_taps`` - 1 texels around the point.
+
+    ``tap_index`` is in [0, ``side_taps``). ``fraction`` is the offset of ``_first_tap`` along this axis.
+    """
     if tap_index == 0:
         return np.float32(1.0) - fraction
     return fraction if tap_index == side_taps - 1 else np.float32(1.0)
@@ -236,7 +264,12 @@ def _tap_weight(side_taps, tap_index, fraction):
 
 @internal
 def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
-    """Return the lit and the total weight of the taps whose texel centres lie in a point's own triangle."""
+    """Return the lit and the total weight of the taps whose texel centres lie in the own triangle of point ``i``.
+
+    ``point_m`` is the point's position in the map, metres, and ``corners`` are those of ``LookupPoints``. Both weights are 0 if no
+    texel centre lies in the triangle, or if the triangle is unknown. ``drawn_map`` is the ``SunMap``, and ``comparison`` the
+    ``DepthComparison``.
+    """
     lit, total_weight = np.float32(0.0), np.float32(0.0)
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
         return lit, total_weight
@@ -278,7 +311,11 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
 
 @internal
 def _lit_share_without_triangle(drawn_map, comparison, moved_point):
-    """Return the lit share of the taps around a point that was moved off its surface, wherever their texels lie."""
+    """Return the lit share, in [0, 1], of the taps around a point that was moved off its surface, wherever their texels lie.
+
+    ``moved_point`` is a position in the map, metres (``_move_off_surface``). ``drawn_map`` is the ``SunMap``, and ``comparison``
+    the ``DepthComparison``.
+    """
     count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero
     left, low, fraction_x, fraction_y = _first_tap(drawn_map, moved_point, count)

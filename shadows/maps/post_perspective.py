@@ -57,7 +57,7 @@ class Camera:
     eye_m
         (3,): position of the eye, metres.
     camera_from_frame
-        (3, 3): rotation from the frame to right, down and forward.
+        (3, 3): rotation from the local frame to right, down and forward.
     """
 
     eye_m: np.ndarray
@@ -65,10 +65,11 @@ class Camera:
 
     @property
     def forward_axis(self) -> np.ndarray:
+        """The unit vector (3,) along which the camera looks, in the frame."""
         return self.camera_from_frame[2]
 
     def to_camera(self, points_m: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) in camera coordinates: right, down and forward of the eye."""
+        """Return points (..., 3) of the frame in camera coordinates: metres right, down and forward of the eye."""
         return (points_m - self.eye_m) @ self.camera_from_frame.T
 
 
@@ -116,8 +117,8 @@ class PostPerspective:
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_back_m: float) -> np.ndarray:
     """Return the projection (4, 4) of the virtual camera, which stands ``slide_back_m`` behind the real one.
 
-    ``tangent`` is that of half the angle of view. The planes' distances are measured from the real camera. Raises ``ValueError``
-    unless 0 < near < far for the virtual camera.
+    ``tangent`` is that of half the angle of view. ``near_m`` and ``far_m`` are the distances of the near and the far plane from the
+    real camera. Raises ``ValueError`` unless 0 < near < far for the virtual camera.
     """
     near, far = near_m + slide_back_m, far_m + slide_back_m
     if not 0.0 < near < far:
@@ -161,7 +162,8 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     """Return the light's perspective (4, 4) in the frame, without a camera: the matrix of a uniform map.
 
-    Its texels have one size across the sun's rays, or across a lamp's axis.
+    Its texels have one size across the sun's rays, or across a lamp's axis. For the sun, the matrix is centred on the bounds of
+    ``points`` (n, 3); a lamp's does not depend on them.
     """
     return light_matrix(
         light.homogeneous_position, light.lit_point_m if light.homogeneous_position[3] else _centre_of_bounds(points)
@@ -227,7 +229,7 @@ def post_perspectives(
 def texel_size_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3).
 
-    Sizes in the picture are tangents of angles from the view's axis.
+    ``matrix`` (4, 4) is that of the map. Sizes in the picture are tangents of angles from the view's axis.
     """
     return float(_rms_texel_size(matrix, points, *_ray_axes_and_picture_derivatives(camera, light, points)))
 
@@ -266,7 +268,10 @@ def project_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def horizon_distance(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the w (n,) of points (n, 3): their distance in front of a map's horizon (w = 0), in the map's own unit."""
+    """Return the w (n,) of points (n, 3) in a map: their distance in front of the map's horizon (w = 0), in the map's own unit.
+
+    ``matrix`` (4, 4) maps homogeneous points to the map.
+    """
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
@@ -285,7 +290,7 @@ def _centre_of_bounds(points: np.ndarray) -> np.ndarray:
 
 
 def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
-    """Return the angle, in degrees, between the view's axis and the direction from a point (3,) to a light.
+    """Return the angle, in degrees, between the view's axis and the direction from a point ``point_m`` (3,) to a light.
 
     The axis counts in either direction, so the angle is at most 90.
     """
@@ -295,18 +300,19 @@ def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
 
 
 def _outline_indices(image_points: np.ndarray) -> np.ndarray:
-    """Return the indices of the points (n, 2) that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
+    """Return the indices of the points that are farthest in some direction, of ``OUTLINE_DIRECTIONS`` in all.
 
-    A homography maps the outline of points to the outline of their images.
+    ``image_points`` (n, 2) are the points in a picture. A homography maps the outline of points to the outline of their images.
     """
     angle = np.arange(OUTLINE_DIRECTIONS) * 2.0 * np.pi / OUTLINE_DIRECTIONS
     return np.unique(np.argmax((image_points - image_points.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
 
 
 def _fit_rotation(matrix: np.ndarray, outline: np.ndarray, inner_half_width: float) -> np.ndarray:
-    """Return a matrix with the map rotated and scaled so that an outline (n, 3) fills its inner part best.
+    """Return a map's matrix (4, 4), rotated and scaled so that an outline of points (n, 3) fills the map's inner part best.
 
-    The map rotates about its centre, by one of ``MAP_ROTATIONS``.
+    The map rotates about its centre, by one of ``MAP_ROTATIONS``. ``inner_half_width`` is the part of its half width that the
+    outline may fill.
     """
     axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
         -1, 2, 2
@@ -333,9 +339,9 @@ def perpendicular_axes(normals: np.ndarray) -> np.ndarray:
 
 
 def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np.ndarray) -> np.ndarray:
-    """Return the derivatives (n, 2, 2) of the picture's coordinates (tangents) along two directions (n, 3, 2), per metre.
+    """Return the derivatives (n, 2, 2) of the picture's coordinates (tangents) along two directions at points, per metre.
 
-    The points (n, 3) are in camera coordinates.
+    ``camera_points`` (n, 3) are the points in camera coordinates, and ``ray_axes`` (n, 3, 2) the two directions in the frame.
     """
     depth = camera_points[:, 2, None, None]
     return (camera.camera_from_frame[:2] - camera_points[:, :2, None] / depth * camera.forward_axis) / depth @ ray_axes
@@ -345,7 +351,8 @@ def _picture_derivatives(camera: Camera, camera_points: np.ndarray, ray_axes: np
 def _rms_texel_size(matrix, points, ray_axes, picture_derivatives):
     """Return the size in the picture of half a map's width, the root mean square over points (n, 3) and two directions.
 
-    It is in tangents of angles. ``ray_axes`` and ``picture_derivatives`` are those of ``_ray_axes_and_picture_derivatives``.
+    It is in tangents of angles. ``matrix`` (4, 4) is that of the map. ``ray_axes`` and ``picture_derivatives`` are the results of
+    ``_ray_axes_and_picture_derivatives``.
     """
     total = 0.0
     for n in range(len(points)):

@@ -53,9 +53,12 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc
 def _write_farthest_receivers(
     first, last, share_starts, position, point_indices, rotation, translation, cell_size_m, farthest_depth_m
 ):
-    """Store in each cell of a mask the largest depth of its receivers, as seen from the sun.
+    """Store in each cell of a mask the largest depth of its receivers, as seen from the sun, metres.
 
-    The receivers are divided into shares, which threads process in parallel. Each share has a mask of its own.
+    The receivers are the points ``position[point_indices]``, metres in the frame. ``rotation`` (3, 3) and ``translation`` (3,)
+    transform them to right, up and depth in the map. A cell has the sides ``cell_size_m`` (2,). The receivers are divided into
+    shares, which threads process in parallel: share k holds those from ``share_starts[k]`` to before ``share_starts[k + 1]`` and
+    has the mask ``farthest_depth_m[k]`` (rows, cols). This call processes the shares [``first``, ``last``).
     """
     rows, cols = farthest_depth_m.shape[1:]
     for share in range(first, last):
@@ -73,7 +76,13 @@ def _write_farthest_receivers(
 def _select_relevant_trees(
     first, last, base, shape, tree_numbers, rotation, translation, cell_size_m, farthest_depth_m, margin_m, out
 ):
-    """Write to ``out`` which trees may shade a receiver: those in front of the farthest one in any cell that they cover."""
+    """Write to ``out`` (n,) which trees may shade a receiver: those in front of the farthest one in any cell that they cover.
+
+    ``tree_numbers`` (n,) are the trees' indices in ``base`` and ``shape`` (``base_frame_m`` and ``quad_sizes_m`` of
+    ``TreeInstances``). Entries of ``out`` in [``first``, ``last``) are written. ``farthest_depth_m`` (rows, cols) holds the largest
+    depths of receivers by cell, metres. ``rotation``, ``translation`` and ``cell_size_m`` are those of
+    ``_write_farthest_receivers``. ``margin_m`` (2,), right and up, widens each tree by the reach of a look-up.
+    """
     rows, cols = farthest_depth_m.shape
     middle = np.empty(3)
     for m in range(first, last):

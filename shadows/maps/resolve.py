@@ -1,4 +1,7 @@
-"""Resolve the settings of depth maps: texels, cascades, bits and taps, with the reasons."""
+"""Resolve the settings of depth maps: texels, cascades, bits and taps, with the reasons.
+
+A perspective map is a perspective shadow map (Stamminger and Drettakis 2002, "Perspective shadow maps").
+"""
 
 from __future__ import annotations
 
@@ -211,6 +214,8 @@ def lamp_map_settings(
     """Return the settings of a lamp's map, and the reasons for automatic values.
 
     If the size is automatic, a texel at the lamp's reference distance keeps to ``MAX_TEXEL_PX`` where the largest size allows it.
+    ``light_point_count`` is the number of points of the lamp for the filter ``sun``. ``taps_reasons`` are the reasons for ``taps``,
+    the filter.
     """
     width_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
@@ -280,6 +285,7 @@ def _cascade_extents(
     The far distance is ``None`` for the last cascade. The extent (3,) is in light space. The number of cascades and the automatic
     size follow from the largest footprint of a texel (``_target_texel_px``). Of the splits into cascades that keep to it, the one
     with the smallest mean footprint over the visible ground is chosen. A requested size does not bound the footprint.
+    ``altitude_rad`` is the sun's altitude. Reasons for automatic values are appended to ``reasons``.
     """
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
@@ -316,7 +322,11 @@ def _target_texel_px(descriptor: Descriptor) -> float:
 
 
 def _automatic_map_size(texel_count: float, max_size: int) -> int:
-    """Return the automatic map size that holds ``texel_count`` and the border."""
+    """Return the automatic map size that holds ``texel_count`` and the border.
+
+    The result, texels along a side, is a power of two from ``MIN_AUTOMATIC_MAP_SIZE`` to ``max_size``. ``texel_count`` is the
+    number of texels along a side that receivers need.
+    """
     return int(np.clip(2 ** np.ceil(np.log2(texel_count + 2 * MAP_BORDER_TEXELS)), MIN_AUTOMATIC_MAP_SIZE, max_size))
 
 
@@ -346,9 +356,10 @@ def _measure_band_ranges(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarra
 
 @cached("process", 16 * MIB)
 def _splits_into_ranges(band_count: int, range_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all ways to split bands into ``range_count`` ranges of consecutive bands, at most one range for each band.
+    """Return all ways to split ``band_count`` bands into ``range_count`` ranges of consecutive bands.
 
-    The result is the numbers of the first and of the last band of each range, int64 (ways, ranges) each.
+    There is at most one range for each band. The result is the numbers of the first and of the last band of each range, int64
+    (ways, ranges) each.
     """
     range_count = min(range_count, band_count)
     cuts_by_split = list(combinations(range(1, band_count), range_count - 1))
@@ -358,5 +369,8 @@ def _splits_into_ranges(band_count: int, range_count: int) -> tuple[np.ndarray, 
 
 
 def _footprint_on_ground_m(extent_m: np.ndarray, altitude_rad: float) -> np.ndarray:
-    """Return the sides (2,) that an extent's right and up sides cover on level ground, metres."""
+    """Return the sides (2,) that an extent's right and up sides cover on level ground, metres.
+
+    ``extent_m`` (2 or more,) holds the sides right and up in light space, and ``altitude_rad`` is the sun's altitude.
+    """
     return extent_m[:2] / np.array([1.0, np.sin(altitude_rad)])

@@ -1,4 +1,7 @@
-"""The resolved settings of depth maps: the sun's, a lamp's, and those of a perspective map."""
+"""The resolved settings of depth maps: the sun's, a lamp's, and those of a perspective shadow map.
+
+A perspective shadow map is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
+"""
 
 from __future__ import annotations
 

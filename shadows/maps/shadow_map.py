@@ -64,7 +64,7 @@ def fill_visibility(
 
 
 def _is_tunable(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
-    """Return whether a value of a setting makes sense for a light of a view.
+    """Return whether the value ``value`` of the setting ``key`` (a field of ``Shadows``) makes sense for a light of a view.
 
     Only ``cascades`` is limited: to the sun, in a perspective view with at least as many bands of distance.
     """

@@ -47,7 +47,10 @@ def disc_samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
 
 
 def border_texels(depth_m: float, texel_m: np.ndarray) -> np.ndarray:
-    """Return the border in texels (right, up) that the disc needs for casters up to ``depth_m`` in front of a point."""
+    """Return the border in texels (right, up) that the disc needs for casters up to ``depth_m`` in front of a point.
+
+    ``texel_m`` (2,) are the sides of a texel, right and up.
+    """
     return np.minimum(np.ceil(depth_m * DISC_TANGENT / texel_m).astype(np.int64) + 1, MAX_HALF_DISC_TEXELS)
 
 

@@ -45,7 +45,7 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
 def fine_texel_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:
     """Return the share of the visible cast shadow where texels are finer than penumbrae; leaves never count as fine.
 
-    It is ``None`` where the distances from casters are unknown.
+    It is ``None`` where the distances from casters are unknown. ``cascades`` are those of the sun's map.
     """
     facts, cast_sum, fine_sum = descriptor.lights.get(SUN), 0.0, 0.0
     for kind, casting in facts.casts.items() if facts is not None else ():

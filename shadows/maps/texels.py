@@ -1,4 +1,7 @@
-"""Compute texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture."""
+"""Compute texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture.
+
+A perspective map is a perspective shadow map (Stamminger and Drettakis 2002, "Perspective shadow maps").
+"""
 
 from __future__ import annotations
 
@@ -85,10 +88,11 @@ def _eye_distance_m(buffer: GeometryBuffer) -> np.ndarray:
 
 
 def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.ndarray) -> np.ndarray:
-    """Return a texel's larger side on level ground at points (..., 3), metres, for a projective map (4, 4) from a frame to texels.
+    """Return a texel's larger side on level ground at points, metres.
 
-    The least singular value of the map's derivative is the number of texels per metre in the direction where texels are largest (J.
-    Blinn, Consider the Lowly 2 x 2 Matrix, 1996).
+    ``position_frame_m`` (..., 3) are the points, and ``map_from_frame`` (4, 4) is a projective map from the frame to texels. The
+    least singular value of its derivative is the number of texels per metre in the direction where texels are largest (J. Blinn,
+    Consider the Lowly 2 x 2 Matrix, 1996).
     """
     x, y, _, w = np.moveaxis(position_frame_m @ map_from_frame[:, :3].T + map_from_frame[:, 3], -1, 0)
     (ux, uy), (vx, vy), _, (wx, wy) = map_from_frame[:, :2]

@@ -88,10 +88,12 @@ class DepthMap:
 
     @property
     def texel_count(self) -> int:
+        """Number of texels of all faces."""
         return self.face_size[0] * self.face_size[1] * len(self.face_rotations)
 
     @property
     def nbytes(self) -> int:
+        """Size of the texels in bytes."""
         return self.texel_count * (2 if self.depth_bits == 16 else 4)
 
 
@@ -131,7 +133,10 @@ def _sun_map(
     trees: TreeInstances | None,
     nearest_caster_m: float,
 ) -> DepthMap:
-    """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols)."""
+    """Return the map of a cascade for the receivers in the mask ``receiver_mask`` (rows, cols).
+
+    ``trees`` are the casting trees; ``None`` without any. ``nearest_caster_m`` is the light-space depth of the nearest caster.
+    """
     assert scene.light_space is not None
     rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, receiver_mask, rotation, translation)
@@ -176,7 +181,7 @@ def _sun_map(
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
-    """Return the map of a lamp; ``None`` where it shines on nothing."""
+    """Return the map of a lamp; ``None`` where it shines on nothing. ``trees`` are the casting trees; ``None`` without any."""
     position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
     faces = tuple(CUBE_FACES) if lamp.kind == "omni" else (np.eye(3),)
@@ -202,9 +207,10 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 @compiled
 def _depth_range_m(points, mask, position, faces, tangent):
-    """Return the smallest and largest depth, metres, of the masked points (rows, cols, 3) in a lamp's faces (n, 3, 3).
+    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) in ``mask``, in a lamp's faces (n, 3, 3).
 
-    Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
+    ``position`` (3,) is that of the lamp, ``faces`` are the rotations from the frame to the faces' right, up and forward axes. Each
+    face reaches as far as ``tangent`` times the depth from its axis. The result is infinity and 0 where no face contains a point.
     """
     nearest, farthest = np.inf, 0.0
     for i in range(mask.shape[0]):
@@ -245,7 +251,8 @@ def _depth_margin_m(
 
     The maximum is over the points (rows, cols) in ``mask``. The map samples the triangle at texel centres up to ``tap_reach_m``
     (2,) right and up of the point. It clamps depths in front of its first depth. A triangle that starts there could not be
-    distinguished from its casters.
+    distinguished from its casters. ``position`` and ``normal`` (rows, cols, 3) and the triangles' ``corners`` (rows, cols, 9) are
+    those of the buffer. ``rotation`` (3, 3) leads from the frame to the light's axes: right, up and depth.
     """
     row_margins_m = np.empty(len(mask))
     run_in_chunks(len(mask), _write_depth_margins, normal, corners, position, mask, rotation, tap_reach_m, row_margins_m)
@@ -254,7 +261,10 @@ def _depth_margin_m(
 
 @compiled
 def _write_depth_margins(first, last, normal, corners, position, mask, rotation, tap_reach_m, out):
-    """Write the largest depth margin of each row's points to ``out`` (rows,), metres (``_depth_margin_m``)."""
+    """Write the largest depth margin of each row's points to ``out`` (rows,), metres, for the rows in [``first``, ``last``).
+
+    The other parameters are those of ``_depth_margin_m``.
+    """
     for i in range(first, last):
         margin_m = 0.0
         for j in range(mask.shape[1]):
@@ -286,7 +296,10 @@ def _max_coordinate_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
 
 @compiled
 def _write_max_corner_coordinates(first, last, corners, mask, out):
-    """Write the largest corner coordinate of each row of masked pixels (rows, cols, 9)."""
+    """Write the largest absolute coordinate of the corners (rows, cols, 9) of each row's pixels in ``mask`` to ``out`` (rows,).
+
+    The rows are those in [``first``, ``last``).
+    """
     for i in range(first, last):
         largest = np.float32(0.0)
         for j in range(mask.shape[1]):
@@ -297,7 +310,10 @@ def _write_max_corner_coordinates(first, last, corners, mask, out):
 
 
 def depth_step_count(depth_bits: int) -> int:
-    """Return the number of steps from depth 0 to depth 1. 32-bit floats count as 24 bits, since these are their steps near 1."""
+    """Return the number of steps from depth 0 to depth 1, for 16, 24 or 32 bits of depth.
+
+    32-bit floats count as 24 bits, since these are their steps near 1.
+    """
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
@@ -306,7 +322,9 @@ def _map_window(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first texel (2,) and the size (2,), in texels, of a map over light-space bounds and a border.
 
-    A stable map lies on a lattice of texels through the origin of light space.
+    ``low`` and ``high`` (2 or more,) are the bounds of the receivers, metres right and up. ``texel_m`` (2,) are the sides of a
+    texel, and ``border_texels_xy`` (2,) is the border at either side. If ``is_stable``, the map lies on a lattice of texels through
+    the origin of light space.
     """
     first = (np.floor(low[:2] / texel_m) if is_stable else low[:2] / texel_m) - border_texels_xy
     size = np.floor(high[:2] / texel_m - first).astype(np.int64) + 1 + border_texels_xy
@@ -316,7 +334,8 @@ def _map_window(
 def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
     """Return the position of depth 0 and the depth step, in metres of light space, on a lattice of steps.
 
-    The step is doubled until the depths reach ``high_m``, if the plan expected a smaller range.
+    The depths reach from at most ``low_m`` over ``step_count`` steps of ``step_m`` metres. The step is doubled until they reach
+    ``high_m``, if the plan expected a smaller range.
     """
     while True:
         near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
@@ -326,5 +345,8 @@ def _stable_depths(low_m: float, high_m: float, step_m: float, step_count: int) 
 
 
 def _tight_depths(low_m: float, high_m: float, step_m: float, step_count: int) -> tuple[float, float]:
-    """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds."""
+    """Return the position of depth 0 and the depth step, in metres of light space, that just cover the bounds.
+
+    ``low_m`` and ``high_m`` are the bounds, and ``step_count`` is the number of steps. ``step_m`` is not used.
+    """
     return low_m, (high_m - low_m) / step_count * (1.0 + 1e-6)

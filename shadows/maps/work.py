@@ -1,4 +1,7 @@
-"""Count the work of depth maps: drawing them and looking points up in them."""
+"""Count the work of depth maps: drawing them and looking points up in them.
+
+A perspective map is a perspective shadow map (Stamminger and Drettakis 2002, "Perspective shadow maps").
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,8 @@ def perspective_map_work(workload: Workload, settings: PerspectiveMapSettings) -
 def _map_counts(workload: Workload, windows: MapWindows, filter: int | str, lookup_count: float) -> Counts:
     """Return the counts of drawing depth maps and looking ``lookup_count`` points up in them.
 
-    They are counted together, since a device may defer the drawing until the look-up needs it.
+    ``windows`` are the maps' sizes. ``filter`` is the number of taps along a side, or ``sun``. Drawing and look-ups are counted
+    together, since a device may defer the drawing until the look-up needs it.
     """
     count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
     leaves, trees = 0.0, 0.0

@@ -10,8 +10,8 @@ from skugga.terrain.geo.clock import parse_clock
 def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
     """Return the clock with a name: ``solar``, UTC or a time zone.
 
-    ``solar`` is true solar time at a longitude in degrees on a day, by which the sun is due south or due north at 12:00. Raises
-    ``InputError`` for an unknown name.
+    ``solar`` is true solar time at the longitude ``lon_deg`` in degrees (``None`` counts as 0) on a day, by which the sun is due
+    south or due north at 12:00. Raises ``InputError`` for an unknown name.
     """
     clock = parse_clock("clock", name)
     return solar_clock(lon_deg or 0.0, day) if isinstance(clock, str) else clock

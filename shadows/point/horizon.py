@@ -243,7 +243,7 @@ def _solid_kind(surroundings: Surroundings, triangle: int) -> CasterType:
 
 
 def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaster:
-    """Return the ground that forms the horizon in direction ``n`` as a caster."""
+    """Return the ground that forms the horizon in the direction with index ``n`` of ``ground`` as a caster."""
     azimuth, distance = float(ground.azimuth_deg[n]), float(ground.distance_m[n])
     lon = lat = None
     if place.lon_deg is not None:
@@ -254,7 +254,10 @@ def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaste
 
 
 def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighting: Sighting, n: int) -> SunCaster:
-    """Return the object seen in direction ``n`` as a caster."""
+    """Return the object seen in the direction with index ``n`` of ``sighting`` as a caster.
+
+    ``azimuth_deg`` is the azimuth of this direction.
+    """
     azimuth, distance = np.radians(azimuth_deg), float(sighting.distance_m[n])
     enu = np.array([distance * np.sin(azimuth), distance * np.cos(azimuth), distance * float(sighting.tangent[n])])
     point = place.eye_earth_m + place.earth_from_enu @ enu
@@ -271,5 +274,5 @@ def _tangent_of_altitude(altitude_deg: np.ndarray) -> np.ndarray:
 
 
 def _degrees_of_tangent(tangent: np.ndarray) -> np.ndarray:
-    """Return the angles, degrees, with the given tangents."""
+    """Return the angles, degrees, whose tangents are ``tangent``."""
     return np.degrees(np.arctan(tangent))

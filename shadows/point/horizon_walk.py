@@ -217,7 +217,8 @@ def _farthest_nodes(lines: SightLines) -> float:
 def _walk_lines(pages, lines, walks, needed_pages):
     """Follow each line until its end, or until it needs a page that is not read yet.
 
-    Such pages are marked in ``needed_pages``, bool. Results and positions go to ``walks``.
+    ``pages`` are ``PageArrays``, ``lines`` are ``LineArrays``. Such pages are marked in ``needed_pages``, bool (m, n) as
+    ``PageArrays.page_index``. Results and positions go to ``walks`` (``WalkStates``).
     """
     for n in range(len(lines.row)):
         if not walks.has_ended[n]:
@@ -226,7 +227,10 @@ def _walk_lines(pages, lines, walks, needed_pages):
 
 @internal
 def _follow_line(pages, lines, walks, needed_pages, n):
-    """Follow line ``n`` until its end, or until it needs a page that is not read yet."""
+    """Follow the line with index ``n`` until its end, or until it needs a page that is not read yet.
+
+    The other parameters are those of ``_walk_lines``.
+    """
     shift = 0.5 if pages.has_columns else 0.0
     scale, kappa, eye = pages.finest_nodes_per_node, lines.curvature[n], lines.eye_m
     row0, col0 = lines.row[n, 0], lines.col[n, 0]
@@ -343,7 +347,9 @@ def _can_exceed(max_height_m, eye_m, best_tangent, curvature, near_m, far_m):
 def _raise_horizon(walks, n, best_tangent, height_m, eye_m, curvature, distance_m, stored_distance_m, entry_step_m):
     """Return the larger of ``best_tangent`` and the tangent up to ground of height ``height_m`` at distance ``distance_m``.
 
-    If the ground exceeds ``best_tangent``, store ``stored_distance_m`` and ``height_m`` as the result of line ``n``.
+    Heights and distances are in metres, ``curvature`` is the earth's in 1 / metres, ``eye_m`` the height of the eye. If the ground
+    exceeds ``best_tangent``, ``stored_distance_m`` and ``height_m`` become the result of line ``n`` in ``walks``. ``entry_step_m``
+    is the length of ``ENTRY_STEP_NODES`` nodes in metres; from it follows the distance below which ground is ignored.
     """
     if not distance_m > entry_step_m * MIN_DISTANCE_NODES / ENTRY_STEP_NODES:
         return best_tangent

@@ -71,7 +71,9 @@ def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_fram
 def _trees_above_eye(base, shape, enu_rotation, origin):
     """Return the indices of the trees that rise above the horizontal plane through the eye, and three bounds of each.
 
-    The bounds are the lowest and the highest azimuth in degrees, and an upper bound of the tangent of the elevation angle.
+    ``base`` and ``shape`` are ``base_frame_m`` and ``quad_sizes_m`` of ``TreeInstances``. ``enu_rotation`` (3, 3) leads from the
+    frame to east, north and up, and ``origin`` (3,) is the eye in the frame. The bounds are the lowest and the highest azimuth in
+    degrees, and an upper bound of the tangent of the elevation angle.
     """
     number = np.empty(len(base), np.int64)
     bounds = np.empty((3, len(base)))
@@ -109,7 +111,11 @@ def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndar
 
 @compiled
 def _update_with_trees(trees, directions, tangent, seeks_highest, sighting):
-    """Update the entries of ``sighting`` with all trees (``highest_leaves``, ``nearest_leaves``)."""
+    """Update the entries of ``sighting`` with all trees.
+
+    ``seeks_highest`` is true for ``highest_leaves`` and false for ``nearest_leaves``; the other parameters are those of these
+    functions. For the highest leaves, ``tangent`` is ``sighting.tangent``.
+    """
     count = len(directions.azimuth_deg)
     if count == 0:
         return
@@ -141,7 +147,10 @@ def _update_with_trees(trees, directions, tangent, seeks_highest, sighting):
 
 @internal
 def _frame_to_enu(enu_rotation, origin, x, y, z, out):
-    """Convert a point of the frame to metres east, north and up from the eye, and write it to ``out`` (3,)."""
+    """Convert a point ``x``, ``y``, ``z`` of the frame to metres east, north and up from the eye, and write it to ``out`` (3,).
+
+    ``enu_rotation`` (3, 3) leads from the frame to east, north and up, and ``origin`` (3,) is the eye in the frame.
+    """
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
         out[d] = enu_rotation[d, 0] * x + enu_rotation[d, 1] * y + enu_rotation[d, 2] * z
@@ -149,11 +158,11 @@ def _frame_to_enu(enu_rotation, origin, x, y, z, out):
 
 @internal
 def _update_with_quad(quad, alpha, sine, cosine, tangent, seeks_highest, sighting, n, m):
-    """Update the entry ``n`` of ``sighting`` with the leaves of one quad of tree ``m``.
+    """Update the entry ``n`` of ``sighting`` with the leaves of one quad of the tree with index ``m``.
 
     ``quad`` (3, 3) holds the quad's first corner, its side to the right and its side up, in metres east, north and up from the eye.
-    ``sine`` and ``cosine`` are those of the direction's azimuth. If ``seeks_highest``, the highest leaf counts, otherwise the
-    leaf on the ray with ``tangent``.
+    ``alpha`` (h, w) is its texture's alpha channel. ``sine`` and ``cosine`` are those of the direction's azimuth. If
+    ``seeks_highest``, the highest leaf counts, otherwise the leaf on the ray whose elevation angle has the tangent ``tangent``.
     """
     first, right, up = quad[0], quad[1], quad[2]
     offset = first[0] * cosine - first[1] * sine
@@ -203,8 +212,9 @@ def _update_with_quad(quad, alpha, sine, cosine, tangent, seeks_highest, sightin
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, sighting, n, m):
     """Search a segment of a quad from its upper end down for a leaf, and store it as the entry ``n`` of ``sighting``.
 
-    Each end of the segment has texture coordinates u and v, a distance s and a height z from the eye, metres. The search ends at
-    the elevation angle that the entry has already.
+    Each end of the segment, 0 and 1, has texture coordinates u and v, a distance s and a height z from the eye, metres. ``alpha``
+    (h, w) is the texture's alpha channel, and ``m`` the index of the tree. The search ends at the elevation angle that the entry
+    has already.
     """
     if s0 < MIN_DISTANCE_M or s1 < MIN_DISTANCE_M:  # clip at the vertical through the eye
         share = (MIN_DISTANCE_M - s0) / (s1 - s0)

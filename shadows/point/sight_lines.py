@@ -155,7 +155,10 @@ def _curvature_per_m(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
 
 @compiled
 def _interpolate_azimuths(real, imaginary, azimuth):
-    """Return the values (n, k) of trigonometric polynomials with coefficients (m, k) at azimuths (n,) in radians."""
+    """Return the values (n, k) of trigonometric polynomials at azimuths (n,) in radians.
+
+    ``real`` and ``imaginary`` (m, k) are the real and the imaginary parts of their coefficients.
+    """
     out = np.empty((len(azimuth), real.shape[1]))
     for n in range(len(azimuth)):
         for k in range(real.shape[1]):

@@ -62,7 +62,11 @@ def nearest_solids(
 
 @compiled
 def _update_with_triangles(point, triangles, directions, tangent, seeks_highest, sighting):
-    """Update the entries of ``sighting`` with all triangles (``highest_solids``, ``nearest_solids``)."""
+    """Update the entries of ``sighting`` with all triangles.
+
+    ``seeks_highest`` is true for ``highest_solids`` and false for ``nearest_solids``; the other parameters are those of these
+    functions.
+    """
     count = len(directions.azimuth_deg)
     if count == 0:
         return
@@ -96,17 +100,20 @@ def azimuth_deg_of(point):
 
 @internal
 def _is_overhead(a, b, c):
-    """Return whether the vertical line through the eye meets a triangle or its rim."""
+    """Return whether the vertical line through the eye meets a triangle or its rim.
+
+    The corners ``a``, ``b`` and ``c`` (3,) are east, north and up from the eye.
+    """
     ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
     return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
 
 
 @internal
 def _update_with_triangle(a, b, c, sine, cosine, tangent, seeks_highest, sighting, n, m):
-    """Update the entry ``n`` of ``sighting`` with the triangle ``m`` with the corners ``a``, ``b`` and ``c``.
+    """Update the entry ``n`` of ``sighting`` with the triangle of index ``m`` and the corners ``a``, ``b`` and ``c`` (3,).
 
-    ``sine`` and ``cosine`` are those of the direction's azimuth. ``tangent`` and ``seeks_highest`` are those of
-    ``update_with_segment``.
+    Corners are metres east, north and up from the eye. ``sine`` and ``cosine`` are those of the direction's azimuth. ``tangent``
+    and ``seeks_highest`` are those of ``update_with_segment``.
     """
     crossings = 0
     s0 = z0 = s1 = z1 = 0.0
@@ -129,11 +136,11 @@ def _update_with_triangle(a, b, c, sine, cosine, tangent, seeks_highest, sightin
 
 @internal
 def update_with_segment(s0, z0, s1, z1, tangent, seeks_highest, sighting, n, m):
-    """Update the entry ``n`` of ``sighting`` with a straight segment of object ``m`` in the vertical plane of a direction.
+    """Update the entry ``n`` of ``sighting`` with a straight segment in the vertical plane of its direction.
 
-    The segment leads from the distance ``s0`` and the height ``z0`` above the eye to ``s1`` and ``z1``, metres. If
-    ``seeks_highest``, it replaces the entry if its elevation angle is larger. Otherwise it does so if the ray with ``tangent``
-    meets it at a smaller distance.
+    The segment belongs to the object with index ``m``. It leads from the distance ``s0`` and the height ``z0`` above the eye to
+    ``s1`` and ``z1``, metres. If ``seeks_highest``, it replaces the entry if its elevation angle is larger. Otherwise it does so if
+    the ray whose elevation angle has the tangent ``tangent`` meets it at a smaller distance.
     """
     if s0 > s1:
         s0, z0, s1, z1 = s1, z1, s0, z0

@@ -34,7 +34,8 @@ def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
 def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return UTC seconds (n,) in even steps and at the end of a time span, and the unit vectors (n, 3) towards the sun.
 
-    The last results are cached, since all points of a level share them. Raises the errors of ``sun_directions``.
+    The span lasts from ``begin_s`` to ``end_s``, UTC seconds since 1970, and a step ``step_s`` seconds. The vectors are
+    earth-fixed. The last results are cached, since all points of a level share them. Raises the errors of ``sun_directions``.
     """
     if world.off_earth_reason is not None:
         sun_directions(world, np.zeros(0))
@@ -43,13 +44,19 @@ def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tu
 
 @cached("process", 16 * MIB)
 def _cached_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and directions of ``sun_samples``."""
+    """Return the times and directions of ``sun_samples``.
+
+    The arguments are those of ``sun_samples``.
+    """
     utc_s = np.append(np.arange(begin_s, end_s, step_s), end_s)
     return utc_s, _sun_directions_on_earth(world, utc_s)
 
 
 def sun_angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the azimuths and the altitudes, (n,) degrees each, of earth-fixed directions (n, 3) at a place."""
+    """Return the azimuths and the altitudes, (n,) degrees each, of directions at a place.
+
+    ``to_sun_earth`` (n, 3) are the directions, earth-fixed unit vectors.
+    """
     east, north, up = (to_sun_earth @ place.earth_from_enu).T
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, np.hypot(east, north)))
 
@@ -60,7 +67,10 @@ def scene_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
 
 
 def _sun_directions_on_earth(world: World, utc_s: np.ndarray) -> np.ndarray:
-    """Return the directions of ``sun_directions``."""
+    """Return the directions of ``sun_directions``.
+
+    The times ``utc_s`` (n,) are UTC seconds since 1970.
+    """
     times = np.rint(np.asarray(utc_s) * 1e6).astype(np.int64).astype("datetime64[us]")
     path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
     azimuth, altitude = np.radians(path.azimuth_deg), np.radians(path.altitude_deg)

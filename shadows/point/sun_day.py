@@ -139,7 +139,9 @@ def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
 def _remark(is_up: np.ndarray, has_direct_sun: bool, sunrise_count: int, sunset_count: int) -> str | None:
     """Return a sentence that explains missing times of sunrise, sunset or direct sun; ``None`` if none is missing.
 
-    ``is_up`` (n,) tells whether the sun is up at each sample.
+    ``is_up`` (n,) tells whether the sun is up at each sample. ``sunrise_count`` and ``sunset_count`` are the numbers of times at
+    which the sun crosses a flat horizon upwards and downwards. ``has_direct_sun`` tells whether the point has direct sun at any
+    sample.
     """
     if not is_up.any():
         return "polar night: the sun stays below the level horizon all day"
@@ -156,7 +158,8 @@ def _remark(is_up: np.ndarray, has_direct_sun: bool, sunrise_count: int, sunset_
 def _horizon_crossings_s(times_s: np.ndarray, altitude_deg: np.ndarray, is_rising: bool) -> np.ndarray:
     """Return the times, in seconds, at which the sun's altitude crosses 0 upwards (``is_rising``) or downwards.
 
-    The altitude is interpolated linearly between samples.
+    The altitude is interpolated linearly between samples. ``times_s`` (n,) are the times of the samples, and ``altitude_deg`` (n,)
+    the altitudes then.
     """
     up = altitude_deg > 0.0
     n = np.flatnonzero(up[1:] & ~up[:-1] if is_rising else ~up[1:] & up[:-1])
@@ -167,7 +170,11 @@ def _horizon_crossings_s(times_s: np.ndarray, altitude_deg: np.ndarray, is_risin
 def _daylight_s(
     times_s: np.ndarray, altitude_deg: np.ndarray, is_up: np.ndarray, sunrises_s: np.ndarray, sunsets_s: np.ndarray
 ) -> float:
-    """Return the total time in seconds during which the sun is up."""
+    """Return the total time in seconds during which the sun is up.
+
+    The times of the samples are ``times_s`` (n,), ``is_up`` (n,) tells whether the sun is up then, and ``sunrises_s`` and
+    ``sunsets_s`` are the times at which it crosses a flat horizon.
+    """
     begins = np.concatenate([[times_s[0]] if is_up[0] else [], sunrises_s])
     ends = np.concatenate([sunsets_s, [times_s[-1]] if is_up[-1] else []])
     return float(np.sum(ends - begins))
@@ -176,7 +183,8 @@ def _daylight_s(
 def _culmination_s(times_s: np.ndarray, altitude_deg: np.ndarray, highest_index: int) -> float:
     """Return the time in seconds of the sun's highest altitude, near sample ``highest_index``, which is the highest one.
 
-    It is the vertex of the parabola through this sample and its two neighbours.
+    It is the vertex of the parabola through this sample and its two neighbours. ``times_s`` and ``altitude_deg`` (n,) are those of
+    the samples.
     """
     if not 0 < highest_index < len(times_s) - 1:
         return float(times_s[highest_index])
@@ -196,7 +204,8 @@ def _change_times_s(
     """Return the times, in seconds, at which direct sun begins or ends.
 
     ``change_indices`` holds the indices of the samples with a change before the next sample. The sun is assumed to move evenly
-    between two samples.
+    between two samples. The sun at the times ``times_s`` (n,) of the samples has the azimuths and altitudes ``azimuth_deg`` and
+    ``altitude_deg`` (n,), and ``is_lit`` (n,) tells whether the point has direct sun then.
     """
     if not len(change_indices):
         return np.zeros(0)
@@ -224,7 +233,7 @@ def _occluders_at(
     """Return the caster that hides the sun just before or after each change between sun and shade.
 
     ``change_indices`` holds the indices of the samples with a change before the next sample. The caster is that at the sample in
-    shade.
+    shade. The other parameters are those of ``_change_times_s``.
     """
     dark = np.where(is_lit[change_indices], change_indices + 1, change_indices)
     return sun_occluders(surroundings, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []

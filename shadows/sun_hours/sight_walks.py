@@ -177,8 +177,8 @@ def sun_track(
 def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     """Return the tangent of the sun's altitude less that of the horizon, and the change per minute of the sun's tangent.
 
-    They hold at the moment ``minutes``, for an eye ``eye_height_m`` metres above the node at row ``i`` and column ``j`` of the
-    sun-aligned grid.
+    They hold at the moment ``minutes`` of ``track`` (``SunTrack``), for an eye ``eye_height_m`` metres above the node at row ``i``
+    and column ``j`` of the sun-aligned grid. ``ground`` is a ``WalkedGround``.
     """
     affine, a = track.grid_from_sun_aligned, track.direction_coefficients
     row, col = affine[0, 0] + i * affine[0, 1] + j * affine[0, 2], affine[1, 0] + i * affine[1, 1] + j * affine[1, 2]
@@ -199,8 +199,8 @@ def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
 def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_metre, min_tangent):
     """Return the tangent of the horizon angle in one direction, or ``min_tangent`` if that is larger.
 
-    The eye is ``eye_height_m`` metres above the node at ``row`` and ``col``. A step of one metre in the direction leads
-    ``rows_per_metre`` rows and ``cols_per_metre`` columns further on the finest grid.
+    The eye is ``eye_height_m`` metres above the node at ``row`` and ``col`` of the finest grid of ``ground`` (``WalkedGround``). A
+    step of one metre in the direction leads ``rows_per_metre`` rows and ``cols_per_metre`` columns further on this grid.
     """
     height, tile_max, origin, grid_max = ground
     best = min_tangent
@@ -291,14 +291,20 @@ def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_met
 
 @internal
 def _max_tangent(best_tangent, height_m, eye_m, distance_m):
-    """Return the larger of ``best_tangent`` and the tangent up to ground of height ``height_m`` at distance ``distance_m``."""
+    """Return the larger of ``best_tangent`` and the tangent up to ground of height ``height_m`` at distance ``distance_m``.
+
+    ``eye_m`` is the height of the eye, in metres above sea level like ``height_m``.
+    """
     rise = height_m - eye_m - EARTH_DROP_PER_M2 * distance_m * distance_m
     return rise / distance_m if rise > best_tangent * distance_m else best_tangent
 
 
 @compiled
 def _write_tile_max(height_m, tile_max_m, tile_quads):
-    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground."""
+    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground.
+
+    ``height_m`` (rows, cols) are the heights of the nodes. A node on the border of two tiles counts for both.
+    """
     rows, cols = height_m.shape
     for a in range(tile_max_m.shape[0]):
         for b in range(tile_max_m.shape[1]):

@@ -222,7 +222,10 @@ def _run_in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
 
 @compiled
 def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
-    """Write ray heights less shadow heights plus the height of the eyes to ``out`` (rows, cols), metres."""
+    """Write ray heights less shadow heights plus the height of the eyes to ``out`` (rows, cols), metres.
+
+    The parameters are those of ``compute_clearances``.
+    """
     rows, cols = out.shape
     for i in range(rows):
         ray_height_row, shade_row, out_row = ray_height[i], shadow_ray_heights[i], out[i]
@@ -233,11 +236,13 @@ def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
 
 @compiled
 def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, crosses_floor, first_row, count, clock, walk_input):
-    """Add the sun of some rows between two moments to ``spells``.
+    """Add the sun of some rows between two moments to ``spells``, which holds these rows alone.
 
-    ``before``, ``start``, ``stop`` and ``after`` (rows, cols) are the clearances at the four moments ``times`` (4,), minutes.
-    ``floors`` (2, 6) are quadratics of the sun's height above the floor at the two middle moments. The rows begin at ``first_row``
-    of ``count`` rows. ``crosses_floor`` tells whether the sun may be below the floor at a cell.
+    ``before``, ``start``, ``stop`` and ``after`` (rows, cols) are the clearances at the four moments ``times`` (4,), minutes; the
+    sun between the second and the third one is added. ``floors`` (2, 6) are quadratics of the sun's height above the floor (the
+    minimum altitude that counts), as a sine, at these two moments. ``crosses_floor`` tells whether the sun may be below the floor
+    at a cell. The rows begin at row ``first_row`` of the ``count`` rows of the block. ``is_first_step``, ``clock`` and
+    ``walk_input`` are those of ``add_sun_between``.
     """
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
@@ -310,7 +315,8 @@ def _estimate_crossing(before, e0, e1, after, times):
 def _refine_crossing(walk_input, i, j, lit0, crossing, t0, t1):
     """Refine the estimated time ``crossing`` at which the sun passes a cell's horizon, between ``t0`` and ``t1``, by walks.
 
-    ``lit0`` tells whether the cell is sunlit at ``t0``. Times are in minutes.
+    The cell has row ``i`` and column ``j`` of the block's sun-aligned grid. ``lit0`` tells whether it is sunlit at ``t0``. Times
+    are in minutes after the start of the day's window of time. ``walk_input`` is a ``WalkInput``.
     """
     low, high = t0, t1
     t, before, clearance_before = crossing, np.nan, np.nan
@@ -342,7 +348,10 @@ def _clock_time(clock, minutes):
 
 @internal
 def _end_spell(spells, i, j, since, until, clock):
-    """Record a cell's spell of sun from ``since`` to ``until``, minutes after the start of the day's window of time."""
+    """Record a spell of sun of the cell at row ``i`` and column ``j`` of ``spells``.
+
+    It lasts from ``since`` to ``until``, minutes after the start of the day's window of time. ``clock`` is a ``ClockReading``.
+    """
     length = until - since
     if length <= 0.0:
         return
@@ -357,7 +366,10 @@ def _end_spell(spells, i, j, since, until, clock):
 
 @compiled
 def _end_all_spells(spells, until, clock):
-    """End the current spells of all cells at the moment ``until``, minutes."""
+    """End the current spells of all cells at the moment ``until``, minutes after the start of the day's window of time.
+
+    ``clock`` is a ``ClockReading``.
+    """
     rows, cols = spells.spell_start_minutes.shape
     for i in range(rows):
         for j in range(cols):

@@ -90,7 +90,10 @@ def missed_minutes(lit: np.ndarray, step_minutes: int) -> np.ndarray:
 
 @compiled
 def _sunlit_by_minute(ground: WalkedGround, track: SunTrack, cells: np.ndarray, height_m: float, times: np.ndarray) -> np.ndarray:
-    """Return whether cells (n, 2) see the sun at ``times`` (k,), minutes: bool (n, k)."""
+    """Return whether cells (n, 2) see the sun at ``times`` (k,), minutes: bool (n, k).
+
+    A cell is its row and column, and its eye is ``height_m`` metres above the ground. ``track`` gives the direction to the sun.
+    """
     lit = np.empty((len(cells), len(times)), np.bool_)
     for n in range(len(cells)):
         for k in range(len(times)):

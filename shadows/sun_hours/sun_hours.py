@@ -201,7 +201,7 @@ class _BlockSpells:
     view
         The block.
     orientation
-        How the grid is sun_aligned.
+        How the grid is turned to become the sun-aligned grid.
     spells
         The intervals of sun so far, (n, m) in the order of the sun-aligned grid.
     """
@@ -229,7 +229,10 @@ class _BlockSpells:
 def _add_span(
     block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
 ) -> _BlockSpells:
-    """Return the sun at a block's cells after a span, an interval of a day with the sun up."""
+    """Return the sun at a block's cells after a span, an interval of a day with the sun up.
+
+    ``block_spells`` is the sun before it.
+    """
     moments: list[ClearanceSample] = []
     is_first_step = True
 
@@ -310,7 +313,10 @@ class _TerrainBlock:
         )
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
-        """Return the scene with the sun at a moment of a day."""
+        """Return the scene with the sun at a moment of a day.
+
+        ``minutes`` counts from the start of the day's window of time.
+        """
         return replace(self._scene, sun=day.sun_at(minutes, self._scene.world))
 
     def _casters_by_moment(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
@@ -329,7 +335,10 @@ class _TerrainBlock:
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
     def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
-        """Return the ground beside the block that may shade it at a moment."""
+        """Return the ground beside the block that may shade it at a moment.
+
+        ``minutes`` counts from the start of the day's window of time.
+        """
         return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 

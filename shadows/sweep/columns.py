@@ -334,14 +334,21 @@ def _border_cubics(
 
 
 def _fitted_coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
-    """Return the coefficients (degree + 1,) of a polynomial in t fitted to values."""
+    """Return the coefficients (degree + 1,), constant term first, of a polynomial in t fitted to values.
+
+    ``values`` (k,) are those at the positions ``t`` (k,).
+    """
     coefficients = np.polynomial.Polynomial.fit(t, values, degree).convert().coef
     return np.pad(coefficients, (0, degree + 1 - len(coefficients)))
 
 
 @compiled
 def _ray_heights(columns, row, t, height):
-    """Return the ray heights (n,), metres, of points at sun-aligned rows, positions t across the rays, and heights in metres."""
+    """Return the ray heights (n,), metres, of points over ``SunAlignedColumns``.
+
+    ``row`` (n,) are the points' fractional sun-aligned rows, ``t`` (n,) their positions across the rays in cells of these columns,
+    and ``height`` (n,) their heights, metres.
+    """
     out = np.empty(row.size)
     borders = len(columns.ray_height_at_zero)
     for n in range(row.size):
@@ -359,9 +366,11 @@ def _ray_heights(columns, row, t, height):
 
 @compiled
 def _follow_rays(columns, row, t, ray_heights, needs_height, above_m):
-    """Raise ``above_m`` (n,) to the largest height in metres of columns above the rays from points to the sun.
+    """Raise ``above_m`` (n,) to the largest height, metres, of columns above the rays from points to the sun.
 
-    Unless ``needs_height``, a point whose value is over 0 is skipped, because its ray is blocked already.
+    ``columns`` are ``SunAlignedColumns``. ``row`` (n,) are the points' fractional sun-aligned rows, ``t`` (n,) their positions
+    across the rays in cells of these columns, and ``ray_heights`` (n,) their ray heights, metres. Unless ``needs_height``, a point
+    whose value is over 0 is skipped, because its ray is blocked already.
     """
     for n in range(row.size):
         if needs_height or above_m[n] <= 0.0:
@@ -370,7 +379,11 @@ def _follow_rays(columns, row, t, ray_heights, needs_height, above_m):
 
 @internal
 def _border_crossing(columns, b, t, ray_height):
-    """Return the fractional column and the height in metres at which a ray crosses the border before row ``b``."""
+    """Return the fractional column and the height, metres, at which a ray crosses the border before row ``b``.
+
+    ``columns`` are ``SunAlignedColumns``. The ray has the position ``t`` across the rays, in cells, and the ray height
+    ``ray_height``, metres. Border ``b`` is in [0, n], for n rows.
+    """
     height = (ray_height - evaluate_cubic(columns.ray_height_at_zero[b], t)) / evaluate_cubic(columns.ray_height_per_metre[b], t)
     return evaluate_cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * evaluate_cubic(
         columns.column_per_metre[b], t
@@ -379,9 +392,11 @@ def _border_crossing(columns, b, t, ray_height):
 
 @internal
 def _highest_above(columns, row, t, ray_height, needs_height, above_m):
-    """Return the maximum of ``above_m`` and of the heights in metres of columns above a ray from a sun-aligned row to the sun.
+    """Return the maximum of ``above_m`` and of the heights, metres, of ``SunAlignedColumns`` above a ray from a point to the sun.
 
-    Unless ``needs_height``, the search ends at the first column that exceeds ``above_m``.
+    The point lies on the fractional sun-aligned row ``row``. Its ray has the position ``t`` across the rays, in cells, and the ray
+    height ``ray_height``, metres. Unless ``needs_height``, the search ends at the first column that exceeds ``above_m``.
+    ``columns`` are ``SunAlignedColumns``.
     """
     heights = columns.height
     n, m = heights.shape

@@ -69,9 +69,9 @@ class LineState:
     Attributes
     ----------
     first_cell
-        Cell of the first column of ``line_max``.
+        Index of the cell of ``line_max[:, 0]``, in which t (the position across the lines) is in [first_cell, first_cell + 1).
     line_max
-        float32 (lines, cells), metres: the highest ray height along each line.
+        float32 (lines, cells), metres: the highest ray height along each line, by number within the cell and by cell.
     """
 
     first_cell: int
@@ -153,9 +153,9 @@ def sweep_nodes(
     coarser_cell_ratio
         Cell size of the coarser grid, in cells of this one.
     row_range
-        Nodes to evaluate: the sun-aligned rows [rows[0], rows[1]); none by default.
+        Nodes to evaluate: the sun-aligned rows [row_range[0], row_range[1]); none by default.
     col_range
-        Nodes to evaluate: the columns [cols[0], cols[1]), not counting the border; all by default.
+        Nodes to evaluate: the columns [col_range[0], col_range[1]), not counting the border; all by default.
     points
         Other points to evaluate.
     shadow_ray_heights
@@ -210,7 +210,10 @@ def sweep_nodes(
 
 
 def initial_peaks(lines: int, cells: int) -> np.ndarray:
-    """Return the initial peaks (2, lines, cells) of a strip (``Strip.peaks``), before its lines pass any node."""
+    """Return the initial peaks (2, ``lines``, ``cells``) of a strip (``LineStrip.peaks``), before its lines pass any node.
+
+    ``lines`` is the number of lines per cell.
+    """
     peaks = np.zeros((2, lines, cells), np.float32)
     peaks[0] = NO_GROUND_RAY_HEIGHT
     return peaks
@@ -287,7 +290,8 @@ def flat_world_grid(
     """Return how a flat world's grid is turned towards the sun's azimuth, and the positions of its lines.
 
     ``shape`` is the grid's rows and columns. The result is the orientation, the sides of a cell along a column and along a row in
-    metres, and the cubics ``column_of_t`` and ``t_of_column`` of ``position_cubics``.
+    metres, and the cubics ``column_of_t`` and ``t_of_column`` of ``position_cubics``. ``cell_m`` is the size of a cell in metres,
+    one number or its sides along a column and along a row.
     """
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
@@ -321,7 +325,11 @@ def sun_aligned_linear_values(
 
 @compiled
 def _write_linear_values(height, per_height, start, per_row, per_col, out):
-    """Write values that are linear in heights, rows and columns to ``out`` (rows, cols); ``start`` is the value of row 0."""
+    """Write values that are linear in heights, rows and columns to ``out`` (rows, cols).
+
+    ``height`` (rows, cols) is in metres. ``start`` is the value of height 0 at row 0 and column 0. The values grow by
+    ``per_height`` per metre, ``per_row`` per row and ``per_col`` per column.
+    """
     rows, cols = height.shape
     for c0 in range(0, cols, 64):  # in blocks, for the CPU cache: ``out`` may have the other memory order
         for r in range(rows):

@@ -40,7 +40,7 @@ class GroundWindow:
     sun_aligned_grid
         The ray heights on the sun-aligned grid, and the positions of its lines.
     sunward_m
-        float32, sun-aligned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
+        float32, sun-aligned and with borders: distances of the nodes towards the sun, metres; empty unless the sun is a disc.
     first_ground_row
         First sun-aligned row that may hold ground.
     """
@@ -132,7 +132,7 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     The last result is cached.
 
     If the drawn ground is decimated (drawn with fewer nodes), all other nodes get values on the drawn triangles. Quads are then cut
-    along the sides of these triangles.
+    along the sides of these triangles. ``needs_sunward`` tells whether to compute ``GroundWindow.sunward_m``.
     """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
@@ -199,10 +199,10 @@ def _ground_window(
 
 @compiled
 def _interpolate_on_triangles(corner, value, triangles, rows, cols):
-    """Interpolate values linearly on triangles, at all nodes of a grid: float32 (rows, cols), NaN outside of the triangles.
+    """Interpolate values linearly on triangles, at all nodes of a grid: float32 (``rows``, ``cols``), NaN outside of the triangles.
 
-    ``corner`` int (n, 2) holds the row and column of each corner, which is a node, and ``value`` (n,) its value. ``triangles``
-    (m, 3) holds indices of corners.
+    ``corner`` int (n, 2) holds the grid row and column of each corner, which is a node, and ``value`` (n,) its value. ``triangles``
+    int (m, 3) holds indices into ``corner``.
     """
     out = np.full((rows, cols), np.nan, np.float32)
     for n in range(len(triangles)):
@@ -222,9 +222,12 @@ def _interpolate_on_triangles(corner, value, triangles, rows, cols):
 
 @compiled
 def _falling_quads(corner, triangles, rows, cols):
-    """Return which quads a triangle's side cuts from north-west to south-east: bool (rows - 1, cols - 1).
+    """Return which quads of a grid of nodes are cut along their falling diagonals by triangles: bool (``rows`` - 1, ``cols`` - 1).
 
-    ``corner`` and ``triangles`` are those of ``_interpolate_on_triangles``. A quad without a cut is planar.
+    The falling diagonal leads from a quad's upper left (north-west) node to its lower right (south-east) node. A quad is True if a
+    side of a triangle runs along this diagonal. All other quads are cut along their rising diagonals, or are not cut by a side and
+    so are planar. ``corner`` int (n, 2) holds the grid row and column of each corner, ``triangles`` int (m, 3) indices into
+    ``corner``. The grid has ``rows`` x ``cols`` nodes.
     """
     is_falling = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):

@@ -129,6 +129,7 @@ def horizon_tangents(
     ``row`` and ``t`` (k,) are the points' positions on the sun-aligned grid and across its lines. ``point_ray_height`` and
     ``point_sunward_m`` (k,), metres, are their coordinates in the vertical plane of the sun. If a ray height is NaN, the point lies
     on the ground, which gives both coordinates. The tangent is ``NO_HORIZON_TANGENT`` if no ground lies towards the sun.
+    ``horizon_grid`` holds the ground, and ``lines`` is the number of lines per cell.
     """
     ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     if not len(row) or len(ray_height) < 2:
@@ -154,9 +155,10 @@ def horizon_tangents(
 
 @compiled
 def _counting_sort(key, count):
-    """Sort integer keys in [0, ``count``) by a stable counting sort.
+    """Sort integer keys (n,) in [0, ``count``) by a stable counting sort.
 
-    The result is the start of each key's group in the sorted order, (count + 1,), and the indices of the keys in sorted order.
+    The result is the start of each key's group in the sorted order, (``count`` + 1,), and the indices of the keys in sorted order,
+    (n,).
     """
     group_starts = np.zeros(count + 1, np.int64)
     for value in key:
@@ -174,7 +176,8 @@ def _counting_sort(key, count):
 def _nodes_between(column_of_t, t_of_column, low, high, cols):
     """Return sun-aligned rows, sun-aligned columns and t of the nodes with t in [``low``, ``high``), (k,) each.
 
-    t is the position across the lines, in cells. Border columns are left out.
+    t is the position across the lines, in cells. ``column_of_t`` and ``t_of_column`` (rows, 4) are the cubics of
+    ``SunAlignedGrid``. ``cols`` is the number of columns with the two border columns, which are left out.
     """
     rows = len(column_of_t)
     ends = np.empty((rows, 2), np.int64)
@@ -202,8 +205,10 @@ def _nodes_between(column_of_t, t_of_column, low, high, cols):
 def _walk_lines(horizon_grid, lines, first, start, stop, query):
     """Follow the lines from the sun on, and write the horizon's tangent on each line for the points on both sides of it.
 
-    The lines ``start`` to ``stop`` are counted from the line of number ``first``, and ``lines`` of them cross each cell. For the
-    points between a line and the next one, both lines give a tangent (``HorizonQuery.line_tangents``).
+    ``lines`` of them cross each cell. Lines are numbered from that with t = ``first`` / ``lines`` on, which has the number 0. Those
+    with the numbers ``start`` to ``stop``, both included, are followed. ``query`` (``HorizonQuery``) holds the points. For the
+    points between two adjacent lines, both lines give a tangent (``HorizonQuery.line_tangents``, changed in place).
+    ``horizon_grid`` is a ``HorizonGrid``.
     """
     ray_height, sunward_m, column_of_t, is_cut_nw_se = horizon_grid
     line_starts, order, row_before, position, line_tangents = query
@@ -247,9 +252,11 @@ def _walk_lines(horizon_grid, lines, first, start, stop, query):
 
 @internal
 def _push_onto_hull(hull, size, ray_height, sunward_m, i, j, k, l, share):
-    """Push the position at ``share`` of the way from node (i, j) to node (k, l) onto the hull, and return the hull's size.
+    """Push a position on the segment from node (``i``, ``j``) to node (``k``, ``l``) onto a hull, and return the hull's size.
 
-    ``hull`` holds ray heights and distances towards the sun, metres; ``size`` is the number of its vertices.
+    The position is at ``share`` of the way. ``ray_height`` and ``sunward_m`` (n, m) are the nodes' ray heights and distances
+    towards the sun, metres. ``hull`` holds a ray height and a distance towards the sun for each vertex, metres. ``size`` is the
+    number of its vertices before the call.
     """
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     if not np.isfinite(u):
@@ -272,7 +279,9 @@ def _push_onto_hull(hull, size, ray_height, sunward_m, i, j, k, l, share):
 def _tangent_to_hull(hull, size, point):
     """Return the largest slope from a point to a vertex of a hull: that of the tangent from the point.
 
-    From the top of the stack down, the slopes grow up to the point of contact. The search ends there.
+    ``point`` (2,) and the first ``size`` rows of ``hull`` (k, 2) are ray heights and distances towards the sun, metres. The result
+    is ``NO_HORIZON_TANGENT`` if no vertex lies towards the sun. From the top of the stack down, the slopes grow up to the point of
+    contact. The search ends there.
     """
     best = NO_HORIZON_TANGENT
     for n in range(size - 1, -1, -1):
@@ -290,7 +299,10 @@ def _tangent_to_hull(hull, size, point):
 def _write_near_tangents(ray_height, sunward_m, column_of_t, is_cut_nw_se, row_before, row, t, position, near_tangents):
     """Write the largest slope from each point to the ground between it and the row before it, to ``near_tangents`` (k,).
 
-    In ``position``, points whose ray height is NaN receive the coordinates of the ground at their place.
+    The first four parameters are the fields of ``HorizonGrid``. ``row_before`` (k,) is the last grid row before each point, on the
+    sun's side. ``row`` and ``t`` (k,) are the points' positions on the sun-aligned grid and across its lines. ``position`` (k, 2)
+    holds their ray heights and distances towards the sun, metres. Points whose ray height is NaN receive the coordinates of the
+    ground at their place there.
     """
     cols = ray_height.shape[1]
     for n in range(len(row)):
@@ -320,9 +332,10 @@ def _write_near_tangents(ray_height, sunward_m, column_of_t, is_cut_nw_se, row_b
 
 @internal
 def _max_slope(best, point, ray_height, sunward_m, i, j, k, l, share):
-    """Return the larger of ``best`` and the slope from a point to ground on the segment from node (i, j) to node (k, l).
+    """Return the larger of ``best`` and the slope from a point to ground on the segment from node (``i``, ``j``) to (``k``, ``l``).
 
-    The ground lies at ``share`` of the way. ``point`` (2,) is a ray height and a distance towards the sun.
+    The ground lies at ``share`` of the way. ``point`` (2,) is a ray height and a distance towards the sun, metres. ``ray_height``
+    and ``sunward_m`` (n, m) are those of the nodes.
     """
     u = ray_height[i, j] + share * (np.float64(ray_height[k, l]) - ray_height[i, j])
     d = sunward_m[i, j] + share * (np.float64(sunward_m[k, l]) - sunward_m[i, j])

@@ -17,8 +17,8 @@ LINEARITY_TOLERANCE = 0.01
 def max_run_length(cubic, low, high, position_factor):
     """Return the maximum number of adjacent lines or nodes whose positions a straight line interpolates between both ends.
 
-    The positions are ``position_factor`` the cubic ``cubic`` (4,) on the interval from ``low`` to ``high``. The tolerance is
-    ``LINEARITY_TOLERANCE``.
+    The positions are ``position_factor`` times the value of the cubic ``cubic`` (4,), constant term first, at consecutive integers
+    from ``low`` to ``high``. The tolerance is ``LINEARITY_TOLERANCE``. The result is at most ``MAX_RUN_LINES``.
     """
     bend = position_factor * max(abs(2.0 * cubic[2] + 6.0 * cubic[3] * low), abs(2.0 * cubic[2] + 6.0 * cubic[3] * high))
     return (

@@ -76,9 +76,9 @@ class LineStrip(NamedTuple):
     lines
         Lines per cell.
     first_cell
-        Cell of the first column of ``line_max``.
+        Index of the cell of ``line_max[:, 0]``, in which t (the position across the lines) is in [first_cell, first_cell + 1).
     line_max
-        float32 (lines, cells), metres: the highest ray height along each line so far.
+        float32 (lines, cells), metres: the highest ray height along each line so far, by number within the cell and by cell.
     peaks
         float32 (2, lines, cells): the ray height in metres of the highest node between each line and the next, and the node's
         position between the two lines, in [0, 1].
@@ -94,9 +94,10 @@ class LineStrip(NamedTuple):
 def sweep_rows(sun_aligned_grid, strip, first, last, shadow_ray_heights, lit, points):
     """Advance a strip of lines over the rows [``first``, ``last``) of a grid, and evaluate nodes and points.
 
-    The nodes of the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty.
-    ``shadow_ray_heights`` (n, m) float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool
-    receives whether it does. ``points`` are the strip's other points (``StripPoints``).
+    ``sun_aligned_grid`` is a ``SunAlignedGrid`` (n, m), ``strip`` a ``LineStrip``, whose arrays are changed in place. The nodes of
+    the rows (``first``, ``last``] are evaluated into those of two output arrays that are not empty. ``shadow_ray_heights`` (n, m)
+    float32 receives the ray height in metres above which a node sees the sun. ``lit`` (n, m) bool receives whether it does.
+    ``points`` are the strip's other points (``StripPoints``).
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, peaks = strip
@@ -127,10 +128,11 @@ def sweep_rows(sun_aligned_grid, strip, first, last, shadow_ray_heights, lit, po
 
 @internal
 def _crossing_class(cubic_above, cubic_below, t, j):
-    """Return a number that tells which quads the line at ``t``, in cell ``j``, crosses between a row and the next one.
+    """Return a number that tells which quads the line at position ``t``, in cell ``j``, crosses between a row and the next one.
 
-    It is 2 (c - j), where c is the grid column to the left of the line on the first row. It is larger by 1 if the line crosses
-    column c + 1 before the next row. Adjacent lines with equal numbers cross quads in the same way.
+    ``cubic_above`` and ``cubic_below`` (4,) give the line's column on the first and on the next row as functions of t. The number
+    is 2 (c - j), where c is the grid column to the left of the line on the first row. It is larger by 1 if the line crosses column
+    c + 1 before the next row. Adjacent lines with equal numbers cross quads in the same way.
     """
     x = snap_to_column(evaluate_cubic(cubic_above, t))
     c = int(np.floor(x))
@@ -139,10 +141,12 @@ def _crossing_class(cubic_above, cubic_below, t, j):
 
 @internal
 def _advance_lines(above, below, cubic_above, cubic_below, lines, cuts, first_cell, line_max, k):
-    """Raise the maxima of the lines of number ``k`` to the ground from a row to just before the next row.
+    """Raise the maximum ray heights of the lines of number ``k`` to the ground from a row to just before the next row.
 
-    ``above`` and ``below`` (m,) are the ray heights of the two rows. ``cubic_above`` and ``cubic_below`` give a line's column on
-    them. ``line_max`` (cells,) holds the maxima and is changed in place.
+    Each cell has one line of number ``k``, in [0, ``lines``). ``above`` and ``below`` (m,) are the ray heights, metres, of the
+    nodes of the two rows. ``cubic_above`` and ``cubic_below`` (4,) give a line's column on them as functions of t. ``cuts`` (bool,
+    m - 1) is True for quads cut along their falling diagonals; it is empty where each quad is cut along its higher diagonal.
+    ``line_max`` (cells,) holds the maxima, metres, from cell ``first_cell`` on, and is changed in place.
     """
     cells, cols = line_max.size, above.size
     share = k / lines

@@ -19,6 +19,11 @@ def evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell
 
     Ground between row ``i`` and the nodes is compared exactly, on each node's own ray. The maxima over the ground on the sun's side
     of row ``i`` are interpolated between the two lines beside a node.
+
+    ``ray_height``, ``column_of_t`` and ``t_of_column`` are fields of ``SunAlignedGrid``; ``lines``, ``first_cell``, ``line_max``
+    and ``peaks`` are those of ``LineStrip``. ``cuts`` (bool) is True for the quads below row ``i`` that are cut along their falling
+    diagonals; it is empty where each quad is cut along its higher diagonal. An empty output array, ``shadow_ray_heights`` or
+    ``lit`` (n, m), is not written.
     """
     cols, cells = ray_height.shape[1], line_max.shape[1]
     t_of_column_below, column_of_t_above, column_of_t_below = (
@@ -61,7 +66,11 @@ def evaluate_nodes(ray_height, column_of_t, t_of_column, lines, cuts, first_cell
 
 @internal
 def update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks, i):
-    """Update the peaks (the highest node between each line and the next) with the nodes of row ``i``."""
+    """Update the peaks (the highest node between each line and the next) with the nodes of row ``i``.
+
+    ``ray_height``, ``column_of_t`` and ``t_of_column`` are fields of ``SunAlignedGrid``; ``lines``, ``first_cell`` and ``peaks``
+    are those of ``LineStrip``. ``peaks`` is changed in place.
+    """
     cols, cells = ray_height.shape[1], peaks.shape[2]
     row_t_of_column, row_column_of_t, row = row_cubic(t_of_column, i), row_cubic(column_of_t, i), ray_height[i]
     first = _first_column_at(row_column_of_t, row_t_of_column, first_cell + 1, cols)
@@ -83,8 +92,9 @@ def update_peaks(ray_height, column_of_t, t_of_column, lines, first_cell, peaks,
 def _raise_peaks(row, first, between, peaks, k, cell, count):
     """Store ``count`` nodes of a row, from column ``first`` on, as peaks where they are higher than the stored peak.
 
-    A peak is the highest node between a line and the next one. The nodes lie to the right of the lines of number ``k``, from
-    ``cell`` on. ``between`` holds the positions of the first and the last node between their lines, in [0, 1].
+    A peak is the highest node between a line and the next one. ``row`` (m,) are the ray heights of the row's nodes, metres. Node n,
+    in [0, ``count``), lies to the right of the line with number ``k`` in the cell with index ``cell + n`` in ``peaks``
+    (``LineStrip.peaks``). ``between`` holds the positions of the first and the last node between their lines, in [0, 1].
     """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -98,7 +108,10 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
 
 @internal
 def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first, count):
-    """Copy the shadow heights of ``count`` nodes to row ``i``, from column ``first`` on."""
+    """Copy the shadow heights of ``count`` nodes, metres, to row ``i`` of ``shadow_ray_heights``, from column ``first`` on.
+
+    The first ``count`` values of ``node_shadow_heights`` are copied.
+    """
     i = np.uintp(i)
     for n in range(count):
         shadow_ray_heights[i, np.uintp(first + n)] = node_shadow_heights[n]
@@ -106,7 +119,10 @@ def _write_shadow_ray_heights(node_shadow_heights, shadow_ray_heights, i, first,
 
 @internal
 def _write_lit(node_shadow_heights, row, lit, i, first, count):
-    """Write whether ``count`` nodes of row ``i``, from column ``first`` on, are at least as high as their shadow heights."""
+    """Write whether ``count`` nodes are at least as high as their shadow heights to row ``i`` of ``lit``, from column ``first`` on.
+
+    ``row`` (m,) are the ray heights of the nodes of row ``i``, metres. ``node_shadow_heights[0]`` belongs to column ``first``.
+    """
     i = np.uintp(i)
     for n in range(count):
         column = np.uintp(first + n)
@@ -115,21 +131,29 @@ def _write_lit(node_shadow_heights, row, lit, i, first, count):
 
 @internal
 def _line_position(t_of_column, column, lines):
-    """Return the position of the node in ``column`` of a row, counted in lines from t = 0; a whole number on a line."""
+    """Return the position of the node in ``column`` of a row, counted in lines from t = 0; a whole number on a line.
+
+    ``t_of_column`` (4,) is the row's cubic, ``lines`` the number of lines per cell.
+    """
     return snap_to_column(evaluate_cubic(t_of_column, np.float64(column)) * lines)
 
 
 @internal
 def _column_shift(column_of_t, t_of_column, column):
-    """Return by how many columns a node's ray is farther to the left on the row before."""
+    """Return by how many columns the ray of the node in ``column`` of a row is farther to the left on the row before.
+
+    ``column_of_t`` (4,) is the cubic of the row before, ``t_of_column`` (4,) that of the node's row.
+    """
     return column - snap_to_column(evaluate_cubic(column_of_t, evaluate_cubic(t_of_column, np.float64(column))))
 
 
 @internal
 def _run_end(t_of_column, first, last, lines):
-    """Return the end of the adjacent nodes in [``first``, ``last``) with lines of one number to their left, and that line.
+    """Return the column after the last node of a run, which starts at column ``first``, and the number of the line to its left.
 
-    The line is that to the left of node ``first``, counted from t = 0. From each node to the next it is ``lines`` farther right.
+    In a run, the lines to the left of the nodes have one number within their cells. The run ends at column ``last`` at the latest.
+    The returned number is that of the line to the left of node ``first``, counted from t = 0. From each node to the next it is
+    ``lines`` (lines per cell) larger. ``t_of_column`` (4,) is the row's cubic.
     """
     number = int(np.floor(_line_position(t_of_column, first, lines)))
     if int(np.floor(_line_position(t_of_column, last - 1, lines))) - lines * (last - 1 - first) == number:
@@ -148,7 +172,8 @@ def _run_end(t_of_column, first, last, lines):
 def _first_column_at(column_of_t, t_of_column, t, cols):
     """Return the first column of a row, without borders, whose t is at least ``t``.
 
-    The comparison uses ``t_of_column`` alone. So of two adjacent strips of lines exactly one evaluates each node.
+    ``column_of_t`` and ``t_of_column`` (4,) are the row's cubics, ``cols`` the number of its columns with borders. The comparison
+    uses ``t_of_column`` alone. So of two adjacent strips of lines exactly one evaluates each node.
     """
     column = min(max(int(np.ceil(evaluate_cubic(column_of_t, np.float64(t)))), 1), cols - 1)
     while column > 1 and evaluate_cubic(t_of_column, np.float64(column - 1)) >= t:
@@ -160,12 +185,12 @@ def _first_column_at(column_of_t, t_of_column, t, cols):
 
 @internal
 def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, between, count, out):
-    """Interpolate the maxima of lines at ``count`` adjacent nodes, and write them to ``out`` (count,) float32.
+    """Interpolate the maxima of lines at ``count`` adjacent nodes, and write them to ``out`` (count,) float32, metres.
 
-    These are the shadow heights of the nodes by all ground up to the row before them. The lines to the left of the nodes have
-    number ``k`` and start at ``cell``. Those to the right have number ``right`` and start at ``right_cell``. Where the peak (the
-    highest node between two lines) is higher, the interpolation leads over it. ``between`` holds the positions of the first and the
-    last node between their lines, in [0, 1].
+    These are the shadow heights of the nodes by all ground up to the row before them. The line to the left of node n, in [0,
+    ``count``), is ``line_max[k, cell + n]``, the line to the right is ``line_max[right, right_cell + n]``. ``peaks`` are those of
+    ``LineStrip``. Where the peak (the highest node between two lines) is higher, the interpolation leads over it. ``between`` holds
+    the positions of the first and the last node between their lines, in [0, 1].
     """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -188,8 +213,10 @@ def _interpolate_between_lines(line_max, k, cell, right, right_cell, peaks, betw
 def _raise_to_near_ground(above, below, cuts, first, column_shifts, count, out):
     """Raise the shadow heights ``out`` of ``count`` nodes, from column ``first`` on, to the ground since the row before them.
 
-    ``above`` and ``below`` (m,) are the ray heights of that row and of the nodes' row. ``column_shifts`` holds by how many columns
-    the rays of the first and the last node are farther to the left on the row before.
+    ``above`` and ``below`` (m,) are the ray heights, metres, of the nodes of that row and of the nodes' row. ``cuts`` (bool) is
+    True for quads between the rows that are cut along their falling diagonals; it is empty where each quad is cut along its higher
+    diagonal. ``column_shifts`` holds by how many columns the rays of the first and the last node are farther to the left on the row
+    before.
     """
     start = np.int64(0)  # not a literal, for which ``raise_to_segments`` would be compiled again
     if max(column_shifts[0], column_shifts[1]) == 0.0:  # straight down: a missing left neighbour has no effect

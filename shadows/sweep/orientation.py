@@ -57,7 +57,7 @@ class GridOrientation:
     def from_sun_aligned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Convert rows and columns of the sun-aligned grid to those of the grid (``rows``, ``cols``).
 
-        This is the inverse of ``to_sun_aligned``.
+        This is the inverse of ``to_sun_aligned``. ``i`` and ``j`` are the rows and the columns of the sun-aligned grid.
         """
         n, m = (cols, rows) if self.axes_swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
@@ -81,6 +81,7 @@ class GridOrientation:
 
     @property
     def _index_slices(self) -> tuple[slice, slice]:
+        """Slices that reverse rows and columns, where needed, once the axes are swapped."""
         return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
 
 

@@ -58,9 +58,10 @@ def empty_strip_points(rows: int) -> StripPoints:
 
 @compiled
 def write_row_intervals(first, last, row, rows, out):
-    """Write the grid row i of each point to ``out`` (n,): the point lies in the rows (i, i + 1].
+    """Write to ``out`` (n,) int, for each point, the grid row i of the interval of rows (i, i + 1] in which it lies.
 
-    Only the points from index ``first`` to before ``last`` are written. The grid has ``rows`` rows.
+    ``row`` (n,) are the points' fractional rows. Only the points with indices in [``first``, ``last``) are written. The grid has
+    ``rows`` rows.
     """
     for n in range(first, last):
         out[n] = min(max(np.int32(np.ceil(row[n])) - 1, 0), rows - 2)
@@ -70,8 +71,9 @@ def write_row_intervals(first, last, row, rows, out):
 def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
     """Return the points whose t lies in [``start``, ``stop``), sorted by the rows (i, i + 1] that contain them.
 
-    ``interval`` (n,) holds i for each point. The result is the index of each selected point in the input, and the fields of
-    ``StripPoints`` from ``row_starts`` to ``ray_height``. The returned columns count the left border, the input columns do not.
+    ``row``, ``col``, ``t`` and ``ray_height`` (n,) are those of ``SweepPoints``. ``interval`` (n,) holds i for each point. The grid
+    has ``rows`` rows. The result is the index of each selected point in the input, and the fields of ``StripPoints`` from
+    ``row_starts`` to ``ray_height``. The returned columns count the left border, the input columns do not.
     """
     row_starts = np.empty(rows + 1, np.int64)
     row_starts[:] = 0
@@ -93,7 +95,11 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
 
 @compiled
 def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
-    """Copy a strip's results to the arrays of all points: result k to index ``point_indices[k]``."""
+    """Copy the results of a strip's points to the arrays of all points: result k to index ``point_indices[k]``.
+
+    ``strip_lit`` and ``strip_above_m`` (n,) are ``lit`` and ``above_m`` of ``StripPoints``; ``lit`` and ``above_m`` are the
+    outputs.
+    """
     for k in range(point_indices.size):
         lit[point_indices[k]], above_m[point_indices[k]] = strip_lit[k], strip_above_m[k]
 
@@ -102,8 +108,8 @@ def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
 def evaluate_points(sun_aligned_grid, strip, i, points):
     """Compute whether the points in the rows (``i``, ``i + 1``] of a ``SunAlignedGrid`` see the sun.
 
-    The maxima of the ``Strip`` must include all ground before row ``i``, and none after it. The results go to ``points.lit`` and
-    ``points.above_m``.
+    ``strip`` is a ``LineStrip``, whose maxima must include all ground before row ``i``, and none after it. ``points`` are
+    ``StripPoints``. The results go to ``points.lit`` and ``points.above_m``.
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, _ = strip
@@ -152,7 +158,10 @@ def evaluate_points(sun_aligned_grid, strip, i, points):
 
 @internal
 def row_cubic(cubics, i):
-    """Return the coefficients (4,) of row ``i``'s cubic as a tuple."""
+    """Return the four coefficients of row ``i``'s cubic as a tuple, constant term first.
+
+    ``cubics`` (rows, 4) holds those of all rows.
+    """
     return cubics[i, 0], cubics[i, 1], cubics[i, 2], cubics[i, 3]
 
 
@@ -171,9 +180,9 @@ def snap_to_column(x):
 
 @internal
 def _max_with_segment(highest, a, b, share):
-    """Return the maximum of ``highest`` and the value at ``share`` of the way from ``a`` to ``b``.
+    """Return the maximum of ``highest`` and the ray height at ``share`` of the way from that of node ``a`` to that of node ``b``.
 
-    If the value is NaN (no ground), return ``highest``.
+    All are in metres. If the ray height is NaN (no ground), return ``highest``.
     """
     value = np.float64(a)
     if share > 0.0:  # otherwise b may be NaN
@@ -183,18 +192,20 @@ def _max_with_segment(highest, a, b, share):
 
 @internal
 def is_cut_along(is_cut_nw_se, i, c, is_falling):
-    """Return whether quad (i, c) may be cut into triangles along its falling (or rising) diagonal.
+    """Return whether quad (``i``, ``c``) may be cut into triangles along one of its diagonals.
 
-    If ``is_cut_nw_se`` is empty, the diagonal is unknown and both are possible.
+    It is the falling diagonal (upper left to lower right) if ``is_falling``, and the rising one otherwise. If ``is_cut_nw_se``
+    (``SunAlignedGrid``) is empty, the diagonal is unknown and both are possible.
     """
     return is_cut_nw_se.size == 0 or is_cut_nw_se[i, c] == is_falling
 
 
 @internal
 def ground_at(above, below, c, u, v, is_cut_nw_se, i):
-    """Interpolate the value of two rows ``u`` columns to the right of column ``c`` and ``v`` rows below row ``i``.
+    """Interpolate the value of two rows ``u`` columns to the right of column ``c`` and ``v`` rows, in [0, 1], below row ``i``.
 
-    ``above`` and ``below`` hold the values (for example ray heights) of rows ``i`` and ``i + 1``. The result is NaN without ground.
+    ``above`` and ``below`` (m,) hold the values (for example ray heights) of the nodes of rows ``i`` and ``i + 1``.
+    ``is_cut_nw_se`` are the diagonals of ``SunAlignedGrid``. The result is NaN without ground.
     """
     c += int(np.floor(u))
     u -= np.floor(u)

@@ -13,16 +13,21 @@ NO_GROUND_RAY_HEIGHT = np.float32(-1e30)
 """Ray height of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
 
 ON_NODE_SHARES = 0.0, 0.0
-"""Shares of the way from a node to the next one, for the first and the last of adjacent lines that all cross the row at a node."""
+"""Shares of the way from a node to the next one, for the first and the last of adjacent lines that all cross a row at a node."""
 
 
 @internal
 def raise_line_maxima(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
-    """Raise the maxima of ``count`` adjacent lines to the ground on a row, and between it and the next row.
+    """Raise the maximum ray heights of adjacent lines to the ground on a row, and between it and the next row.
 
-    The first line lies between ``column`` of the row and the next column. Its maximum is ``line_max[cell]``, which is changed in
-    place. ``f0`` and ``f1`` are the positions of the first and the last line between their columns, in [0, 1). ``s0`` and ``s1``
-    are their shifts to the right until the next row, in columns. ``crosses`` tells whether the lines cross a column on the way.
+    Line n, in [0, ``count``), starts on the row ``above`` between the columns ``column + n`` and ``column + n + 1``. Its maximum
+    ray height is ``line_max[cell + n]``, metres, which is changed in place.
+
+    ``above`` and ``below`` (m,) are the ray heights, metres, of the nodes of the row and of the next one. ``cuts`` (bool, by
+    column) is True for a quad that is cut along its falling diagonal (upper left to lower right). It is empty where each quad is
+    cut along its higher diagonal. ``f0`` and ``f1`` are the positions of the first and the last line between their columns, in [0,
+    1). ``s0`` and ``s1`` are their shifts to the right until the next row, in columns. ``crosses`` tells whether the lines cross
+    column ``column + n + 1`` on the way.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: a missing right neighbour has no effect
         raise_to_segments(above, column, column, above, column, line_max, cell, count, ON_NODE_SHARES, ON_NODE_SHARES)
@@ -45,7 +50,10 @@ def raise_line_maxima(above, below, cuts, column, line_max, cell, count, f0, f1,
 
 @internal
 def _even_steps(ends, count):
-    """Return the first of ``count`` even steps between two ends, and the step size, as float32."""
+    """Return the first of ``count`` evenly spaced values and the step from one to the next, float32.
+
+    ``ends`` is a pair: the first and the last value.
+    """
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
 
@@ -56,10 +64,16 @@ def _even_steps(ends, count):
 
 @internal
 def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, falling):
-    """Raise the maxima of adjacent lines that cross one quad each to the ground on its upper side and on both of its diagonals.
+    """Raise the maximum ray heights of ``count`` adjacent lines, each of which crosses one quad, to the ground in this quad.
 
-    ``above`` and ``below`` (m,) are the ray heights of the quads' two rows. ``row``, ``rising`` and ``falling`` are shares of the
-    way along the upper side and the diagonals, at which the first and the last line cross them.
+    Line n, in [0, ``count``), crosses the quad between the columns ``column + n`` and ``column + n + 1``. Its maximum ray height is
+    ``line_max[cell + n]``, metres, which is changed in place. ``above`` and ``below`` (m,) are the ray heights, metres, of the
+    nodes on the two grid rows that bound the quads.
+
+    A line is compared with the ground at three crossings: with the quad's upper side, with its rising diagonal (lower left to upper
+    right), and with its falling diagonal (upper left to lower right). ``row``, ``rising`` and ``falling`` tell where, in this
+    order. Each is a pair of shares in [0, 1], for the first and for the last line; the lines between have evenly spaced shares. The
+    shares count along the upper side from its left end, and along a diagonal from its upper end.
     """
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
@@ -78,12 +92,17 @@ def _cross_one_quad(above, below, column, line_max, cell, count, row, rising, fa
 
 @internal
 def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, side, far):
-    """Raise the maxima of adjacent lines that cross two quads each to the ground on the quads' edges and diagonals.
+    """Raise the maximum ray heights of ``count`` adjacent lines, each of which crosses two quads, to the ground in these quads.
 
-    A line crosses the upper side of the first quad, its rising diagonal, the side between the quads, and the rising diagonal of the
-    second quad. Quads lie between the ground rows ``above`` and ``below``, from ``column`` on. ``line_max`` holds the maxima, from
-    ``cell`` on for ``count`` lines. ``row``, ``rising``, ``side`` and ``far`` are the shares of the way along these at which the
-    first and the last line cross them.
+    Line n, in [0, ``count``), crosses the quad between the columns ``column + n`` and ``column + n + 1``, and then the next quad to
+    the right. Its maximum ray height is ``line_max[cell + n]``, metres, which is changed in place. ``above`` and ``below`` (m,) are
+    the ray heights, metres, of the nodes on the two grid rows that bound the quads.
+
+    A line is compared with the ground at four crossings: with the upper side of the first quad (``row``), with its rising diagonal
+    (lower left to upper right, ``rising``), with the side that both quads share (``side``), and with the rising diagonal of the
+    second quad (``far``). Each of the four parameters is a pair of shares in [0, 1], for the first and for the last line; the lines
+    between have evenly spaced shares. The shares count along the upper side from its left end, and along the others from their
+    upper ends.
     """
     p, dp = _even_steps(row, count)
     q, dq = _even_steps(rising, count)
@@ -106,9 +125,12 @@ def _cross_two_quads(above, below, column, line_max, cell, count, row, rising, s
 
 @internal
 def _cross_one_cut_quad(above, below, cuts, line_max, row, rising, falling):
-    """Raise maxima as ``_cross_one_quad`` does, but use only the diagonal along which a quad is cut into triangles.
+    """Raise maximum ray heights as ``_cross_one_quad`` does, but compare only the diagonal along which the quad is cut.
 
-    ``cuts`` (bool) is True for a falling diagonal. All arrays start at the first of the lines.
+    Line n has the maximum ray height ``line_max[n]``, metres, which is changed in place. It crosses the quad between the columns n
+    and n + 1 of ``above`` and ``below``, the ray heights of the nodes on the quads' two grid rows, metres. ``cuts[n]`` is True if
+    this quad is cut into triangles along its falling diagonal. ``row``, ``rising`` and ``falling`` are those of
+    ``_cross_one_quad``.
     """
     count = line_max.size
     p, dp = _even_steps(row, count)
@@ -127,9 +149,12 @@ def _cross_one_cut_quad(above, below, cuts, line_max, row, rising, falling):
 
 @internal
 def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
-    """Raise maxima as ``_cross_two_quads`` does, but use only the diagonal along which a quad is cut into triangles.
+    """Raise maximum ray heights as ``_cross_two_quads`` does, but compare only diagonals along which quads are cut into triangles.
 
-    ``cuts`` (bool) is True for a falling diagonal. All arrays start at the first of the lines.
+    Line n has the maximum ray height ``line_max[n]``, metres, which is changed in place. It crosses the quads from column n to n +
+    1 and from n + 1 to n + 2 of ``above`` and ``below``, the ray heights of the nodes on the quads' two grid rows, metres.
+    ``cuts[n]`` is True if the quad to the right of column n is cut along its falling diagonal. ``row``, ``rising``, ``side`` and
+    ``far`` are those of ``_cross_two_quads``.
     """
     count = line_max.size
     p, dp = _even_steps(row, count)
@@ -151,11 +176,13 @@ def _cross_two_cut_quads(above, below, cuts, line_max, row, rising, side, far):
 
 @internal
 def raise_to_segments(row, a, b, other_row, c, line_max, cell, count, p, q):
-    """Raise ``count`` ray heights from ``line_max[cell]`` on to the ground on two segments between nodes.
+    """Raise ``count`` ray heights to the ground on two segments each, which start at the same node.
 
-    For the first ray height both segments start at column ``a`` of ``row``. The first segment ends at column ``b`` of ``row``, the
-    second one at column ``c`` of ``other_row``. For each further ray height all columns move on by one. ``p`` and ``q`` are the
-    shares of the way along the two segments, for the first and the last ray height.
+    The ray heights are ``line_max[cell]`` and the following ones, metres, which are changed in place. ``row`` and ``other_row``
+    (m,) are the ray heights of the nodes of two grid rows, metres. For ray height n, in [0, ``count``), both segments start at
+    column ``a + n`` of ``row``. The first one ends at column ``b + n`` of ``row``, the second one at column ``c + n`` of
+    ``other_row``. The pairs ``p`` and ``q`` tell where on the first and the second segment the ground is compared, as shares of the
+    way in [0, 1], for the first and for the last ray height. The ray heights between have evenly spaced shares.
     """
     p0, dp = _even_steps(p, count)
     q0, dq = _even_steps(q, count)

@@ -42,7 +42,7 @@ class SunRays:
     grid
         The map grid at full detail.
     orientation
-        How the grid is sun_aligned.
+        How the grid is turned to become the sun-aligned grid.
     mean_height_m
         Metres: the mean height of the ground, for which the rays' positions on the grid are computed.
     right_origin_m
@@ -220,7 +220,7 @@ def _apply_fit(
 
 @compiled
 def _sum_of_terms(first, last, points, point_indices, middle, scale, factors, out):
-    """Write the two fitted values of the points ``point_indices[first:last]`` to ``out`` (2, n) (``_apply_fit``)."""
+    """Write the two fitted values of the points ``point_indices[first:last]`` to ``out`` (2, n), as ``_apply_fit`` returns them."""
     for n in range(first, last):
         p = points[point_indices[n]]
         x, y, z = (p[0] - middle[0]) / scale, (p[1] - middle[1]) / scale, (p[2] - middle[2]) / scale
@@ -234,7 +234,12 @@ def _sum_of_terms(first, last, points, point_indices, middle, scale, factors, ou
 
 @compiled
 def _write_ray_coordinates(first, last, points, point_indices, rotation, translation, right0_m, cell_m, up0_m, out):
-    """Write t, ray height and metres towards the sun of the points (m, 3) with indices ``point_indices`` (n,) to ``out`` (3, n)."""
+    """Write t, ray height and metres towards the sun of some points to ``out`` (3, n), for the indices n in [``first``, ``last``).
+
+    The points are those of ``points`` (m, 3) with the indices ``point_indices`` (n,). ``rotation`` (3, 3) and ``translation`` (3,)
+    transform them to light space: right, up and away from the sun, metres. ``right0_m`` and ``up0_m`` are the coordinates there of
+    t = 0 and of ray height 0; ``cell_m`` is the size of a cell along the right axis.
+    """
     for n in range(first, last):
         p = points[point_indices[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]

@@ -226,7 +226,10 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
 
 
 def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
-    """Return the approximate size, bytes, of the arrays that a sweep holds."""
+    """Return the approximate size, bytes, of the arrays that a sweep holds.
+
+    ``has_soft_edges`` is true if the sun is a disc.
+    """
     sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
@@ -245,7 +248,10 @@ def sun_strip_angles_rad(count: int) -> np.ndarray:
 def _grounds_of_view(
     buffer: GeometryBuffer, scene: Scene, casters: Casters, has_soft_edges: bool
 ) -> tuple[SunRays, list[GroundWindow]]:
-    """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
+    """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first.
+
+    ``has_soft_edges`` is true if the sun is a disc; the ground then has ``GroundWindow.sunward_m``.
+    """
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
@@ -278,6 +284,7 @@ def _sweep_grounds(
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
     The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
+    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
     """
     *coarser, ground = grounds
     entry, lod = None, 0
@@ -307,7 +314,10 @@ def _sweep_grounds(
 
 
 def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float) -> np.ndarray:
-    """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols)."""
+    """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols).
+
+    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
+    """
     lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
     if targets.on_node_mask.any():
@@ -319,7 +329,11 @@ def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets,
 def _shadow_height_m(
     rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, height_m: np.ndarray
 ) -> np.ndarray:
-    """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
+    """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface.
+
+    ``height_m`` (rows, cols) is the height of the surface. ``lines`` is the number of sweep lines per column. ``grounds`` are the
+    ground by level of detail, the coarsest first.
+    """
     ray_height = grounds[-1].sun_aligned_grid.ray_height
     shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
     _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
@@ -336,6 +350,7 @@ def _shadow_height_m(
 
 
 def _work(workload: Workload, settings: SweepSettings) -> Work:
+    """Return the counts of work of a sweep by name, under the name of the algorithm's part (``CostInputs``)."""
     nodes = workload.node_count + workload.outside_triangle_count / 2.0 if workload.is_map_view else _ground_nodes(workload)
     strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
     rasterised = workload.triangle_count("relief") * workload.has_decimated_ground

@@ -33,7 +33,7 @@ class SweepTargets:
     row_range, col_range
         First row of the nodes on the sun-aligned grid, and the one after the last; columns likewise.
     grid_window
-        The same window on the grid before turning.
+        The same window on the grid before turning, as slices of rows and of columns.
     off_node_mask
         bool (rows, cols): pixels that show a point between nodes or above the ground.
     row, col, t
@@ -131,7 +131,7 @@ def max_abs_ray_height_m(ray_height: np.ndarray, targets: SweepTargets) -> float
 
 @compiled
 def _set_nan(first, last, values, mask, indices):
-    """Set values (n,) to NaN where a mask (m,) is true at ``indices`` (n,)."""
+    """Set ``values[n]`` to NaN for n in [``first``, ``last``) where a mask is true at the flat index ``indices[n]``."""
     for n in range(first, last):
         if mask[indices[n]]:
             values[n] = np.nan

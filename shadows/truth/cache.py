@@ -49,7 +49,8 @@ def cached_truth(
 ) -> Truth:
     """Return the result of ``trace_truth``, from the disk cache if possible.
 
-    A folder that cannot be written raises no error. ``compute`` computes a truth that is not cached.
+    A folder that cannot be written raises no error. ``compute`` computes a truth that is not cached. ``sample_count`` is the number
+    of sub-samples of a pixel. ``folder`` is the cache's folder; ``None``: that of the user.
     """
     folder = folder or user_cache_folder("truth")
     path = folder / f"{content_key(buffer, scene, casters, sample_count, light)}.npz"
@@ -76,7 +77,10 @@ def cached_truth(
 
 
 def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, sample_count: int, light: str = SUN) -> str:
-    """Return a digest of everything that truth depends on."""
+    """Return a digest of everything that truth depends on.
+
+    ``sample_count`` is the number of sub-samples of a pixel.
+    """
     digest = hashlib.blake2b(digest_size=20)
     to_light = np.zeros(3)
     if light != SUN:

@@ -144,7 +144,7 @@ def edge_metric_coverage(shadow_mask: np.ndarray, truth: Truth) -> MetricCoverag
 def interior_region(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
     """Return the mask (rows, cols) of the pixels that the metric ``interior_error_mask`` covers.
 
-    They are farther from truth's boundary than 2 px and two texel footprints.
+    They are farther from truth's boundary than 2 px and two texel footprints. ``texel_footprint_px`` is that of ``error_metrics``.
     """
     return _distance_to_edges_px(truth) > np.maximum(MIN_INTERIOR_DISTANCE_PX, 2.0 * texel_footprint_px)
 
@@ -207,7 +207,9 @@ def edge_distances(shadow_mask: np.ndarray, true_shadow_mask: np.ndarray, valid:
     """Return the distances (n,), in pixels, between the boundaries of shadow components that overlap in both pictures.
 
     They run from each boundary pixel of one picture to the nearest one of the other, in both directions. A component without
-    overlap in the other picture is missed or false shadow. It counts in ``interior_error_mask``, not here.
+    overlap in the other picture is missed or false shadow. It counts in ``interior_error_mask``, not here. ``shadow_mask`` and
+    ``true_shadow_mask`` (rows, cols) are the classes by the algorithm and by truth, True in shadow. ``valid`` is the mask of the
+    surface.
     """
     from scipy.ndimage import label
     from scipy.spatial import KDTree
@@ -224,7 +226,10 @@ def edge_distances(shadow_mask: np.ndarray, true_shadow_mask: np.ndarray, valid:
 
 
 def shadow_boundary_mask(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the mask of shadow pixels with a lit 4-neighbour. Borders of the surface and the picture are no boundary."""
+    """Return the mask of shadow pixels with a lit 4-neighbour. Borders of the surface and the picture are no boundary.
+
+    ``shadow_mask`` (rows, cols) is True in shadow, and ``valid`` is the mask of the surface.
+    """
     from scipy.ndimage import binary_dilation
 
     return shadow_mask & binary_dilation(valid & ~shadow_mask, structure=_FOUR_NEIGHBOURS)
@@ -233,12 +238,19 @@ def shadow_boundary_mask(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarr
 def interior_error_mask(
     wrong_mask: np.ndarray, true_shadow_mask: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray
 ) -> np.ndarray:
-    """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
+    """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary.
+
+    ``wrong_mask``, ``true_shadow_mask`` and ``valid`` (rows, cols) are the masks of wrong pixels, of true shadow and of the
+    surface. The distance ``distance_px`` is a number, or one for each pixel.
+    """
     return wrong_mask & (distance_to_edges_px(true_shadow_mask, valid) > distance_px)
 
 
 def distance_to_edges_px(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any."""
+    """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any.
+
+    ``shadow_mask`` (rows, cols) is True in shadow, and ``valid`` is the mask of the surface.
+    """
     from scipy.ndimage import distance_transform_edt
 
     edge = shadow_boundary_mask(shadow_mask, valid) | shadow_boundary_mask(valid & ~shadow_mask, valid)
@@ -248,7 +260,7 @@ def distance_to_edges_px(shadow_mask: np.ndarray, valid: np.ndarray) -> np.ndarr
 def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return the mask of the pixels whose classes ``is_far_from_edges`` reads, bool of the given ``shape``.
 
-    It is for pixels ``row``, ``col`` (n,) and their distances (n,).
+    ``row``, ``col`` and ``distance_px`` (n,) are those of ``is_far_from_edges``.
     """
     out = np.zeros(shape, bool)
     _mark_squares(row, col, distance_px, out)
@@ -261,14 +273,18 @@ def is_far_from_edges(
     """Return which pixels lie farther from both sides of any shadow boundary than given distances, bool (n,).
 
     ``row``, ``col`` and ``distance_px`` (n,) are the pixels and their distances. Distances are as in ``distance_to_edges_px``. The
-    function reads only the classes in the mask of ``edge_test_region``.
+    function reads only the classes in the mask of ``edge_test_region``. ``shadow_mask`` (rows, cols) is True in shadow, and
+    ``valid`` is the mask of the surface.
     """
     return _compute_far_from_edges(shadow_mask, valid, row, col, distance_px)
 
 
 @compiled
 def _mark_squares(row, col, distance_px, out):
-    """Mark in ``out`` (rows, cols) a square round each of the pixels ``row``, ``col`` (n,) that reaches its distance."""
+    """Mark in ``out`` (rows, cols) a square round each of the pixels ``row``, ``col`` (n,) that reaches its distance.
+
+    ``distance_px`` (n,) are the distances.
+    """
     rows, cols = out.shape
     for n in range(len(row)):
         reach = int(min(distance_px[n], rows + cols)) + 1
@@ -279,7 +295,7 @@ def _mark_squares(row, col, distance_px, out):
 
 @compiled
 def _compute_far_from_edges(shadow_mask, valid, row, col, distance_px):
-    """Return the result of ``is_far_from_edges``."""
+    """Return the result of ``is_far_from_edges`` for the same arguments."""
     rows, cols = shadow_mask.shape
     out = np.ones(len(row), np.bool_)
     for n in range(len(row)):
@@ -297,7 +313,10 @@ def _compute_far_from_edges(shadow_mask, valid, row, col, distance_px):
 
 @internal
 def _is_edge(shadow_mask, valid, i, j):
-    """Return whether a 4-neighbour of a pixel has the other class."""
+    """Return whether a 4-neighbour of the pixel at row ``i`` and column ``j`` has the other class.
+
+    ``shadow_mask`` and ``valid`` are those of ``is_far_from_edges``.
+    """
     rows, cols = shadow_mask.shape
     centre = shadow_mask[i, j]
     return (
@@ -315,7 +334,7 @@ def _distance_to_edges_px(truth: Truth) -> np.ndarray:
 
 
 def block_shadow_shares(shadow_share: np.ndarray) -> np.ndarray:
-    """Return the means of 16 x 16 px blocks of a picture (rows, cols), NaN for blocks without surface.
+    """Return the means of 16 x 16 px blocks of ``shadow_share`` (rows, cols), NaN for blocks without surface.
 
     Incomplete blocks at the last rows and columns are left out.
     """

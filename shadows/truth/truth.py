@@ -169,7 +169,7 @@ def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays
     """Return the visibility float32 (rows, cols) of an area light, the mean over samples of its visible disc.
 
     Attached shadow is included, tested for each sample. Pixels off the surface are 0. One sample means the light's centre. A lamp
-    without a radius is a point light.
+    without a radius is a point light. ``sample_count`` is the number of samples.
     """
     if sample_count == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
         return lit_mask(buffer, scene, light, rays).astype(np.float32)
@@ -183,7 +183,10 @@ def area_light_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays
 
 
 def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, sample_count: int) -> np.ndarray:
-    """Return the visibility float32 (rows, cols) of a spherical lamp. All of its points shine into the lamp's cone."""
+    """Return the visibility float32 (rows, cols) of a spherical lamp. All of its points shine into the lamp's cone.
+
+    It is the mean over ``sample_count`` points of the disc that a point sees of the sphere.
+    """
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
     buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.valid.shape, np.float32)
@@ -374,7 +377,8 @@ def _unblocked_mask(
 ) -> np.ndarray:
     """Return which points in the mask ``facing_mask`` have nothing on their ray to a light, bool (rows, cols).
 
-    ``to_light`` (rows, cols, 3) are the rays from the points to the light, metres.
+    ``to_light`` (rows, cols, 3) are the rays from the points to the light, metres. ``normals`` are those by which surfaces face the
+    light, and ``offset_factor`` is that of ``lit_mask``.
     """
     directions = to_light[facing_mask]
     length = np.linalg.norm(directions, axis=-1)
@@ -413,7 +417,11 @@ def lit_mask_towards(
 def _offset_origins(
     buffer: GeometryBuffer, facing_mask: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
 ) -> np.ndarray:
-    """Return the points (n, 3) in the mask ``facing_mask``, moved off their triangles to the light's side."""
+    """Return the points (n, 3) in the mask ``facing_mask``, moved off their triangles to the light's side by ``offset_m`` metres.
+
+    ``to_light`` (n, 3), or (3,) for all, are the unit directions to the light, and ``normals`` the normals by which surfaces face
+    it.
+    """
     side = np.where((normals.normal_frame[facing_mask] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     lift = buffer.normal_frame if normals.lift_frame is None else normals.lift_frame
     return buffer.position_frame_m[facing_mask] + offset_m * side * lift[facing_mask]
@@ -422,7 +430,7 @@ def _offset_origins(
 def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int = 0) -> list[MapView | PerspectiveView]:
     """Return views shifted within a pixel, one for each of ``sample_count`` sub-samples: a random offset in each of as many strata.
 
-    Raises ``ValueError`` if ``sample_count`` is no square number.
+    Raises ``ValueError`` if ``sample_count`` is no square number. ``seed`` is that of the random offsets.
     """
     side = int(round(sample_count**0.5))
     if side * side != sample_count:
@@ -433,12 +441,14 @@ def jittered_views(view: MapView | PerspectiveView, sample_count: int, seed: int
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    """Return the samples of an area light, or a point light and the reason why a requested filter has no effect."""
     if request.is_area_light:
         return TruthSettings(light_samples=AREA_LIGHT_SAMPLES), []
     return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
 def _work(workload: Workload, settings: TruthSettings) -> Work:
+    """Return the counts of work by name (blocks, points, rays, triangles), under the name of the algorithm's only part."""
     rays = workload.facing_pixel_count * settings.light_samples
     return {"truth": {"blocks": 1.0, "seen": workload.visible_pixel_count, "rays": rays, "triangles": workload.all_triangle_count}}
 

@@ -171,7 +171,10 @@ def _count_points(
     uses_mark_bit: bool,
     record: PassRecord,
 ) -> np.ndarray:
-    """Return the number of volumes that contain each of some points, uint8 (n,)."""
+    """Return the number of volumes that contain each of some points, uint8 (n,).
+
+    ``light`` (4,) is homogeneous, in the buffer's frame. ``uses_mark_bit`` is that of ``count_volumes``.
+    """
     gl, size = device(), points.size
     from_above = points.near_plane_frame_m is None
     clamped, offset_steps = from_above and light[3] != 0.0, MAP_OFFSET_STEPS if from_above else 0.0
@@ -210,8 +213,8 @@ def _count_points(
 def _layers_around_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.ndarray) -> int:
     """Return the number of volumes under a lamp that contain the viewer of a map, infinitely far away.
 
-    They are the casting triangles on the line from the lamp to the viewer. The intersection is that of T. Moller and B. Trumbore,
-    Fast, Minimum Storage Ray-Triangle Intersection, 1997.
+    ``lamp`` (4,) is the homogeneous light. The volumes are the casting triangles on the line from the lamp to the viewer. The
+    intersection is that of T. Moller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
     """
     clip = points.clip_from_frame
     towards = np.cross(clip[0, :3], clip[1, :3])
@@ -245,7 +248,8 @@ def _render_in_rectangles(
 ) -> None:
     """Draw the faces of each rectangle in ``clip_rectangles`` (k, 4) of a framebuffer, clipped to the rectangle.
 
-    ``face_starts`` (k + 1,) are the indices of the rectangles' first faces.
+    ``face_starts`` (k + 1,) are the indices of the rectangles' first faces. ``array`` is the vertex array of all faces, rectangle
+    by rectangle.
     """
     for part, first, end in zip(clip_rectangles.tolist(), face_starts[:-1].tolist(), face_starts[1:].tolist(), strict=True):
         if end > first:

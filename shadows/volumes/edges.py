@@ -104,7 +104,7 @@ def _welded_vertices(vertices: np.ndarray) -> np.ndarray:
 
 
 def _packed_pairs(high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Return pairs of 32 bits as one number (n,) uint64."""
+    """Return pairs of 32 bits, ``high`` and ``low`` (n,), as one number each, (n,) uint64."""
     return high.astype(np.uint64) << np.uint64(32) | low.astype(np.uint64)
 
 

@@ -92,7 +92,7 @@ def layer_batches(
     A group is given as the orientations (m,) int8 of all triangles, 0 for triangles outside of it. Any set of triangles casts a
     shadow of its own, and a point is dark where any group's shadow covers it. A group that exceeds the bound is halved between
     connected parts, ordered by their distance from the light. A single part is halved between near and far triangles. Raises
-    ``InputError`` for ``layer_limit`` below 1.
+    ``InputError`` for ``layer_limit`` below 1. ``triangles`` (m, 3) holds indices of ``points`` (n, 3).
     """
     if layer_limit < 1:
         raise InputError("layer_limit", layer_limit, "1 or more")
@@ -145,7 +145,7 @@ def may_shade_near_plane(low: np.ndarray, high: np.ndarray, rectangle: np.ndarra
 def _project_along_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
     """Return points (n, 3) projected along the sun's rays to a plane one unit ahead, within half a unit of its middle.
 
-    The result (n, 3) is ahead (1), left and up.
+    ``to_sun`` (3,) is the direction to the sun. The result (n, 3) is ahead (1), left and up.
     """
     right = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
     plane = np.stack([axis / np.linalg.norm(axis) for axis in (right, np.cross(right, to_sun))]) @ points.T
@@ -155,7 +155,10 @@ def _project_along_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
 
 
 def _oblique_axes_towards(forward: np.ndarray) -> np.ndarray:
-    """Return right-handed axes (3, 3): ahead, left and up. Up is oblique, so that rectangular buildings do not align with it."""
+    """Return right-handed axes (3, 3): ahead (along ``forward``), left and up.
+
+    Up is oblique, so that rectangular buildings do not align with it. ``forward`` (3,) may be 0; ahead is then ``POLE_AXIS``.
+    """
     forward = forward / np.linalg.norm(forward) if forward.any() else POLE_AXIS
     left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(forward)))), forward)
     left /= np.linalg.norm(left)
@@ -166,7 +169,8 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
     """Return the maximum of N(phi_k, v) + P_k(v) - N(pole) in all lunes (``max_layers``).
 
     ``directions`` (n, 3) are the vertices as seen from the light: ahead, left and up. The result is ``None`` where an edge meets
-    the axis through the poles.
+    the axis through the poles. ``edges`` (e, 2) holds the indices of the silhouette's vertices, and ``multiplicity`` (e,) is that
+    of each edge.
     """
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     phi = azimuth[edges]
@@ -193,9 +197,12 @@ def _max_winding(directions: np.ndarray, edges: np.ndarray, multiplicity: np.nda
 
 @compiled
 def _winding_steps(directions, edges, multiplicity, lune_of_end, runs_left, first_phi, lune_width, lune_count):
-    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``).
+    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes (``max_layers``), (n,) each.
 
-    A position is the lune's number plus v as a share of 1.
+    A position is the lune's number plus v as a share of 1. ``directions`` (m, 3), ``edges`` (e, 2) and ``multiplicity`` (e,) are
+    those of ``_max_winding``. ``lune_of_end`` int (e, 2) is the lune of each end of an edge, and ``runs_left`` bool (e,) tells
+    whether phi grows along the edge. The first of the ``lune_count`` lunes starts at the angle ``first_phi``, and each is
+    ``lune_width`` wide, radians.
     """
     line = first_phi + lune_width * np.arange(lune_count + 1)
     line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * lune_width), np.sin(line + 0.5 * lune_width)
@@ -233,13 +240,19 @@ def _winding_steps(directions, edges, multiplicity, lune_of_end, runs_left, firs
 
 @internal
 def _lune_height(lune, forward, up):
-    """Return a lune's number plus a direction's height, as a share of the way between the poles."""
+    """Return the number ``lune`` plus a direction's height, as a share of the way between the poles.
+
+    ``forward`` and ``up`` are the direction's components ahead in the middle of the lune and upwards.
+    """
     return lune + 0.5 + np.arctan2(up, max(forward, 0.0)) / 3.2
 
 
 @compiled
 def _count_caps_at_lower_pole(directions, caps):
-    """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding."""
+    """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding.
+
+    ``caps`` holds the triangles' indices in ``directions`` (n, 2), the vertices as seen from the lamp: ahead and left.
+    """
     count = 0
     for t in range(len(caps)):
         inside = True
@@ -254,7 +267,11 @@ def _count_caps_at_lower_pole(directions, caps):
 def _sort_by_light_distance(
     points: np.ndarray, triangles: np.ndarray, part_numbers: np.ndarray, orientations: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
-    """Return the casting triangles part by part, and within a part by distance from the light, the nearest first."""
+    """Return the casting triangles part by part, and within a part by distance from the light, the nearest first.
+
+    The result holds indices of ``triangles`` (m, 3), whose vertices are ``points`` (n, 3). ``part_numbers`` and ``orientations``
+    (m,) are those of the triangles.
+    """
     casting = np.flatnonzero(orientations)
     middle = np.asarray(points, np.float64).reshape(-1, 3)[triangles[casting]].mean(axis=1)
     distance = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
@@ -264,7 +281,10 @@ def _sort_by_light_distance(
 
 
 def _split_index(part_numbers: np.ndarray) -> int:
-    """Return the index at which to halve triangles: between two parts (one number per triangle) if there are several."""
+    """Return the index at which to halve sorted triangles: between two parts if there are several.
+
+    ``part_numbers`` (n,) holds the number of each triangle's part; triangles of one part are adjacent.
+    """
     starts = np.flatnonzero(np.diff(part_numbers)) + 1
     half = len(part_numbers) // 2
     return int(starts[np.argmin(np.abs(starts - half))]) if len(starts) else half

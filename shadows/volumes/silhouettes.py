@@ -170,7 +170,7 @@ def _oriented_caps(triangles: np.ndarray, orientations: np.ndarray) -> np.ndarra
 
 @compiled
 def _compute_faces_light_mask(vertices, triangles, light):
-    """Return which triangles face a light (4,), bool (m,)."""
+    """Return which triangles (m, 3) of vertices (n, 3) face a homogeneous light (4,), bool (m,), as ``faces_light`` does."""
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

@@ -41,7 +41,7 @@ def covering_rectangles(tiles: np.ndarray, size: tuple[int, int], face_count: in
     Consecutive rectangles are neighbours. ``face_count`` is the number of faces to draw in them. Another rectangle costs
     ``RECTANGLE_COST`` divided by ``face_count`` tiles. The bounding rectangle is cut in two, and its parts again, in two cases. The
     cut saves more tiles than a rectangle costs, or a side has more than twice as many tiles as a rectangle costs. Within small
-    rectangles depths vary little, and few faces matter.
+    rectangles depths vary little, and few faces matter. ``size`` is the rows and columns of the picture.
     """
     merged = _cover_tiles(tiles, max(RECTANGLE_COST / max(face_count, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
@@ -51,7 +51,10 @@ def covering_rectangles(tiles: np.ndarray, size: tuple[int, int], face_count: in
 def depth_bounds(
     rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, rectangles: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any."""
+    """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any.
+
+    ``rectangles`` (k, 4) are those of ``covering_rectangles``, and ``size`` is the rows and columns of the picture.
+    """
     tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
     tile_depths = _tile_depth_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
@@ -98,7 +101,7 @@ def cull_faces(
     (z-fail), and false if those in front of them do (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces
     wholly on the side that does not count. Faces that cover all of a rectangle, wholly on the side that counts, add the same number
     everywhere (T. Aila and T. Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). Faces in front of the near plane, at
-    depths above 1, are not drawn and add nothing, unless depths are ``clamps_depth``.
+    depths above 1, are not drawn and add nothing, unless ``clamps_depth`` is true.
 
     A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of the corners with no negative weight. The
     weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M.
@@ -115,7 +118,8 @@ def cull_faces(
 def _cover_tiles(tiles, cost):
     """Return rectangles (k, 4) int64 that contain all marked tiles, in tiles (``covering_rectangles``).
 
-    ``cost`` is the number of tiles that another rectangle must save.
+    ``tiles`` bool (tile rows, tile columns) is the mask of the marked ones. ``cost`` is the number of tiles that another rectangle
+    must save.
     """
     pending = [(0, tiles.shape[0], 0, tiles.shape[1])]
     result = []
@@ -159,7 +163,8 @@ def _cover_tiles(tiles, cost):
 def _best_cut(part):
     """Return the cut between rows of tiles that leaves the most tiles outside of the bounds of both halves.
 
-    The result is the number of these tiles, and the row of the cut.
+    ``part`` bool (rows, cols) is the mask of the marked tiles of a rectangle. The result is the number of tiles outside of the
+    bounds, and the index of the first row after the cut; 0 and 0 if no cut saves a tile.
     """
     rows, cols = part.shape
     first, last = np.full(rows, cols), np.zeros(rows, np.int64)
@@ -188,7 +193,7 @@ def _best_cut(part):
 
 @compiled
 def _compute_tile_mask(rows, cols, tile_rows, tile_cols):
-    """Return which tiles (tile_rows, tile_cols) contain a pixel, bool."""
+    """Return which tiles (``tile_rows``, ``tile_cols``) contain one of the pixels at ``rows`` and ``cols`` (n,), bool."""
     out = np.zeros((tile_rows, tile_cols), np.bool_)
     for n in range(len(rows)):
         out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX] = True
@@ -197,7 +202,10 @@ def _compute_tile_mask(rows, cols, tile_rows, tile_cols):
 
 @compiled
 def _tile_depth_bounds(rows, cols, depth, tile_rows, tile_cols):
-    """Return the minimum and maximum depth of the pixels in each tile (tile_rows, tile_cols, 2)."""
+    """Return the minimum and maximum depth of the pixels in each tile (``tile_rows``, ``tile_cols``, 2).
+
+    ``rows``, ``cols`` and ``depth`` (n,) are those of the pixels. A tile without any has (inf, -inf).
+    """
     out = np.empty((tile_rows, tile_cols, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
@@ -208,9 +216,11 @@ def _tile_depth_bounds(rows, cols, depth, tile_rows, tile_cols):
 
 @compiled
 def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, near_plane):
-    """Return the arrays of ``CulledFaces``.
+    """Return the arrays of ``CulledFaces`` in the order of its fields.
 
-    ``points`` (n, 4) are x, y, w in pixels and z. Depths above ``near_plane`` are not drawn.
+    ``points`` (n, 4) are x, y and w in pixels, and z; ``triangles`` (m, 3) holds indices of points. ``rectangles`` (k, 4) and
+    ``depth_ranges`` (k, 2) are those of ``cull_faces``. Depths above ``near_plane`` are not drawn. ``counts_behind`` is that of
+    ``cull_faces``.
     """
     m, k = len(triangles), len(rectangles)
     lines, sign = _weight_functions(points, triangles)
@@ -261,7 +271,8 @@ def _cull_triangles(points, triangles, counts_behind, rectangles, depth_ranges, 
 def _classify_triangle(weight_functions, left, top, right, bottom):
     """Return a triangle's position relative to a rectangle: ``OUTSIDE``, ``PARTIAL`` or ``COVERS``.
 
-    ``weight_functions`` (from ``_weight_functions``) are the triangle's weights as linear functions of a pixel.
+    ``weight_functions`` (4, 3) (from ``_weight_functions``) are the triangle's weights as linear functions of a pixel. The
+    rectangle's sides ``left``, ``top``, ``right`` and ``bottom`` are in pixels.
     """
     relation = COVERS
     for n in range(3):
@@ -276,7 +287,11 @@ def _classify_triangle(weight_functions, left, top, right, bottom):
 
 @internal
 def _weight_functions(points, triangles):
-    """Return each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
+    """Return each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,).
+
+    ``points`` and ``triangles`` are those of ``_cull_triangles``. A function holds the factors of x and y, and a constant. The sign
+    is 0 for a degenerate triangle.
+    """
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
     for t in range(m):
@@ -300,7 +315,11 @@ def _weight_functions(points, triangles):
 
 @internal
 def _range_in_rectangle(line, left, top, right, bottom):
-    """Return the minimum and maximum of a linear function over a rectangle."""
+    """Return the minimum and maximum of a linear function over a rectangle.
+
+    ``line`` (3,) holds the function's factors of x and y, and its constant. The rectangle's sides ``left``, ``top``, ``right`` and
+    ``bottom`` are in the unit of x and y.
+    """
     x, y, z = line
     return (
         z + min(x * left, x * right) + min(y * top, y * bottom),

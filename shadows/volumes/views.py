@@ -104,7 +104,10 @@ def points_of_view(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_
 
 
 def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the points in ``mask`` that lie at their pixels, part by part, each part in a view of its own."""
+    """Yield the points in ``mask`` that lie at their pixels, part by part, each part in a view of its own.
+
+    ``near_m`` is the distance of the near plane.
+    """
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(mask[top : top + part.rows, left : left + part.cols])
@@ -113,7 +116,10 @@ def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m:
 
 
 def _column_top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the points on tops of columns in ``mask``, part by part, in a view with one pixel for each cell."""
+    """Yield the points on tops of columns in ``mask``, part by part, in a view with one pixel for each cell.
+
+    ``near_m`` is the distance of the near plane.
+    """
     assert buffer.columns is not None
     window, pixels = buffer.columns.window, np.flatnonzero(mask)
     row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
@@ -125,7 +131,10 @@ def _column_top_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, n
 
 
 def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
-    """Yield the points in ``mask`` of a view's samples, if it has any."""
+    """Yield the points in ``mask`` of a view's samples, if it has any.
+
+    ``near_m`` is the distance of the near plane.
+    """
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
         return
@@ -211,7 +220,10 @@ def _visible_points(
     col: np.ndarray,
     indices: np.ndarray,
 ) -> VisiblePoints:
-    """Return the points at flat ``indices`` of a buffer, in a view where they lie at the pixels ``row``, ``col`` (n,)."""
+    """Return the points at flat ``indices`` of a buffer, in a view where they lie at the pixels ``row``, ``col`` (n,).
+
+    ``near_m`` is the distance of the near plane.
+    """
     points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
         origin, camera_from_frame = view.in_frame(frame)
@@ -250,9 +262,9 @@ def _visible_points(
 
 @compiled
 def _depths(points, buffer_indices, clip_rows, origin):
-    """Return the depths (n,) of the points (m, 3) at some indices (n,).
+    """Return the depths (n,) of the points (m, 3) with the indices ``buffer_indices`` (n,).
 
-    ``clip_rows`` (2, 4) are the last two rows of the matrix to clip coordinates, for points in metres from ``origin``.
+    ``clip_rows`` (2, 4) are the last two rows of the matrix to clip coordinates, for points in metres from ``origin`` (3,).
     """
     out = np.empty(len(buffer_indices))
     for n in range(len(buffer_indices)):
@@ -269,10 +281,11 @@ def _depths(points, buffer_indices, clip_rows, origin):
 
 @compiled
 def _depth_image(row, col, uses_drawn_depth, depth, lift_depth, drawn_depth, part_rectangles, rows, cols):
-    """Return the points' depths at their pixels, float32 (rows, cols).
+    """Return the points' depths at their pixels, float32 (``rows``, ``cols``).
 
-    The value is -1 where drawing the surface gives the depth, and ``lift_depth`` more than ``drawn_depth`` (rows, cols) at points
-    above it. It is NaN at other pixels of the parts (k, 4), and undefined outside of the parts.
+    ``row``, ``col``, ``uses_drawn_depth`` and ``depth`` (n,) are those of ``VisiblePoints``. The value is -1 where drawing the
+    surface gives the depth, and ``lift_depth`` more than ``drawn_depth`` (rows, cols) at points above it. It is NaN at other pixels
+    of the rectangles ``part_rectangles`` (k, 4), and undefined outside of them.
     """
     out = np.empty((rows, cols), np.float32)
     for k in range(len(part_rectangles)):

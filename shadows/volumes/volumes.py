@@ -53,7 +53,7 @@ CONTACT_TOLERANCE_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Volumes of a set of casters in a frame.
+    """Shadow volumes of a batch of casting triangles under one light, in one local frame.
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ class Volumes:
     faces
         int32 (m, 3): counter-clockwise from outside of the volumes.
     caster_of_face
-        int32 (m,): the caster of each face.
+        int32 (m,): the caster of each face, as its index in ``caster_low_m``.
     caster_low_m, caster_high_m
-        float64 (parts, 3): bounds of the casters, metres.
+        float64 (casters, 3): bounds of the casters, metres.
     silhouette_edges
         int32 (e, 2): vertex numbers of the silhouette's edges.
     first_cap, cap_count
@@ -87,6 +87,7 @@ class Volumes:
 
     @property
     def nbytes(self) -> int:
+        """Size in bytes of the vertices and faces."""
         return self.vertices.nbytes + self.faces.nbytes
 
 
@@ -102,10 +103,14 @@ def volumes_of(
     casters: Casters,
     record: PassRecord,
 ) -> list[Volumes]:
-    """Return the volumes of all casters of a buffer's points under a light (4,).
+    """Return the volumes of all casters that may shade a buffer's points, for one light: one element for each batch of triangles.
 
-    ``record`` takes the numbers of edges, bytes and cached volumes. A map's ground is never the same arrays twice, so the pictures
-    of its blocks are cached instead.
+    A batch holds casting triangles of one mesh or of one sheet of ground. Their volumes are in the arrays of one ``Volumes``, and
+    the stencil can count them together. A point is in shadow if it lies in a volume of any element.
+
+    ``light_in_frame`` (4,) is the light as a homogeneous point of the buffer's frame. ``kinds`` are the kinds of casters.
+    ``casters`` is the ground beside a map's block. ``record`` takes the numbers of edges, bytes and cached volumes. A map's ground
+    is never the same arrays twice, so the pictures of its blocks are cached instead.
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
@@ -160,7 +165,10 @@ class _MeshStructure:
 
 @cached("scene", 1024 * MIB)
 def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _MeshStructure:
-    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies."""
+    """Return the structure of a mesh. ``ground_rule`` is the rule of all triangles of ground; ``None`` for bodies.
+
+    ``triangles`` (m, 3) holds indices of ``vertices`` (n, 3).
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -179,7 +187,10 @@ def _mesh_structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: in
 
 
 def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
-    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count."""
+    """Return the volumes of a mesh under a light (4,), in batches whose layers the stencil can count.
+
+    ``triangles`` (m, 3) holds indices of ``vertices`` (n, 3), metres. ``ground_rule`` is that of ``_mesh_structure``.
+    """
     structure = _mesh_structure(vertices, triangles, ground_rule)
     edges, part, rule = structure.edges, structure.caster_of_vertex, structure.rule_of_triangle
     order = np.argsort(part, kind="stable")
@@ -204,7 +215,10 @@ def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray
 
 
 def _lamp_distances_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
-    """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
+    """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones.
+
+    ``triangles`` holds indices of ``vertices`` (n, 3), metres.
+    """
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
@@ -235,7 +249,8 @@ def _build_volumes(
     """Return the volumes of the near caps and along the edges of a silhouette.
 
     The side at an edge (a, b) has the corners b and a and their images at infinity. ``caster_of_vertex`` (n,) is the caster of each
-    vertex; ``low`` and ``high`` are the casters' bounds.
+    vertex; ``low`` and ``high`` are the casters' bounds. ``outline`` is the silhouette, whose ``vertices`` (n, 3) are in metres,
+    and ``light`` (4,) is homogeneous.
     """
     used_vertices, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
     edges = number[: outline.edges.size].reshape(-1, 2)
