@@ -157,6 +157,15 @@ def traced(scene: Scene, view: MapView) -> Truth:
     return trace_truth(buffer, scene, find_casters(scene, buffer), TRUTH_SAMPLES)
 
 
+def filled_heights(scene: Scene, view: MapView) -> np.ndarray:
+    """Return the heights of a view's nodes, float32 (rows, cols) metres, with holes filled as for casting. The world is flat."""
+    buffer = geometry_buffer(scene, view)
+    assert buffer.surface is not None
+    window = buffer.surface.with_rim
+    top, left = int(view.row0) - window.row0, int(view.col0) - window.col0
+    return window.height_m[top : top + view.rows, left : left + view.cols].astype(np.float32)
+
+
 def chosen_pixels(side: int, count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of pixels of a square picture: three fifths anywhere, and a tenth along each side."""
     row, col = np.random.default_rng(seed).integers(0, side, (2, count))

@@ -30,8 +30,8 @@ REASONS: Reasons = {
         "wrong."
     ),
     ("L1", "shadow_map"): (
-        "26 boxes of half a metre have much outline for their area, and a face's 512 texels are 3 cm wide on a wall 8 m away. Every "
-        "wrong pixel lies within one texel of an outline, as the case's figure proves."
+        "26 boxes of half a metre have much outline for their area, and a face's 512 texels are 3 cm wide on a wall 8 m away. "
+        "Every wrong pixel lies within one texel of an outline, as the case's figure proves."
     ),
     ("X1", "shadow_map"): (
         "the worst of 100 random pictures has 272 pixels of cast shadow, on rough ground under a sun 3.9 degrees high. 21 of them "
