@@ -49,7 +49,10 @@ def make_report(name: str, data: Path, time_limit_s: float | None) -> None:
 
 
 def make_reports(names: list[str], options: list[str]) -> list[str]:
-    """Measure each scene in a process of its own, and return the names of the scenes that failed."""
+    """Measure each scene in a process of its own, and return the names of the scenes that failed.
+
+    ``options`` are further words of the command line.
+    """
     failed = []
     for name in names:
         status = subprocess.run([sys.executable, "-m", "benchmarks.reports", *options, "--only", name], check=False).returncode
@@ -60,6 +63,7 @@ def make_reports(names: list[str], options: list[str]) -> list[str]:
 
 
 def main() -> None:
+    """Measure the scenes of the command line, and write their reports and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of sample rasters")
     parser.add_argument("--only", nargs="+", choices=SCENES, default=list(SCENES), metavar="NAME", help=", ".join(SCENES))

@@ -134,7 +134,10 @@ class FitCase:
 
 
 def request_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
-    """Return a planning request for a descriptor alone, without a level file."""
+    """Return a planning request for a descriptor alone, without a level file.
+
+    ``shadows`` holds the target; ``None`` is the default target.
+    """
     return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 

@@ -110,7 +110,7 @@ class RecordedProber:
         return ErrorMeasurement(*self._record["rows"][self._rows[which]]["proofs"][self._step])
 
     def add_points_s(self) -> float | None:
-        """Return the seconds that ray tracing took for the record's next set of sample points; ``None`` after the last set."""
+        """Return the seconds of ray tracing for the points that the record's next set adds; ``None`` if this is the last set."""
         points_s, step = self._record["points_s"], self._step or 0
         return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
 
