@@ -85,7 +85,7 @@ def level_key(raster: Path) -> LevelKey:
 
 
 def zooms_by_label(scene: Scene) -> dict[str, int]:
-    """Return the zooms of a level to measure, by label."""
+    """Return the zooms of a level to measure: first and last served zoom, the raster's own resolution, and a zoom between."""
     assert scene.bounds_lon_lat is not None
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     served = zoom_range(matrix_sets.get(TILE_MATRIX_SET), scene.world, scene.bounds_lon_lat, cell_m)

@@ -76,6 +76,10 @@ class CompilationListener(event.Listener):
     _state: local = field(default_factory=local)
 
     def _stack(self) -> list[Any]:
+        """Return the running compiler passes of this thread, from outermost to innermost.
+
+        An entry is a list: the compilation, the CPU time at the start of the pass, and the seconds of nested passes.
+        """
         if not hasattr(self._state, "stack"):
             self._state.stack, self._state.siblings = [], [{}]
         return self._state.stack
@@ -174,6 +178,7 @@ def _draw_tile(file: str, folder: Path) -> None:
 
 def _run_command(*arguments: str) -> Callable[[str, Path], None]:
     """Return a function that runs a command of ``skugga``. ``{file}`` and ``{folder}`` in its words are replaced."""
+
     def run(file: str, folder: Path) -> None:
         from skugga.api.cli.main import app
 

@@ -72,7 +72,10 @@ class ReadCounters:
 
     @contextmanager
     def count_read(self, array: Any) -> Iterator[None]:
-        """Count a read from the device. Reads nested in it are not counted again."""
+        """Count a read from the device. Reads nested in it are not counted again.
+
+        ``array`` is the array that is read into. Its bytes count. Other objects, or ``None``, count no bytes.
+        """
         self._within += 1
         try:
             yield
@@ -102,6 +105,7 @@ def count_reads() -> None:
 
 def _counting_wrapper(call: Any) -> Any:
     """Return a function that does the same as ``call`` and counts it in ``READ_COUNTERS``."""
+
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         arrays = [argument for argument in (*args, *kwargs.values()) if isinstance(argument, np.ndarray)]
         with READ_COUNTERS.count_read(arrays[-1] if arrays else None):

@@ -93,7 +93,7 @@ def ray_agreement_share(scene: Scene, points: list[tuple[float, float]], crs: CR
 def _agrees_with_rays(
     place: PointPlace, frame, rays: RayScene, azimuth: np.ndarray, altitude: np.ndarray, is_hidden: bool
 ) -> list[bool]:  # noqa: ANN001
-    """Return for each direction whether its ray is blocked exactly if ``is_hidden``.
+    """Return for each direction whether its ray is blocked or not, as ``is_hidden`` demands.
 
     ``azimuth`` and ``altitude`` (n,) are in degrees. ``rays`` traces in the local frame ``frame``. Directions close to the nadir
     are omitted.

@@ -106,6 +106,10 @@ def write_wooded_hills(folder: Path, trees: int) -> Path:
 
 
 def measure_tree_frames(count: int, repeats: int) -> None:
+    """Print times and peak memory of the views of a wood of about ``count`` trees.
+
+    Each view is drawn ``repeats`` times after an untimed frame.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_wooded_hills(Path(folder), count)))
         print(
@@ -126,6 +130,7 @@ def measure_tree_frames(count: int, repeats: int) -> None:
 
 
 def measure_thinning(count: int) -> None:
+    """Print how much decimation of distant trees changes ray-traced shadow of a wood of about ``count`` trees."""
     whole_px = stand_module.FULL_STAND_TREE_PX
     with tempfile.TemporaryDirectory() as folder:
         for name in ("low", "high"):

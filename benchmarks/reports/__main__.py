@@ -39,7 +39,10 @@ def write_page() -> None:
 
 
 def make_report(name: str, data: Path, time_limit_s: float | None) -> None:
-    """Measure a scene, and write its report, its plot and its figures."""
+    """Measure the scene ``name``, and write its report, its plot and its figures.
+
+    If ``time_limit_s`` is ``None``, the scene's own limit applies.
+    """
     scene_record = measure_scene(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
     RECORDS_FILE.write_text(json.dumps(stored_records() | {name: scene_record}, indent=1) + "\n", encoding="utf-8")
     print(

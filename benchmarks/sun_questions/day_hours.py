@@ -203,6 +203,10 @@ def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]
 
 
 def _read_raster(path: Path, dem: QuestionDem) -> np.ndarray:
+    """Return the first band of a file (rows, cols).
+
+    ``dem`` is the raster of heights, which ``HoursTool.read_hours`` passes to all readers. Only some of them need it.
+    """
     with rasterio.open(path) as dataset:
         return dataset.read(1)
 
