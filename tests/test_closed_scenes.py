@@ -50,6 +50,7 @@ def lon_lat_at(east_m: float, south_m: float) -> list[float]:
 
 @pytest.fixture
 def scene(scene_factory) -> Scene:
+    """A scene of one of several kinds."""
     return scene_factory()
 
 

@@ -121,6 +121,10 @@ class EffectComparison:
 
     @staticmethod
     def _picture(scene: Scene, effect: str, override: str) -> tuple[np.ndarray, bool]:
+        """Return a picture, int32 (rows, cols, 3), and whether its plan has the effect.
+
+        ``override`` is "on" or "off" and forces the effect.
+        """
         level = scene.loaded.level
         forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].required_effects, "on"), effect: override}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
@@ -138,6 +142,7 @@ def _neighbourhood_excess(picture: np.ndarray, other: np.ndarray) -> int:
 def perspective_view(
     position: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0, scale: int = 1
 ) -> dict[str, Any]:
+    """Return the keys of a perspective view. ``scale`` multiplies the picture's size, ``fov`` is in degrees."""
     size = [scale * SIZE[0], scale * SIZE[1]]
     return {"kind": "perspective", "eye": list(position), "target": list(target), "fov": fov, "size": size}
 
@@ -162,10 +167,12 @@ def map_window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
 
 
 def level_keys(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a level on the raster ``name`` under a sun, whose angles are in degrees."""
     return {"terrain": {"source": f"{name}.tif"}, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
 
 
 def cast_shadows() -> Iterator[EffectCase]:
+    """Yield the cases of cast shadows: suns of many altitudes, and clouds that hide the sun."""
     for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", PERSPECTIVE, 70.0)):
         for altitude in (-1.0, 0.3, 12.0, 24.0, 29.0, 31.0, 34.0, 40.0, 60.0, 88.0):
             yield EffectCase(f"hills {view_name} {altitude}", level_keys("hills", azimuth, altitude), view)
@@ -185,6 +192,7 @@ def cast_shadows() -> Iterator[EffectCase]:
 
 
 def alpha_test() -> Iterator[EffectCase]:
+    """Yield the cases of cut-out leaves: views on a tree, near it and beside it."""
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     post = [{"source": "post.obj", "at": [3.0, 1.0]}]
     for north in np.arange(-24.0, 43.0, 3.0).tolist():
@@ -194,6 +202,7 @@ def alpha_test() -> Iterator[EffectCase]:
 
 
 def soft_edges() -> Iterator[EffectCase]:
+    """Yield the cases of penumbras: shadows of a post, at several sizes of pixels."""
     post = [{"source": "post.obj", "at": [0.0, -20.0]}]
     for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
         for half_width_m in (10.0, 40.0):
@@ -205,6 +214,7 @@ def soft_edges() -> Iterator[EffectCase]:
 
 
 def outside_casters() -> Iterator[EffectCase]:
+    """Yield the cases of casters outside the map: maps beside a hill and of all the ground."""
     west, north = CORNER_M
     for altitude in (2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 14.0, 18.0, 23.0, 28.0, 40.0, 50.0, 70.0):
         # A window of the hill's east side, in its shadow under the sun in the west.
@@ -215,6 +225,7 @@ def outside_casters() -> Iterator[EffectCase]:
 
 
 def refraction() -> Iterator[EffectCase]:
+    """Yield the cases of refraction: hours from sunrise to noon."""
     for hour in ("05:35", "06:00", "06:30", "07:30", "08:30", "09:30", "11:00", "12:00"):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             keys = {
@@ -226,6 +237,7 @@ def refraction() -> Iterator[EffectCase]:
 
 
 def lamps() -> Iterator[EffectCase]:
+    """Yield the cases of lamps: distances and intensities, by day and by night."""
     for distance_m in (30.0, 100.0, 250.0, 500.0):
         for intensity in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0):
             lamp = {"kind": "omni", "position": [0, 0, 20.0], "intensity": intensity}
@@ -247,6 +259,7 @@ def lamps() -> Iterator[EffectCase]:
 
 
 def snow() -> Iterator[EffectCase]:
+    """Yield the cases of snow: ground with and without snow, and views of the sky."""
     for name in ("plain", "hills", "slope"):
         for has_snow in (False, True):
             for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
@@ -256,6 +269,7 @@ def snow() -> Iterator[EffectCase]:
 
 
 def ground_detail() -> Iterator[EffectCase]:
+    """Yield the cases of small-scale ground texture: eyes at many heights."""
     middle = (0.0, 0.0, 0.0)
     for up_m in (1.7, 30.0, 300.0, 1000.0, 2000.0, 4000.0, 8000.0, 12_000.0, 18_000.0, 30_000.0, 80_000.0):
         yield EffectCase(
@@ -271,6 +285,7 @@ def ground_detail() -> Iterator[EffectCase]:
 
 
 def crowns() -> Iterator[EffectCase]:
+    """Yield the cases of shaded tree crowns: views past a tree."""
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     for altitude in (-2.0, 5.0, 20.0, 45.0):
         for east in (0.0, 12.0, 16.0, 20.0, 40.0):
@@ -283,6 +298,7 @@ def crowns() -> Iterator[EffectCase]:
 
 
 def clouds() -> Iterator[EffectCase]:
+    """Yield the cases of cloud shadows: shares of cloud cover, and low suns."""
     for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
         for view_name, view, seconds in (("map", MAP, 0), ("perspective", PERSPECTIVE, 300)):
             yield EffectCase(f"{view_name} {cover}", level_keys("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
@@ -299,6 +315,7 @@ def clouds() -> Iterator[EffectCase]:
 
 
 def sky_view() -> Iterator[EffectCase]:
+    """Yield the cases of occluded sky: valleys with slopes of many per cent."""
     for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             yield EffectCase(f"valley of {percent} % {view_name}", level_keys(f"valley{percent}"), view)
@@ -312,6 +329,7 @@ def sky_view() -> Iterator[EffectCase]:
 
 
 def water() -> Iterator[EffectCase]:
+    """Yield the cases of water: levels of a lake below and above the ground."""
     for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
             yield EffectCase(f"level {level} {view_name}", level_keys("hills", 40.0, 20.0, water={"level": level}), view)
@@ -332,6 +350,7 @@ def water() -> Iterator[EffectCase]:
 
 
 def haze() -> Iterator[EffectCase]:
+    """Yield the cases of haze: distances of visibility, and clear air."""
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
         yield EffectCase(
             f"hills {visibility:g} m", level_keys("hills", 220.0, 20.0, weather={"visibility": visibility}), PERSPECTIVE

@@ -25,6 +25,7 @@ has five samples, so its mean is off by up to a fifth, and by less where a penum
 
 @pytest.fixture(scope="module")
 def effect_comparison(tmp_path_factory: pytest.TempPathFactory) -> EffectComparison:
+    """The comparison of pictures with and without effects."""
     return EffectComparison(Path(tmp_path_factory.mktemp("effects")))
 
 
@@ -53,10 +54,12 @@ def test_effects_are_right_on_both_sides_of_the_edge(gl, effect_comparison: Effe
 
 
 def _difference(effect: str, change: EffectChange) -> int:
+    """Return how much an effect changes a picture, of 255. Effects that move edges may change pixels to a neighbour's value."""
     return change.max_neighbourhood_excess if effect in EDGE_MOVING_EFFECTS else change.max_difference
 
 
 def _check_changes(effect: str, changes: list[EffectChange]) -> None:
+    """Check that an effect is omitted only if it changes no picture, and runs seldom in vain."""
     runs, left_out = ([change for change in changes if change.is_planned is runs_effect] for runs_effect in (True, False))
     assert runs and left_out, "all cases lie on one side of the threshold"
     assert 2 * sum(change.ran_when_forced for change in left_out) >= len(left_out), "the forced effect does not run"

@@ -29,10 +29,12 @@ FIND_PROPERTY = "hard_case_find"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that writes the table of hard cases."""
     parser.addoption("--hard-cases-table", metavar="FILE", help="put the table of the thorough hard cases into a Markdown file")
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    """Register the plugin that collects the results of hard cases."""
     config.pluginmanager.register(_Table(config), "hard cases")
 
 
