@@ -50,7 +50,7 @@ def build(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene(build) -> Scene:
-    """A scene that an algorithm can draw."""
+    """The scene that all tests of this module draw."""
     return build()
 
 
