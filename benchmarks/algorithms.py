@@ -62,6 +62,7 @@ SUN_STEP_DEG = 0.07
 """Degrees that the sun moves between redrawn frames."""
 
 RIDGES_SIDE_M, RIDGES_CELL_M = 24_000, 20
+"""Side of the generated mountains, and side of their cells."""
 SUMMIT_XY_M = (-9692.0, -11_000.0)
 """A summit in the south-west of generated mountains, (x, y) in the level's frame. The view looks at their middle."""
 
@@ -110,6 +111,7 @@ MAX_MARKED_SHARE = 0.25
 """The largest share of the box grids' pixels that the hybrid may leave to its volumes with the eye in the shadow."""
 
 Row = dict[str, Any]
+"""Figures of one algorithm in one view and mode, by column of the table or key of the JSON file."""
 
 
 def measure_frames(repeats: int, map_size: int) -> list[Row]:
@@ -232,11 +234,15 @@ def measure_stencil(args: argparse.Namespace) -> list[Row]:
 
 
 def _scene_name(level: str) -> str:
+    """Return the name of a thesis level's scene, without the prefix ``thesis_`` and the suffix ``_sun``."""
     return level.removeprefix("thesis_").removesuffix("_sun")
 
 
 def _interleaved_rows(level: str, name: str, overrides_by_name: dict[str, dict[str, Any]], args: argparse.Namespace) -> list[Row]:
-    """Return a row for each plan. Ratios are those of its times to the times of the first plan."""
+    """Return a row for each plan of the view ``name`` of a bundled level.
+
+    Ratios are those of its times to the times of the first plan. Overrides change the level's ``shadows``.
+    """
     timed_view = benchmark_view(level, name, args.size)
     plans = make_plans(timed_view, overrides_by_name)
     runs = {key: (timed_view, plan) for key, plan in plans.items()}
@@ -301,6 +307,10 @@ def ratio_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def _target_row(scene: str, view: str, target: str, measured: float, cached_ratio: float, is_met: bool) -> Row:
+    """Return a row of the table of targets.
+
+    ``measured`` and ``cached_ratio`` are time ratios with a redrawn and with a cached shadow map.
+    """
     return {
         "scene": scene,
         "view": view,
@@ -327,15 +337,18 @@ def markdown_table(rows: list[Row]) -> str:
 
 
 def _format_cell(value: float | str) -> str:
+    """Format a cell of a table, floats with four significant digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _parse_size(text: str) -> tuple[int, int]:
+    """Parse a picture size such as "1280x1024" to (width, height), pixels."""
     width, height = (int(side) for side in text.split("x"))
     return width, height
 
 
 def main() -> None:
+    """Run the measurement that the command line names, and print and write its tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=tuple(MEASUREMENTS))
     parser.add_argument("--repeats", type=int, default=30)

@@ -31,7 +31,7 @@ the spot and the sun."""
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkView:
-    """A view, its visible sample points and its shadow casters, split into horizontal bands."""
+    """A view with its visible sample points and its shadow casters, split into horizontal bands of the picture from the top."""
 
     scene: Scene
     view: PerspectiveView
@@ -39,7 +39,10 @@ class BenchmarkView:
     bands: list[tuple[MultisampledBuffer, Casters]]
 
     def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
-        """Return the visibility of the scene's only light by the plan's algorithms, one array for each band."""
+        """Return the visibility of the scene's only light by the plan's algorithms, an array for each band.
+
+        An array (rows, cols) has the pixels of the band, and below them the further sample points of pixels with edges, in [0, 1].
+        """
         return [self._band_visibility(picture, casters, plan, log) for picture, casters in self.bands]
 
     def shadow_mask(self, visibility: list[np.ndarray]) -> np.ndarray:
@@ -63,6 +66,7 @@ class BenchmarkView:
         return np.concatenate([picture.pixel_buffer.valid for picture, _ in self.bands])
 
     def _band_visibility(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
+        """Return the visibility of the scene's only light in one band. The passes are added to ``log``."""
         (light,) = self.scene.light_names
         return fill_steps(plan.steps_of_light(light), picture.buffer, self.scene, casters, plan.effect_names, log)
 

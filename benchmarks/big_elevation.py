@@ -58,7 +58,8 @@ BLOCK_COUNTS = 1, 4, 16, 64
 """Numbers of blocks of ``flat``. They are squares of whole numbers, because the blocks form a square."""
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
 BLOCK_SPACINGS = {"together": 1, "apart": 4}
-"""Distances between blocks, in blocks. Blocks far apart share no ground, so that each must load all of the ground beside it."""
+"""Distances between the north-west corners of neighbouring blocks, in blocks, by label. Blocks far apart share no ground, so that
+each must load all of the ground beside it."""
 
 ANCHOR_DISTANCE_KM = 60.0
 """Distance from the mountain to the anchor of the level of ``far``. The sun's angles of a level are those at its anchor."""
@@ -74,16 +75,17 @@ def process_memory_mib(name: str) -> float:
 
 
 def reset_peak_memory() -> None:
-    """Reset the peak ``VmHWM``."""
+    """Reset this process's peak memory ``VmHWM`` to its present memory."""
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def level_key(raster: Path) -> LevelKey:
+    """Return the key by which a render process knows the level of a raster file."""
     return LevelKey(path=raster, version="1")
 
 
 def zooms_by_label(scene: Scene) -> dict[str, int]:
-    """Return the zooms of a level to measure, by label."""
+    """Return the zooms of a level to measure: first and last served zoom, the raster's own resolution, and a zoom between."""
     assert scene.bounds_lon_lat is not None
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     served = zoom_range(matrix_sets.get(TILE_MATRIX_SET), scene.world, scene.bounds_lon_lat, cell_m)
@@ -93,7 +95,7 @@ def zooms_by_label(scene: Scene) -> dict[str, int]:
 
 
 def block_job(scene: Scene, raster: Path, zoom: int, rows_south: int = 0, cols_east: int = 0) -> BlockJob:
-    """Return the job that draws the block at the middle of a level, or a block at an offset (in blocks) from it."""
+    """Return the job that draws the block at the middle of a level, or the block ``rows_south`` and ``cols_east`` blocks away."""
     view = representative_block(scene, ZoomTiles(matrix_set=TILE_MATRIX_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + rows_south, int(view.col0) // BLOCK_PX + cols_east
     request = ProductRequest(sun=SUN)
@@ -116,7 +118,10 @@ def measure_opening(raster: Path) -> dict[str, float]:
 
 
 def measure_first_block(raster: Path, zoom: str) -> dict[str, float | str]:
-    """Measure a render process's memory before and during its first block of a zoom, and the block's time."""
+    """Measure a render process's memory before and during its first block of a zoom, and the block's time.
+
+    ``zoom`` is a label of ``zooms_by_label``.
+    """
     state = WorkerState(warm_up())
     idle_mib = process_memory_mib("VmRSS")
     scene = build_scene(load_level(raster))
@@ -149,7 +154,7 @@ def measure_cpu_s_per_block(raster: Path, state: WorkerState, zoom: int, count: 
 
 
 def measure_cpu_by_block_count(raster: Path, spacing: int, repeats: int) -> dict[str, list[float]]:
-    """Return CPU seconds per block, a value for each repeat, by number of blocks."""
+    """Return CPU seconds per block, a value for each repeat, by number of blocks. Blocks are ``spacing`` blocks apart."""
     state = WorkerState(warm_up())
     zoom = zooms_by_label(state.scenes.get(level_key(raster)))["own"]
     measure_cpu_s_per_block(raster, state, zoom, 4)
@@ -290,6 +295,7 @@ def format_figures(figures: Any) -> str:
 
 
 def main() -> None:
+    """Measure what the command line asks for, each measurement in a process of its own, and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--raster", type=Path, default=Path("../shared/data/mountain/bigtujunga_30m_utm11.tif"))

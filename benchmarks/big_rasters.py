@@ -28,13 +28,18 @@ SHEET_CELLS = 2048
 """Cells a side of a sheet: a power of two, so that the cells of all its overviews align with those of its neighbours."""
 
 CELL_M = 30.0
+"""Side of a cell, metres."""
 EPSG = 32611
+"""EPSG code of the rasters' CRS: UTM zone 11."""
 MIDDLE_XY_M = 500_000.0, 3_800_000.0
 """Middle of every raster, easting and northing in metres."""
 
 VRT_CELLS = 100_000
+"""Cells a side of the virtual raster."""
 COG_SIDES = 2_500, 10_000, 40_000
+"""Cells a side of the COGs."""
 PARTS_PER_SIDE = -(-VRT_CELLS // SHEET_CELLS)
+"""Number of files along each side of the virtual raster."""
 
 NODATA = -32768
 PLAIN_HEIGHT_M, MOUNTAIN_HEIGHT_M = 500, 4000
@@ -42,10 +47,12 @@ PLAIN_PARTS, MOUNTAIN_PART = (slice(4, 9), slice(4, 9)), (6, 7)
 """Rows and columns of the parts that are a plain, and of the part whose middle is the mountain's foot."""
 
 MOUNTAIN_SIGMA_CELLS = 60.0
+"""Standard deviation of the mountain's Gaussian profile, cells."""
 ABSENT_PARTS = slice(30, 34), slice(40, 46)
 """Rows and columns of the absent parts."""
 
 STRIP_ROWS = 1024
+"""Rows of a COG that are written at a time."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,7 @@ class BigRaster:
         Its file.
     side_cells
         Cells along each side.
-    made_s
+    write_s
         Seconds to write the file; 0 if it existed.
     """
 
@@ -87,7 +94,10 @@ def centred_transform(side: int) -> Affine:
 
 
 def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
-    """Write a deflated COG of ``side`` x ``side`` cells with overviews, strip by strip."""
+    """Write a deflated COG of ``side`` x ``side`` cells with overviews, strip by strip, unless it exists.
+
+    ``sheet`` is the result of ``make_sheet``.
+    """
     path, start = folder / f"relief_{side}.tif", time.perf_counter()
     if path.is_file():
         return BigRaster(path, side, 0.0)
@@ -101,6 +111,7 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
 
 
 def _write_sheet(path: Path, sheet: np.ndarray) -> None:
+    """Write a sheet as a tiled GeoTIFF with overviews, around ``MIDDLE_XY_M``."""
     with rasterio.open(
         path, "w", driver="GTiff", width=SHEET_CELLS, height=SHEET_CELLS, count=1, dtype="int16", crs=f"EPSG:{EPSG}", nodata=NODATA,
         transform=centred_transform(SHEET_CELLS), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
@@ -123,7 +134,10 @@ def mountain_xy() -> tuple[float, float]:
 
 
 def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
-    """Write the virtual raster of ``VRT_CELLS`` x ``VRT_CELLS`` cells."""
+    """Write the virtual raster of ``VRT_CELLS`` x ``VRT_CELLS`` cells and its files, unless it exists.
+
+    ``sheet`` is the result of ``make_sheet``.
+    """
     path, start = folder / f"relief_{VRT_CELLS}.vrt", time.perf_counter()
     if path.is_file():
         return BigRaster(path, VRT_CELLS, 0.0)
@@ -164,11 +178,12 @@ def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
 
 
 def _contains_part(slices: tuple[slice, slice], row: int, col: int) -> bool:
+    """Return whether a part of the virtual raster, by its row and column of parts, lies in slices of rows and columns."""
     return slices[0].start <= row < slices[0].stop and slices[1].start <= col < slices[1].stop
 
 
 def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
-    """Write the missing rasters, and return all rasters in order of size."""
+    """Write the missing rasters into ``folder``, and return all rasters in order of size. ``raster`` is a file with real relief."""
     folder.mkdir(parents=True, exist_ok=True)
     sheet = make_sheet(raster)
     return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]

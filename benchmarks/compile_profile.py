@@ -33,6 +33,7 @@ SIDE_CELLS, CELL_M = 400, 30.0
 """Size of the raster that is written: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
 PROJECT_PACKAGES = "skugga", "benchmarks"
+"""Packages whose loops belong to the project. Others are helpers of numba."""
 BASELINE_REPEATS = 3
 
 
@@ -75,6 +76,10 @@ class CompilationListener(event.Listener):
     _state: local = field(default_factory=local)
 
     def _stack(self) -> list[Any]:
+        """Return the running compiler passes of this thread, from outermost to innermost.
+
+        An entry is a list: the compilation, the CPU time at the start of the pass, and the seconds of nested passes.
+        """
         if not hasattr(self._state, "stack"):
             self._state.stack, self._state.siblings = [], [{}]
         return self._state.stack
@@ -119,6 +124,8 @@ def reference_compile_s() -> float:
 
 
 def _reference_loop(number: int) -> Callable[[np.ndarray, float], float]:
+    """Return a small loop that is not compiled yet. Each ``number`` gives other machine code, so that no cache holds it."""
+
     @numba.njit
     def smooth(values, weight):  # type: ignore[no-untyped-def]
         total = float(number)
@@ -146,6 +153,7 @@ def write_mountains(folder: Path) -> Path:
 
 
 def _draw_tile(file: str, folder: Path) -> None:
+    """Draw the first block of tiles in the middle of a level file, as a render process does. ``folder`` is not used."""
     from morecantile import tms as matrix_sets
 
     from skugga.api.compute import draw_picture
@@ -169,6 +177,8 @@ def _draw_tile(file: str, folder: Path) -> None:
 
 
 def _run_command(*arguments: str) -> Callable[[str, Path], None]:
+    """Return a function that runs a command of ``skugga``. ``{file}`` and ``{folder}`` in its words are replaced."""
+
     def run(file: str, folder: Path) -> None:
         from skugga.api.cli.main import app
 
@@ -188,7 +198,10 @@ PRODUCTS: dict[str, Callable[[str, Path], None]] = {
 
 
 def profile_product(product: str, file: str | None) -> dict[str, Any]:
-    """Compute a product once in a fresh process with an empty cache of compiled loops. Return the record of all compilations."""
+    """Compute a product (a key of ``PRODUCTS``) once in a fresh process with an empty cache of compiled loops.
+
+    Return the record of all compilations. ``file`` ``None`` stands for a level that the module chooses.
+    """
     with tempfile.TemporaryDirectory() as folder:
         if file is None:
             file = str(WOODED_LEVEL if product == "render" else write_mountains(Path(folder)))
@@ -199,6 +212,7 @@ def profile_product(product: str, file: str | None) -> dict[str, Any]:
 
 
 def _measure_product(product: str, file: str, folder: str, profile_path: str) -> None:
+    """Compute a product, and write the record of all compilations to the JSON file ``profile_path``. A fresh process calls this."""
     reference_s = reference_compile_s()
     profile = CompilationListener()
     with event.install_listener("numba:run_pass", profile):
@@ -210,7 +224,10 @@ def _measure_product(product: str, file: str, folder: str, profile_path: str) ->
 
 
 def profile_lines(product: str, profile: dict[str, Any], rows: int) -> list[str]:
-    """Format a profile as lines of text: totals, then the project's loops and numba's helpers, sorted by their own time."""
+    """Format a profile as lines of text: totals, then the project's loops and numba's helpers, sorted by their own time.
+
+    ``profile`` is the result of ``profile_product``. ``rows`` is the largest number of loops and of helpers.
+    """
     compilations = [Compilation(**compilation) for compilation in profile["loops"]]
     own_loops, helpers = (
         [compilation for compilation in compilations if compilation.is_project_loop],
@@ -247,6 +264,7 @@ def profile_lines(product: str, profile: dict[str, Any], rows: int) -> list[str]
 
 
 def _abbreviate(signature: str) -> str:
+    """Shorten the names of types in a signature, and cut it to 160 characters."""
     for long, short in (("array", ""), ("int64", "i8"), ("int32", "i4"), ("float64", "f8"), ("float32", "f4")):
         signature = signature.replace(long, short)
     return signature if len(signature) < 160 else f"{signature[:156]}...)"

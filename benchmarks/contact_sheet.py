@@ -36,6 +36,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 SHEET_PATH = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
 CELL_ASPECT_RATIO = 5 / 4
+"""Width of a picture divided by its height."""
 
 SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "shadow_map 1024": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
@@ -64,9 +65,12 @@ RIDGES_CAMERA = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
 """Eye, target and field of view, degrees, of a view over the ridges and valleys of the Jacksboro fault."""
 
 REPORTED_METRICS = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
+"""Figures of a comparison with truth that the JSON file contains."""
 
 GAP_PX, TEXT_PX = 12, 17
+"""Gap between cells and height of text, in pixels of the sheet."""
 HEADER_PX, FOOTER_PX = 30, 28
+"""Heights of the lines above and below a picture, in pixels of the sheet."""
 PAGE_COLOR, TEXT_COLOR, PLACEHOLDER_COLOR = (255, 255, 255), (24, 24, 24), (238, 238, 238)
 WEBP_QUALITIES = range(90, 9, -5)
 
@@ -102,7 +106,11 @@ def named_view(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Pers
 
 
 def draw_column(level: str, name: str, algorithms: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
-    """Yield the cells of a view, one for each algorithm."""
+    """Yield the cells of a view, one for each algorithm.
+
+    ``name`` is the view's name in the bundled level. ``algorithms`` are keys of ``SHEET_ALGORITHMS``. ``size`` is (width, height)
+    in pixels. ``repeats`` is the number of timed runs.
+    """
     scene = build_scene(load_level(find_level(level)))
     view = named_view(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
@@ -122,7 +130,11 @@ def draw_column(level: str, name: str, algorithms: Sequence[str], size: tuple[in
 
 
 def draw_sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
-    """Draw all cells in a grid with names of rows and columns."""
+    """Draw all cells in a grid with names of rows and columns.
+
+    Keys of ``cells`` are an entry of ``rows`` (names of algorithms) and one of ``columns`` (keys of ``VIEWS``). ``width`` is that
+    of a picture in pixels; a cell has two of them.
+    """
     height = round(width / CELL_ASPECT_RATIO)
     step_x, step_y = 2 * width + GAP_PX, HEADER_PX + height + FOOTER_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAGE_COLOR)
@@ -144,7 +156,10 @@ def draw_sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], col
 
 
 def encode_sheet(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
-    """Encode the page as PNG, or as WebP in the highest quality that fits into ``max_bytes`` (the lowest if none fits)."""
+    """Encode the page as PNG, or as WebP in the highest quality that fits into ``max_bytes`` (the lowest if none fits).
+
+    ``suffix`` is ".png" or ".webp".
+    """
     for quality in WEBP_QUALITIES:
         buffer = BytesIO()
         page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
@@ -167,6 +182,7 @@ def markdown_table(cells: dict[tuple[str, str], SheetCell]) -> str:
 
 
 def main() -> None:
+    """Draw the sheet, and write it with its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=SHEET_PATH, help="the .webp or .png file to write")
     parser.add_argument("--rows", nargs="+", choices=tuple(SHEET_ALGORITHMS), default=tuple(SHEET_ALGORITHMS))

@@ -25,7 +25,7 @@ SIDE_PX, CELL_M, WAVELENGTH_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 
 
 def level_scene(folder: Path, keys: dict[str, Any]) -> Scene:
-    """Write a level with some keys into a folder, and build its scene."""
+    """Write a level file with the given keys and the version into a folder, and build its scene."""
     path = folder / "level.yaml"
     path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
     return build_scene(load_level(path))
@@ -49,7 +49,10 @@ def plain_scene(folder: Path) -> Scene:
 
 
 def frame_without_effects(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
-    """Return colours, visibility, heights and, in perspective, positions of a frame without cast shadows and effects."""
+    """Return colours, visibility, heights and, in perspective, positions of a frame without cast shadows and effects.
+
+    All arrays have the shape (rows, cols, ...): sRGB colours, visibility in [0, 1], and metres.
+    """
     blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     arrays: list[np.ndarray] = []
     for block_view, row, col in blocks:
@@ -63,6 +66,7 @@ def frame_without_effects(scene: Scene, view: MapView | PerspectiveView) -> list
 
 
 def _block_without_effects(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
+    """Return the arrays of ``frame_without_effects`` for one block of a map, or one band of rows of a perspective view."""
     is_map = isinstance(view, MapView)
     picture = picture_buffer(scene, view)
     buffer, own_buffer = picture.buffer, picture.pixel_buffer

@@ -95,6 +95,7 @@ maps of levels with relief, and four further views."""
 COLOR_NEEDS: Needs = frozenset({"color"})
 
 VIEW_SIZE_PX = [800, 500]
+"""Width and height of the views below."""
 
 RIDGE_VIEW = {
     "kind": "perspective",
@@ -114,6 +115,7 @@ MAP_VIEW = {"kind": "map", "crs": "EPSG:32616", "bounds": [735_900, 4_008_200, 7
 """Views of the Jacksboro fault: over its ridges, over its valley as a lake, and from above."""
 
 EVENING_SUN = {"azimuth": 250, "altitude": 15}
+"""Azimuth and altitude of the sun in the scenes of ``each``, degrees."""
 
 LEVEL_KEYS_BY_EFFECT: dict[EffectName, dict[str, Any]] = {
     "refraction": {"sun": {"time": "2024-10-21T17:45:00-04:00"}},
@@ -137,6 +139,7 @@ BUNDLED_VIEW_BY_EFFECT: dict[EffectName, tuple[str, str]] = {
 """Bundled level and its view that require the effect."""
 
 TERRAIN_ONLY_LEVELS = ("jacksboro", "jacksboro_alpine")
+"""Bundled levels without trees and meshes."""
 BLOCK_COUNTERS = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
 """Names of the counters of blocks, in two groups of three: one group for casters outside the block, one for the sweep. The first
 counts blocks whose plan has the step, the second blocks that skipped it, the third blocks in which it changed nothing."""
@@ -145,6 +148,7 @@ BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
 """Zooms of the blocks, from about the raster's resolution to a sixteenth of a cell per pixel, and altitudes of the sun."""
 
 Row = dict[str, Any]
+"""Figures of one view by column of the table or key of the JSON file."""
 T = TypeVar("T")
 
 
@@ -216,7 +220,7 @@ def run_interleaved(repeats: int, *functions: Callable[[], T]) -> list[list[T]]:
 
 
 def with_forced_effects(scene: Scene, effects: dict[EffectName, str]) -> Scene:
-    """Return a scene whose level forces some effects on or off."""
+    """Return a scene whose level forces some effects. ``effects`` maps their names to "on" or "off"."""
     own_level = scene.loaded.level
     level = own_level.model_copy(update={"effects": {**({} if own_level.effects == "auto" else own_level.effects), **effects}})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
@@ -314,6 +318,11 @@ def measure_blocks(args: argparse.Namespace) -> list[Row]:
 
 
 def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: list[float]) -> None:
+    """Draw a block with and without the steps that it does not need, and add the result to ``counts`` and ``ratios``.
+
+    ``counts`` has the keys ``BLOCK_COUNTERS``. ``ratios`` are CPU times without those steps divided by times with them. Raises
+    ``AssertionError`` if the pictures differ.
+    """
     plans = [
         make_plan(describe(variant, view), variant.loaded.level)
         for variant in (scene, with_forced_effects(scene, {"outside_casters": "off"}))
@@ -371,7 +380,7 @@ def measure_each_effect(args: argparse.Namespace) -> list[Row]:
 
 
 def _views_with_effect(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
-    """Yield scenes that require an effect, each with the name of a view that shows it."""
+    """Yield scenes that require an effect, each with the name of a view that shows it. Level files are written into ``folder``."""
     if effect in BUNDLED_VIEW_BY_EFFECT:
         level, name = BUNDLED_VIEW_BY_EFFECT[effect]
         yield build_scene(load_level(find_level(level))), name
@@ -386,6 +395,7 @@ def _views_with_effect(effect: EffectName, folder: Path) -> Iterator[tuple[Scene
 
 
 def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int) -> Row:
+    """Return the row of an effect in the view ``name`` of a scene that requires it."""
     view, scene_without = scene.view(name), with_forced_effects(scene, {effect: "off"})
     run, left_out = run_interleaved(
         repeats, *(partial(draw_planned_frame, variant, view, name) for variant in (scene, scene_without))
@@ -437,6 +447,7 @@ def _time_facts() -> Iterator[dict[EffectName, float]]:
 
 
 def _median(values: Iterable[float]) -> float:
+    """Return the median of the values."""
     return float(np.median([*values]))
 
 
@@ -461,10 +472,12 @@ def markdown_table(rows: list[Row]) -> str:
 
 
 def _format_cell(value: float | str) -> str:
+    """Format a cell of a table, floats with three significant digits or as integers from 100."""
     return (f"{value:.3g}" if value < 100.0 else f"{value:.0f}") if isinstance(value, float) else str(value)
 
 
 def main() -> None:
+    """Run the measurement that the command line names, and print and write its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=tuple(MEASUREMENTS))
     parser.add_argument("--repeats", type=int, default=5)

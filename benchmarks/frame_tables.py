@@ -29,7 +29,11 @@ TABLES_BEGIN, TABLES_END = "<!-- frames: what follows is written by python -m be
 
 
 class FrameKey(NamedTuple):
-    """A kind of frame: the picture, the name of its plan, and the change since the previous frame (a key of ``CHANGES``)."""
+    """A kind of frame.
+
+    ``picture`` is a key of ``benchmarks.frames.PICTURES``. ``plan`` is the name of its plan, and ``change`` the change since the
+    previous frame, a key of ``CHANGE_TEXTS``. For the yardstick they are "yardstick" and a key of ``YARDSTICK_VARIANTS``.
+    """
 
     picture: str
     plan: str
@@ -76,12 +80,12 @@ class Target(NamedTuple):
 
 
 def paired_ratio(rows: Sequence[Row], base_rows: Sequence[Row], quantity: str = "ms") -> float:
-    """Return the median ratio of a quantity in two lists of rows that were drawn in turns."""
+    """Return the median ratio of a quantity (a key of rows) in two lists of rows that were drawn in turns."""
     return statistics.median(row[quantity] / other[quantity] for row, other in zip(rows, base_rows, strict=True))
 
 
 def median_of(rows: Sequence[Row], quantity: str) -> float:
-    """Return the median of a quantity over rows."""
+    """Return the median of a quantity (a key of rows) over rows."""
     return float(statistics.median(row[quantity] for row in rows))
 
 
@@ -92,7 +96,7 @@ def median_passes(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def frame_targets(frames: dict[FrameKey, RowsBySide], first_frames: dict[str, RowsBySide]) -> list[Target]:
-    """Return the targets whose figures were measured."""
+    """Return the targets whose figures were measured. Keys of ``first_frames`` are names of pictures."""
     result: list[Target] = []
 
     def add_target(
@@ -142,7 +146,11 @@ def format_report(
     first_frames: dict[str, RowsBySide],
     differences: dict[FrameKey, Row],
 ) -> str:
-    """Format all tables as Markdown. ``differences`` holds the comparison with the other commit's pictures by kind of frame."""
+    """Format all tables as Markdown.
+
+    ``result`` is the content of the JSON file. Keys of ``first_frames`` are names of pictures. ``differences`` holds the comparison
+    with the other commit's pictures by kind of frame.
+    """
     parts = [
         f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
         f"{result['base'] or 'not measured'}.",
@@ -164,11 +172,13 @@ def replace_between_marks(text: str, table: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table from its column heads and the cells of its rows."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _target_table(targets: Sequence[Target]) -> str:
+    """Format the targets with their figures, a row for each."""
     rows = [
         [target.description, f"{target.value:.2f}{target.unit}", "" if target.cpu_value is None else f"{target.cpu_value:.2f}",
          f"{target.upper_bound:g}{target.unit}", "" if not target.is_required else "yes" if target.is_met else "**no**"]
@@ -178,6 +188,7 @@ def _target_table(targets: Sequence[Target]) -> str:
 
 
 def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
+    """Format the algorithms of each picture's plan and the time of planning. ``plans`` has costs by picture and side."""
     lines = []
     for picture, by_side in plans.items():
         headlines = {side: planned["plans"]["planned"]["algorithms"].replace(",", ", ") for side, planned in by_side.items()}
@@ -190,6 +201,7 @@ def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
 
 
 def _frame_table(frames: dict[FrameKey, RowsBySide], differences: dict[FrameKey, Row]) -> str:
+    """Format times and counts of all kinds of frames, and whether their pictures equal those of the other commit."""
     head = ["picture", "plan", "moved", "before, ms", "now, ms", "ratio", "CPU before", "CPU now", "ratio", "of the yardstick",
             "read-backs", "draws", "same picture", "same shadow"]  # fmt: skip
     table_rows = []
@@ -234,6 +246,7 @@ def _equality_cells(difference: Row | None) -> list[str]:
 
 
 def _first_table(first_frames: dict[str, RowsBySide]) -> str:
+    """Format the times of first frames by picture and side, in seconds."""
     head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
     rows = []
     for picture, sides in first_frames.items():
@@ -247,6 +260,7 @@ def _first_table(first_frames: dict[str, RowsBySide]) -> str:
 
 
 def _pass_table(key: FrameKey, sides: RowsBySide) -> str:
+    """Format the median milliseconds of each pass of one kind of frame on both sides."""
     passes_by_side = {side: median_passes(sides[side]) for side in (BASE_SIDE, NOW_SIDE) if side in sides}
     names = list(dict.fromkeys(name for passes in passes_by_side.values() for name in passes))
     rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in passes_by_side.values())] for name in names]

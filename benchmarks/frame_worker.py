@@ -72,7 +72,10 @@ class ReadCounters:
 
     @contextmanager
     def count_read(self, array: Any) -> Iterator[None]:
-        """Count a read from the device. Reads nested in it are not counted again."""
+        """Count a read from the device. Reads nested in it are not counted again.
+
+        ``array`` is the array that is read into. Its bytes count. Other objects, or ``None``, count no bytes.
+        """
         self._within += 1
         try:
             yield
@@ -101,6 +104,8 @@ def count_reads() -> None:
 
 
 def _counting_wrapper(call: Any) -> Any:
+    """Return a function that does the same as ``call`` and counts it in ``READ_COUNTERS``."""
+
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         arrays = [argument for argument in (*args, *kwargs.values()) if isinstance(argument, np.ndarray)]
         with READ_COUNTERS.count_read(arrays[-1] if arrays else None):
@@ -152,6 +157,7 @@ class FrameWorker:
         self.scene_ms = 1000.0 * (time.perf_counter() - start)
 
     def plan(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Answer a ``plan`` request: make the plans, and return milliseconds, renderer, and algorithms and passes by plan."""
         scene, view = (
             self.variants.with_sun_number(request.get("sun", 0)),
             self.variants.with_camera_number(request.get("camera", 0)),
@@ -169,6 +175,7 @@ class FrameWorker:
         }
 
     def frame(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Answer a ``frame`` request: draw the frame, and return times, counts of draws and reads, digests and peak memory."""
         if request.get("clear"):
             clear_caches(*request["clear"])
         scene, view = (
@@ -195,6 +202,7 @@ class FrameWorker:
         return {**costs, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
 
     def yardstick(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Answer a ``yardstick`` request: draw the frame without Skugga's shadows, and return times, counts and peak memory."""
         from benchmarks.yardstick import Yardstick
 
         scene, view = (
@@ -221,6 +229,7 @@ class FrameWorker:
         return {**costs, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
 
     def save(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Answer a ``save`` request: write the last picture, and return an empty object."""
         from PIL import Image
 
         assert self.picture is not None

@@ -73,11 +73,14 @@ ROOT = Path(__file__).resolve().parents[1]
 WORKER_FILE = Path(__file__).with_name("frame_worker.py")
 
 MILLION_TREES = "a million trees"
+"""Name of the picture of the generated level with a million trees, which ``--trees`` may change."""
 YARDSTICK_VARIANTS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
-"""Sides of the yardstick's depth map and of its square of taps."""
+"""Texels a side of the yardstick's depth map (0: no shadows) and taps a side of its filter, by name of the variant."""
 
 ALL_CHANGES = ("new", "sun", "camera", "resting", "all new")
+"""Names of the changes between frames; the module's docstring explains them."""
 FIRST_FRAME_REPEATS, WARM_FRAMES = 3, 5
+"""Number of new processes whose first frame is measured, and number of frames that each draws after the first."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,10 @@ class FrameProcess:
         self.ready = self._read_answer()
 
     def request(self, operation: str, **parameters: Any) -> Row:
-        """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if it fails."""
+        """Send a request to the process, and return the costs that it reports. Raises ``RuntimeError`` if the process fails.
+
+        ``operation`` and ``parameters`` are those of ``benchmarks.frame_worker``.
+        """
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": operation, **parameters}) + "\n")
@@ -138,6 +144,7 @@ class FrameProcess:
         return self._read_answer()
 
     def _read_answer(self) -> Row:
+        """Return the next line of the process as a JSON object. Raises ``RuntimeError`` with its errors if it has ended."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
@@ -149,7 +156,10 @@ class FrameProcess:
 
 @contextmanager
 def frame_process(folder: Path, picture: MeasuredPicture, level: str) -> Iterator[FrameProcess]:
-    """Run the process of a side (this checkout, the other commit, or the yardstick) as a context manager."""
+    """Run the process of a side (this checkout, the other commit, or the yardstick) as a context manager.
+
+    ``folder`` is the side's checkout. ``level`` is a bundled level's name or a level file.
+    """
     size = f"{picture.size[0]}x{picture.size[1]}"
     command = [sys.executable, "-P", str(WORKER_FILE), level, picture.view, size, json.dumps(picture.plans)]
     with tempfile.TemporaryFile() as stderr:
@@ -197,7 +207,11 @@ class FrameMeasurements:
 def measure_interleaved(
     name: str, picture: MeasuredPicture, level: str, folders: dict[str, Path], turns: int, measurements: FrameMeasurements
 ) -> None:
-    """Draw a picture's frames in turns. In each turn every side draws every kind of frame, in alternating order."""
+    """Draw a picture's frames in turns. In each turn every side draws every kind of frame, in alternating order.
+
+    ``name`` is a key of ``PICTURES``, ``level`` a bundled level's name or a level file. ``folders`` are the checkouts by side.
+    ``turns`` is the number of timed turns, after one that is not timed. The results are added to ``measurements``.
+    """
     with ExitStack() as stack:
         sides = {side_name: stack.enter_context(frame_process(folder, picture, level)) for side_name, folder in folders.items()}
         drawing_processes = {side_name: process for side_name, process in sides.items() if side_name != YARDSTICK_SIDE}
@@ -233,7 +247,11 @@ def measure_interleaved(
 
 
 def _difference(rows: RowsBySide, drawing_processes: dict[str, FrameProcess], folder: Path) -> Row:
-    """Return the number of frames with equal colours and with equal visibilities on both sides, and how the last frame differs."""
+    """Return the number of frames with equal colours and with equal visibilities on both sides, and how the last frame differs.
+
+    ``rows`` are the costs of one kind of frame. The pictures are saved in ``folder``. ``most`` is the largest difference of a
+    colour, of 255. ``classes`` is the number of pixels that are lit on one side only.
+    """
     equal_counts = {
         quantity: sum(row[quantity] == other[quantity] for row, other in zip(rows[NOW_SIDE], rows[BASE_SIDE], strict=True))
         for quantity in ("color", "visibility")
@@ -259,6 +277,7 @@ def _position_numbers(change: str, number: int, previous_numbers: tuple[int, int
 
 
 def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row: Row, turn_number: int) -> None:
+    """Add a frame's costs to ``measurements``, except those of the first turn (number 0)."""
     if turn_number:  # the first turn compiles and allocates
         measurements.frames.setdefault(key, {}).setdefault(side_name, []).append(row)
 
@@ -266,7 +285,7 @@ def _add_row(measurements: FrameMeasurements, key: FrameKey, side_name: str, row
 def measure_first_frames(
     name: str, picture: MeasuredPicture, level: str, folders: dict[str, Path], measurements: FrameMeasurements
 ) -> None:
-    """Measure the first frames of new processes, one side after the other."""
+    """Measure the first frames of new processes, one side after the other. Parameters are those of ``measure_interleaved``."""
     for _ in range(FIRST_FRAME_REPEATS):
         for side_name, folder in folders.items():
             with frame_process(folder, picture, level) as process:
@@ -303,6 +322,7 @@ def measure(args: argparse.Namespace) -> FrameMeasurements:
 
 
 def _commit_description(folder: Path) -> str:
+    """Return hash and date of the commit that is checked out in ``folder``, or "unknown"."""
     process = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
     return process.stdout.strip() or "unknown"
 

@@ -35,15 +35,23 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
 SUN_ANGLES_DEG = [(202.0, 60.0), (113.0, 30.0), (67.0, 10.0), (293.0, 3.0)]
+"""Azimuths and altitudes of the sun."""
 
 
 def raster_scene(raster: Path, folder: Path) -> Scene:
+    """Return the scene of a raster file. Its level file is written into ``folder``."""
     path = folder / "level.yaml"
     path.write_text(json.dumps({"version": 1, "terrain": {"source": str(raster.resolve())}}), encoding="utf-8")
     return build_scene(load_level(path))
 
 
 def measure(scene: Scene, max_side_px: int, algorithm: AlgorithmName, map_size: int, taps: int) -> list[dict]:
+    """Return the errors of an algorithm against ray-traced truth in the middle of a raster, a row for each sun.
+
+    ``max_side_px`` limits the side of the picture, which has one pixel per cell. ``map_size`` is the number of texels a side of
+    shadow maps, and ``taps`` that of filter taps a side. Rows have the shadow's share of the valid pixels and the fields of
+    ``error_metrics``. Suns under which the algorithm has no step in the plan are omitted.
+    """
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
     side = min(max_side_px, max(scene.elevation.shape))
@@ -72,6 +80,7 @@ def measure(scene: Scene, max_side_px: int, algorithm: AlgorithmName, map_size: 
 
 
 def slope_p95_deg(scene: Scene) -> float:
+    """Return the 95th percentile of the slope in a scene's overview, degrees; 0 if it has a single row or column."""
     heights, cell = scene.elevation.overview.mean_heights_m, scene.elevation.cell_size_m(scene.world.metres_per_unit)
     if min(heights.shape) < 2:
         return 0.0
@@ -80,6 +89,7 @@ def slope_p95_deg(scene: Scene) -> float:
 
 
 def main() -> None:
+    """Measure all rasters of a folder, and print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--algorithm", choices=("shadow_map", "sweep"), default="shadow_map")

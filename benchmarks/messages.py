@@ -17,8 +17,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("terrain", "shadows", "selector", "api")
+"""Folders of the packages whose source is searched."""
 ERROR_KINDS = ("missing", "conflict", "over_limit")
+"""Class methods that construct an error of a kind."""
 LOG_LEVELS = ("warning", "error", "info")
+"""Methods of ``log`` that write a line."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ def messages(root: Path = ROOT) -> list[Message]:
 
 
 def messages_of(source: str, path: Path) -> Iterator[Message]:
-    """Yield the messages of a module."""
+    """Yield the messages of a module. ``source`` is its text, and ``path`` its file relative to the root."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call) and (kind := _kind(node.func)) is not None:
             texts = (_text(argument) for argument in [*node.args, *(keyword.value for keyword in node.keywords)])

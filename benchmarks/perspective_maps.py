@@ -34,15 +34,20 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 THESIS_LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
+"""Bundled levels of the thesis, each under a spot light and under the sun."""
 
 MAP_FITS = ("tight", "stable")
 """Ways of fitting the shadow map to the visible points."""
 
 Row = dict[str, Any]
+"""Figures of one view, or of one map in a view, by column of the table."""
 
 
 def perspective_views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
-    """Yield the perspective views of levels, each as name of the level, scene, name of the view, and view."""
+    """Yield the perspective views of levels, each as name of the level, scene, name of the view, and view.
+
+    ``size`` is (width, height) in pixels.
+    """
     for name in levels:
         scene = build_scene(load_level(find_level(name)))
         for view_name, spec in scene.loaded.level.views.items():
@@ -51,7 +56,10 @@ def perspective_views(levels: list[str], size: tuple[int, int]) -> Iterator[tupl
 
 
 def make_plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
-    """Return the plans to compare by name. All have one map of the same size, with the same filter taps and depth bits."""
+    """Return the plans to compare by name. All have one map of the same size, with the same filter taps and depth bits.
+
+    ``name`` is the name of the view. ``map_size`` is the number of texels a side, and ``taps`` that of filter taps a side.
+    """
     descriptor, level = describe(scene, view, name), scene.loaded.level
     overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
     maps = {
@@ -61,6 +69,7 @@ def make_plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, ta
 
 
 def measure_errors(args: argparse.Namespace) -> list[Row]:
+    """Return the errors of all plans against ray-traced truth, a row for each view and map."""
     keys = (
         "edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts",
         "interior_sees",
@@ -75,6 +84,7 @@ def measure_errors(args: argparse.Namespace) -> list[Row]:
 
 
 def measure_times(args: argparse.Namespace) -> list[Row]:
+    """Return times and memory of all plans that take turns, a row for each view."""
     rows = []
     for level, scene, name, view in perspective_views(args.levels, tuple(args.size)):
         buffer = geometry_buffer(scene, view)
@@ -102,6 +112,7 @@ def measure_times(args: argparse.Namespace) -> list[Row]:
 
 
 def main() -> None:
+    """Run the measurement that the command line names, and print and write its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("errors", "times"))
     parser.add_argument("levels", nargs="*", default=THESIS_LEVELS)

@@ -39,7 +39,7 @@ FRAME_PRODUCTS = products_with(lambda each: each.pass_layer is None and "perspec
 
 
 def array_hash(array: np.ndarray) -> str:
-    """Return a hash of an array's bytes, shape and data type."""
+    """Return a hash of an array's bytes, shape and data type, 16 hexadecimal digits."""
     digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
     digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
@@ -48,7 +48,8 @@ def array_hash(array: np.ndarray) -> str:
 def view_hashes(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
     """Yield names and hashes of a view's layers, of its plan, and of its report on casters outside the view.
 
-    If the algorithm refuses the view, yield the hash of its message.
+    ``name`` is the name of the view. ``algorithm`` is a name, or ``AUTO_ALGORITHM``. If the algorithm refuses the view, yield the
+    hash of its message.
     """
     view = scene.view(name)
     try:

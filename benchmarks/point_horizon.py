@@ -48,7 +48,7 @@ def measure_ms(function: Callable[[], object]) -> tuple[float, float]:
 
 
 def random_points(scene: Scene, count: int) -> list[tuple[float, float]]:
-    """Return random coordinates, in the raster's CRS, of cells with valid ground; the seed is fixed."""
+    """Return ``count`` random points (x, y) in the raster's CRS that lie in cells with valid ground; the seed is fixed."""
     rng, elevation, result = np.random.default_rng(7), scene.elevation, []
     while len(result) < count:
         row, col = rng.uniform(0.05, 0.95) * elevation.rows, rng.uniform(0.05, 0.95) * elevation.cols
@@ -70,7 +70,7 @@ def compute_horizon(scene: Scene, xy: tuple[float, float], crs: CRS) -> None:
 
 
 def ray_agreement_share(scene: Scene, points: list[tuple[float, float]], crs: CRS) -> float:
-    """Return the share of rays that agree with the horizon of the ground.
+    """Return the share of rays from points (x, y) of ``crs`` that agree with the horizon of the ground.
 
     Embree's rays just above the horizon must hit nothing, and those just below it must hit the ground.
     """
@@ -93,6 +93,11 @@ def ray_agreement_share(scene: Scene, points: list[tuple[float, float]], crs: CR
 def _agrees_with_rays(
     place: PointPlace, frame, rays: RayScene, azimuth: np.ndarray, altitude: np.ndarray, is_hidden: bool
 ) -> list[bool]:  # noqa: ANN001
+    """Return for each direction whether its ray is blocked or not, as ``is_hidden`` demands.
+
+    ``azimuth`` and ``altitude`` (n,) are in degrees. ``rays`` traces in the local frame ``frame``. Directions close to the nadir
+    are omitted.
+    """
     is_above_nadir = altitude > -89.0
     enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth[is_above_nadir], altitude[is_above_nadir], strict=True)])
     towards = frame.directions_from_earth(enu @ place.earth_from_enu.T)
@@ -115,7 +120,10 @@ def main() -> None:
 
 
 def measure_level(name: str, count: int, day: date) -> str:
-    """Measure the times of a point report and of a horizon in a level, and return a row of the printed table."""
+    """Measure the times of a day's report and of a horizon at ``count`` points of a level, and return a row of the printed table.
+
+    ``name`` is a level file, a raster, or the name of a bundled level.
+    """
     path = Path(name) if Path(name).exists() else find_level(name)
     scene = build_scene(load_level(path))
     crs = scene.elevation.crs

@@ -72,7 +72,10 @@ print(json.dumps({"ms": medians_ms, "peak_mib": resource.getrusage(resource.RUSA
 
 
 def measure_checkout(checkout: Path, raster: Path, zoom: int, repeats: int) -> dict[str, float]:
-    """Measure by case the CPU milliseconds of a checkout's code, and its peak memory in MiB."""
+    """Measure by case the CPU milliseconds of a checkout's code, and its peak memory in MiB. Tiles are those of ``zoom``.
+
+    Each case is run ``repeats`` times after one untimed run.
+    """
     command = [sys.executable, "-c", WORKER_PROGRAM, str(raster.resolve()), str(zoom), str(repeats)]
     process = subprocess.run(
         command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, capture_output=True, text=True, check=False

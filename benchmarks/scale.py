@@ -40,8 +40,10 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
 TILES_PER_BLOCK = 16
+"""Number of tiles of a whole block, which is one task."""
 
 EARTH_EQUATOR_M = 40_075_016.7
+"""Length of the equator."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,19 @@ class ScaleFigures:
 
 @dataclass(frozen=True)
 class PyramidArea:
-    """A pyramid to draw: its area in square kilometres, its mean latitude, and the side of the raster's cells."""
+    """A pyramid to draw.
+
+    Attributes
+    ----------
+    name
+        Name of the area and size of its cells.
+    area_km2
+        Its area in square kilometres.
+    latitude_deg
+        Its mean latitude.
+    cell_m
+        Side of the raster's cells, metres.
+    """
 
     name: str
     area_km2: float
@@ -96,6 +110,7 @@ PYRAMID_AREAS = (
     PyramidArea("Norway at 10 m", 323_800.0, 65.0, 10.0),
     PyramidArea("all land but Antarctica at 30 m", 134_600_000.0, 30.0, 30.0),
 )
+"""Areas of the tables, from small to large."""
 
 TIMES_PER_DAY = 24
 """Number of times of a day for which the tables count the tiles of an area."""
@@ -126,7 +141,10 @@ class NoOpRunner:
 
 
 def pending_tasks(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
-    """Plan a run over a raster. Return the table of its waiting tasks, and the run."""
+    """Plan a run over a raster. Return the table of its waiting tasks, and the run.
+
+    ``zooms`` are the first and the last zoom. The table's file is written into ``folder``.
+    """
     table = TaskTable(folder / "idle" / "tasks.sqlite")
     request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
     return table, plan_run(table, request, lambda text: None)
@@ -145,7 +163,7 @@ def measure_coordinator_per_s(folder: Path, raster: Path) -> float:
 def measure_dask_per_s(folder: Path, tasks: int = 2000) -> float:
     """Return the number of tasks without work per second on a Dask cluster with one worker.
 
-    Two tasks are pending at a time, as in ``DaskCluster``.
+    ``tasks`` is their number. Two tasks are pending at a time, as in ``DaskCluster``.
     """
     import distributed
 
@@ -164,11 +182,12 @@ def measure_dask_per_s(folder: Path, tasks: int = 2000) -> float:
 
 
 def _no_op(number: int, index: bytes) -> TaskResult:
+    """Return the result of a task that draws nothing. ``number`` is the task's, ``index`` the encoded index of its tiles."""
     return TaskResult(number, index, 0, 0.0, 0.0, 0)
 
 
 def measure_packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
-    """Return the bytes per second and the tiles per second of packing shards into an archive."""
+    """Return the bytes per second and the tiles per second of packing ``tiles`` tiles of ``tile_bytes`` bytes into an archive."""
     body = np.random.default_rng(1).bytes(tile_bytes - 8)
     store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
     for number in range(tiles // TILES_PER_BLOCK):
@@ -184,7 +203,7 @@ def measure_packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000
 
 
 def measure(data: Path) -> ScaleFigures:
-    """Draw a mosaic with one worker, and measure the rates of the serial parts."""
+    """Draw a mosaic with one worker, and measure the rates of the serial parts. ``data`` is the folder of sample rasters."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         raster, output = folder / "mosaic.tif", folder / "out.pmtiles"
@@ -240,10 +259,11 @@ def simulate(
     deaths_per_hour: float,
     longest_first: bool = True, seed: int = 1,
 ) -> SimulatedRun:  # fmt: skip
-    """Simulate workers that run tasks of measured times.
+    """Simulate ``workers`` workers that run ``task_count`` tasks, whose times are drawn from the measured seconds ``task_s`` (n,).
 
-    A share of the workers is slower by a factor. A worker dies at a rate per hour, loses its task, and restarts after a minute. The
-    coordinator dispatches at most ``dispatches_per_s`` tasks per second.
+    ``slow_share`` of the workers are slower by ``slow_factor``. A worker dies ``deaths_per_hour`` times an hour on average, loses
+    its task, and restarts after a minute. The coordinator dispatches at most ``dispatches_per_s`` tasks per second. With
+    ``longest_first`` it dispatches long tasks first.
     """
     rng = np.random.default_rng(seed)
     times = rng.choice(task_s, task_count)
@@ -271,7 +291,7 @@ def simulate(
 
 
 def print_tables(figures: ScaleFigures, workers: int, core_hour_price: float) -> None:
-    """Print the tables of docs/scale.md. ``core_hour_price`` is the price of a core hour."""
+    """Print the tables of docs/scale.md. ``workers`` is the number of simulated workers."""
     seconds = np.array([task[1] for task in figures.tasks])
     tiles = sum(task[2] for task in figures.tasks)
     rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in figures.tasks) / tiles

@@ -37,12 +37,19 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
 SIDE_M = 10_000.0
+"""Side of the square of wooded hills."""
 CELL_M = 10.0
 WINDOW_ORIGINS = [(row, col) for row in (400, 600, 800) for col in (100, 512, 900)]
+"""First row and column of the windows of the picture in which ``thinning`` traces rays."""
 WINDOW_PX = 128
+"""Rows and columns of a window."""
 
 
 def measure_accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[dict]:
+    """Return the errors of ``shadow_map`` in all views of bundled levels, a row for each view. Without names, use all levels.
+
+    ``size`` is (width, height) in pixels, and ``map_size`` the number of texels a side of shadow maps.
+    """
     rows = []
     for path in [find_level(name) for name in levels] or bundled_levels():
         scene = build_scene(load_level(path))
@@ -56,13 +63,14 @@ def measure_accuracy(levels: list[str], size: tuple[int, int], map_size: int) ->
 
 
 def accuracy_row(row: dict) -> str:
+    """Format the errors of a view as a row of the Markdown table, shares in per cent."""
     keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_sees", "coverage", "boundary")
     shares = " | ".join(f"{100 * row[key]:.3f}" for key in keys)
     return f"| {row['level']} | {row['view']} | {row['casters']} | {shares} | {row['edge_p95']:.2f} |"
 
 
 def write_wooded_hills(folder: Path, trees: int) -> Path:
-    """Write a level into a folder: 10 x 10 km of hills in UTM zone 32N under one wood of ``trees`` trees."""
+    """Write a level of 10 x 10 km of hills in UTM zone 32N under one wood of about ``trees`` trees. Return the level file."""
     y, x = np.mgrid[: int(SIDE_M / CELL_M), : int(SIDE_M / CELL_M)] * CELL_M
     heights = 300 + 120 * np.sin(x / 900) * np.cos(y / 1100) + 40 * np.sin(x / 210 + y / 330) + 15 * np.cos(y / 90)
     west, north = 500_000.0, 5_210_000.0
@@ -98,6 +106,10 @@ def write_wooded_hills(folder: Path, trees: int) -> Path:
 
 
 def measure_tree_frames(count: int, repeats: int) -> None:
+    """Print times and peak memory of the views of a wood of about ``count`` trees.
+
+    Each view is drawn ``repeats`` times after an untimed frame.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_wooded_hills(Path(folder), count)))
         print(
@@ -118,6 +130,7 @@ def measure_tree_frames(count: int, repeats: int) -> None:
 
 
 def measure_thinning(count: int) -> None:
+    """Print how much decimation of distant trees changes ray-traced shadow of a wood of about ``count`` trees."""
     whole_px = stand_module.FULL_STAND_TREE_PX
     with tempfile.TemporaryDirectory() as folder:
         for name in ("low", "high"):
@@ -139,6 +152,7 @@ def measure_thinning(count: int) -> None:
 
 
 def main() -> None:
+    """Run the measurement that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("accuracy", "trees", "thinning"))
     parser.add_argument("levels", nargs="*")

@@ -33,6 +33,7 @@ import rasterio
 from pmtiles.reader import MmapSource, Reader
 
 SUN_OPTIONS = "--azimuth", "225", "--altitude", "20"
+"""Options of ``skugga seed`` for the sun."""
 
 SKUGGA_COMMAND = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
 
@@ -69,7 +70,7 @@ class SeedRow:
 
 
 def write_mosaic(source: Path, copies: int, target: Path) -> None:
-    """Write a raster mirrored ``copies`` x ``copies`` times."""
+    """Write a raster mirrored ``copies`` x ``copies`` times to the file ``target``."""
     with rasterio.open(source) as dataset:
         part, profile = dataset.read(1), dataset.profile
     rows = [[part[:: 1 if i % 2 == 0 else -1, :: 1 if j % 2 == 0 else -1] for j in range(copies)] for i in range(copies)]
@@ -81,7 +82,10 @@ def write_mosaic(source: Path, copies: int, target: Path) -> None:
 
 
 def run_seed(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
-    """Run ``skugga seed`` into a new archive."""
+    """Run ``skugga seed`` into a new archive in ``folder``, and return its times.
+
+    ``zooms`` are the first and the last zoom, as "8-13". ``options`` are further words of the command line.
+    """
     output = folder / f"{name.replace(' ', '-')}.pmtiles"
     command = [*SKUGGA_COMMAND, "seed", str(raster), "--zooms", zooms, *SUN_OPTIONS, "-o", str(output), "--json", *options]
     start = time.perf_counter()
@@ -103,7 +107,7 @@ def count_tiles(archive: Path) -> int:
 
 @contextmanager
 def dask_cluster(folder: Path, workers: int) -> Iterator[str]:
-    """Run a Dask cluster of processes on this machine."""
+    """Run a Dask cluster with ``workers`` processes of one thread on this machine, and yield the address of its scheduler."""
     with socket.socket() as probe_socket:
         probe_socket.bind(("127.0.0.1", 0))
         port = probe_socket.getsockname()[1]
@@ -130,7 +134,10 @@ def dask_cluster(folder: Path, workers: int) -> Iterator[str]:
 
 
 def run_other_tools(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
-    """Run tools that tile and encode a hillshade of the raster."""
+    """Run tools that tile and encode a hillshade of the raster, and return their times. Missing tools are skipped.
+
+    ``gdal2tiles`` and ``rio`` are the tools' commands. ``zooms`` are the first and the last zoom, as "8-13".
+    """
     if not shutil.which("gdaldem") or not shutil.which(gdal2tiles):
         print("gdaldem or gdal2tiles.py is not installed: skipped")
         return []

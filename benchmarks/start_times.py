@@ -78,6 +78,10 @@ def measure_and_format(python: str, wheel_python: str | None, one_core: bool = T
 
 
 def _measure_starts(python: str, wheel_python: str | None, one_core: bool) -> Iterator[StartTime]:
+    """Measure commands and services with empty and with filled caches, and yield a row for each.
+
+    Parameters are those of ``measure_and_format``.
+    """
     skugga = [python, "-c", "from skugga.api.cli.main import main; main()"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -138,7 +142,10 @@ def _environment(home: dict[str, str]) -> dict[str, str]:
 
 
 def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[float, float, str]:
-    """Run a command to its end. Return wall and CPU seconds, and its output."""
+    """Run a command to its end in the folder ``cwd``. Return wall and CPU seconds, and its standard output.
+
+    ``home`` has the environment variables of ``_empty_home``.
+    """
     before, start = _children_cpu_s(), clock.perf_counter()
     process = subprocess.run(
         command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=TIMEOUT_S
@@ -147,6 +154,7 @@ def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) 
 
 
 def _measure_command(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float], float]:
+    """Run a command to its end. Return wall seconds, as a tuple of one event, and CPU seconds."""
     wall_s, cpu_s, _ = _run(command, home, cwd)
     return (wall_s,), cpu_s
 
@@ -190,6 +198,7 @@ def _middle_tile_url(url: str) -> str:
 
 
 def _fetch(url: str) -> bytes | None:
+    """Return the body of a successful response; ``None`` if the service is not reachable or answers with an error."""
     try:
         with urllib.request.urlopen(url, timeout=TIMEOUT_S) as answer:
             return bytes(answer.read())
@@ -198,6 +207,10 @@ def _fetch(url: str) -> bytes | None:
 
 
 def _wait_until(condition: object, start: float, event: str) -> None:
+    """Call ``condition`` until it is true. ``start`` is the clock's time at the start of the service.
+
+    Raises ``TimeoutError``, with ``event`` in its message, ``TIMEOUT_S`` seconds after the start.
+    """
     assert callable(condition)
     while not condition():
         if clock.perf_counter() - start > TIMEOUT_S:
@@ -206,11 +219,13 @@ def _wait_until(condition: object, start: float, event: str) -> None:
 
 
 def _free_port() -> int:
+    """Return the number of a TCP port that no process uses."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def _children_cpu_s() -> float:
+    """Return the CPU seconds of all child processes that have ended."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime

@@ -27,6 +27,7 @@ from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.style import STYLES
 
 LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azimuth=255.0, altitude=13.0)}
+"""Suns by name."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +63,14 @@ PLACES = {
     "valley, in perspective": StyledPlace("jacksboro_wooded", view="valley"),
     "village, in perspective": StyledPlace("jacksboro_wooded", view="village"),
 }
+"""Places by name."""
 
 SHOWN_PLACES = ("high mountains", "city")
 """Places of the docs' picture, in the evening."""
 
 
 def place_scene(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
-    """Return the scene of a place. For a raster, a level file is written into the folder ``scratch``."""
+    """Return the scene of a place. ``folder`` has the sample rasters. For a raster, a level file is written into ``scratch``."""
     if "/" not in place.source:
         return build_scene(load_level(find_level(place.source)))
     keys = json.loads(json.dumps(place.keys).replace('"forest/', f'"{folder}/forest/'))
@@ -92,7 +94,10 @@ def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, w
 
 
 def draw_sheet(folder: Path, name: str, light: str, width_px: int) -> Image.Image:
-    """Return all styles of a place under a light, side by side."""
+    """Return all styles of a place (a key of ``PLACES``) under a light (a key of ``LIGHTS``), side by side.
+
+    ``folder`` has the sample rasters. Each picture is ``width_px`` pixels wide.
+    """
     place = PLACES[name]
     with tempfile.TemporaryDirectory() as scratch:
         scene = place_scene(place, folder, Path(scratch))

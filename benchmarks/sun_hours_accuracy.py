@@ -45,6 +45,7 @@ RASTERS_BY_FOLDER = {
 """Rasters of each folder: surface models, which include buildings and trees."""
 
 RAY_STEP_MIN = 10.0 / 60.0
+"""Minutes between two rays of truth."""
 
 HOLE_MARGIN_CELLS = 3
 """The least distance of a sampled cell from the rim and from any hole, in cells."""
@@ -84,14 +85,17 @@ class AccuracyRow:
 
 
 def _reject_planning(scene: Scene) -> NoReturn:
+    """Fail, because sun hours of bare ground must not ask for a plan."""
     raise AssertionError("bare ground needs no plan")
 
 
 def _sun_of_day(scene: Scene, day: date) -> WindowSun:
+    """Return the sun's positions from midnight to midnight, by true solar time at the scene's anchor."""
     return window_suns(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
 
 
 def _compute_sun_hours(scene: Scene, view: MapView, day: WindowSun, step_min: float | None) -> SunHours:
+    """Return the sun hours of a day in all pixels of a map. ``step_min`` is the time between two suns; ``None`` is automatic."""
     return sun_hours(scene, view, [day], SunRules(step_minutes=step_min), _reject_planning)
 
 
@@ -148,13 +152,17 @@ def ray_truth(
 
 
 def _error_minutes(measured_min: np.ndarray, true_min: np.ndarray) -> ErrorMinutes:
+    """Return the error of times (n,) in minutes. Cells where either time is NaN do not count."""
     error_min = np.abs(measured_min - true_min)
     error_min = error_min[np.isfinite(error_min)]
     return ErrorMinutes(float(error_min.mean()), float(np.percentile(error_min, 99)))
 
 
 def measure_raster(folder_name: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
-    """Yield the errors for a raster at each step."""
+    """Yield the errors for the raster ``path`` at each step, in ``cells`` random cells.
+
+    ``steps`` are minutes between two suns; ``None`` is the automatic step.
+    """
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.with_pixels_as_nodes()
     valid = binary_erosion(bare_nodes(scene, view, 1).shows_ground, iterations=HOLE_MARGIN_CELLS)
@@ -173,7 +181,7 @@ def measure_raster(folder_name: str, path: Path, day: date, steps: list[float | 
 
 
 def write_mountains(folder: Path, side: int) -> Path:
-    """Write a raster of fractal mountains."""
+    """Write a raster of fractal mountains of ``side`` x ``side`` cells into ``folder``, and return its file."""
     path = folder / "mountains.tif"
     with rasterio.open(
         path, "w", driver="GTiff", width=side, height=side, count=1, dtype="float32", crs="EPSG:32632",
@@ -184,7 +192,10 @@ def write_mountains(folder: Path, side: int) -> Path:
 
 
 def measure_seconds(day: date, steps: list[float | None]) -> None:
-    """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached."""
+    """Print the seconds that 2048 x 2048 cells take in a second run, when loops are compiled and heights cached.
+
+    ``steps`` are minutes between two suns; ``None`` is the automatic step.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(write_mountains(Path(folder), 2048)))
         view, day_sun = raster_view(scene).view.with_pixels_as_nodes(), _sun_of_day(scene, day)
@@ -197,6 +208,7 @@ def measure_seconds(day: date, steps: list[float | None]) -> None:
 
 
 def _format_step(step_min: float | None) -> str:
+    """Format minutes between two suns; ``None`` as "auto"."""
     return "auto" if step_min is None else f"{step_min:g}"
 
 

@@ -43,6 +43,7 @@ ALTITUDE_TOLERANCE_DEG = 0.01
 """Change of the sun's altitude, a fiftieth of its disc. Truth is certain only if it does not depend on this change."""
 
 BATCH_RAYS = 1 << 20
+"""Number of rays that are traced at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +166,11 @@ class GridRays:
         return GridTruth(*(self._as_grid(valid, values) for values in (lit, is_certain, light | dark)))
 
     def _sun_visible(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offset_factor: float) -> np.ndarray:
+        """Return whether nodes see the sun, bool (n,).
+
+        ``nodes`` (n,) are flat indices into the grid, and ``to_sun`` (3,) is the unit vector to the sun. Rays start
+        ``offset_factor`` times the usual offset above the nodes.
+        """
         visible = np.empty(len(nodes), bool)
         for first in range(0, len(nodes), BATCH_RAYS):
             batch = slice(first, first + BATCH_RAYS)
@@ -173,12 +179,14 @@ class GridRays:
         return visible
 
     def _as_grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return values (n,) of nodes, given by flat indices (n,), as a mask of the grid (rows, cols). Other nodes are False."""
         out = np.zeros(self._valid.shape, bool)
         out.flat[nodes] = values
         return out
 
 
 def _sun_direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    """Return the unit vector (3,) to the sun: east, north, up."""
     azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
@@ -217,7 +225,10 @@ def read_rasters(folder: Path, crop: int) -> Iterator[Raster]:
 
 
 def read_raster(path: Path, crop: int) -> Raster:
-    """Read heights from the middle of a raster, around the median position of its valid cells. Raises ``SourceError``."""
+    """Read heights from the middle of a raster, around the median position of its valid cells. Raises ``SourceError``.
+
+    ``crop`` is the largest number of rows and of columns.
+    """
     elevation = Elevation(str(path))
     shape = elevation.shape
     valid_indices = np.nonzero(np.isfinite(elevation.overview.mean_heights_m))
@@ -245,7 +256,7 @@ def _cell_sides_m(elevation: Elevation, row: float, col: float, unit_m: float) -
 
 
 def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[SweepFigures]:
-    """Return the errors of the sweep on one raster under suns (azimuth, altitude) in degrees."""
+    """Return the errors of the sweep on one raster under suns (azimuth, altitude) in degrees. ``lines`` is the number per cell."""
     rays = GridRays(raster.height_m, raster.cell_m)
     figures = []
     for sun in suns:
@@ -257,7 +268,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
 
 
 def format_report(rasters: list[Raster], all_figures: list[SweepFigures], lines: int) -> list[str]:
-    """Format Markdown: a row per raster, and a summary."""
+    """Format Markdown: a row per raster, and a summary. ``lines`` is the sweep's number of lines per cell."""
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
         "",
@@ -282,6 +293,7 @@ def format_report(rasters: list[Raster], all_figures: list[SweepFigures], lines:
 
 
 def _summary(figures: list[SweepFigures]) -> list[str]:
+    """Format the mean and the worst errors over all rasters and suns, by altitude and by azimuth."""
     wrong_shares = np.array([f.wrong for f in figures])
     azimuths, altitudes = (sorted({getattr(f, key) for f in figures}) for key in ("azimuth_deg", "altitude_deg"))
     per_azimuth = [np.mean([f.wrong for f in figures if f.azimuth_deg == azimuth]) for azimuth in azimuths]
@@ -301,6 +313,7 @@ def _summary(figures: list[SweepFigures]) -> list[str]:
 
 
 def main() -> None:
+    """Measure the rasters of the command line in parallel processes, and print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--azimuths", type=int, default=24, help="number of azimuths, evenly spaced from half a step on")

@@ -32,7 +32,9 @@ from benchmarks.sweep_accuracy import GridRays, Raster, compare_with_truth
 from skugga.shadows.sweep.grid import sunlit_nodes
 
 CELL_M = 10.0
+"""Side of a cell of the generated mountains."""
 RELIEF_M = 2000.0
+"""Height difference of the generated mountains."""
 ROUGHNESS = 2.1
 """Amplitudes of the spectral synthesis decay with this power of the frequency: slopes of 16 degrees on average."""
 
@@ -42,7 +44,9 @@ MIN_CELLS_PER_S = 50e6
 """Target for cells per second on one core."""
 
 MIN_WRONG_RATIO = 15.0
+"""Target for insolation's share of wrong cells, as a multiple of the sweep's."""
 MIN_TWO_CORE_SPEEDUP = 1.7
+"""Target for the speed on two cores, as a multiple of that on one."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class SweepTool:
 
 
 def fractal_heights_m(side: int, seed: int = 42) -> np.ndarray:
-    """Return fractal heights (side, side) float32 by spectral synthesis: white noise filtered by a power law."""
+    """Return fractal heights (side, side), float32, in metres, by spectral synthesis: white noise filtered by a power law."""
     spectrum = np.fft.rfft2(np.random.default_rng(seed).standard_normal((side, side)))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     frequency[0, 0] = np.inf
@@ -121,24 +125,27 @@ _terrain_m = np.zeros((0, 0), np.float32)
 
 
 def _load_terrain(path: Path) -> None:
+    """Load heights (rows, cols) from a NumPy file, for later calls in this process."""
     global _terrain_m
     _terrain_m = np.load(path)
 
 
 def _measure_s(tool: SweepTool, sun: tuple[float, float]) -> tuple[float, float]:
+    """Compute a mask of the loaded terrain under a sun (azimuth, altitude), and return wall and CPU seconds."""
     start, cpu_start = time.perf_counter(), time.process_time()
     tool.compute_mask(_terrain_m, *sun)
     return time.perf_counter() - start, time.process_time() - cpu_start
 
 
 def _peak_bytes() -> int:
+    """Return the peak memory of this process, bytes."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def measure_times(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict[SweepTool, np.ndarray], dict[SweepTool, int]]:
     """Return by tool wall and CPU seconds (repeats, suns, 2), and the growth of its process's peak memory in bytes.
 
-    The tools take turns.
+    The terrain has ``side`` x ``side`` cells. The tools take turns.
     """
     workers = {tool: SweepProcess() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
@@ -164,13 +171,14 @@ def measure_times(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict
 
 
 def _format_speed(tool: SweepTool, seconds: np.ndarray, side: int) -> str:
+    """Format a tool's cells per second. ``seconds`` (suns, 2) are wall and CPU times for ``side`` x ``side`` cells."""
     return f"{tool.name} {tool.threads}: {side**2 / np.median(seconds[:, 0]) / 1e6:.0f} Mcells/s"
 
 
 def measure_wrong_shares(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray]:
     """Return by tool the shares of wrong, false, missed and interior cells among decided cells (suns, 4).
 
-    All tools are compared with the same rays.
+    The terrain has ``side`` x ``side`` cells. All tools are compared with the same rays.
     """
     terrain = Raster("mountains", fractal_heights_m(side), np.ones((side, side), bool), (CELL_M, CELL_M))
     rays = GridRays(terrain.height_m, terrain.cell_m)
@@ -191,7 +199,11 @@ def format_report(
     truth_side: int,
     wrong_shares: dict[SweepTool, np.ndarray],
 ) -> list[str]:
-    """Format Markdown: a row for each tool, its wrong cells by sun, and the targets."""
+    """Format Markdown: a row for each tool, its wrong cells by sun, and the targets.
+
+    ``seconds`` and ``memory`` are the results of ``measure_times``, ``wrong_shares`` that of ``measure_wrong_shares``. ``side`` and
+    ``truth_side`` are the sides of their terrains in cells.
+    """
     rows = [
         f"# The line sweep on {side} x {side} fractal mountains, nine suns",
         "",
@@ -246,6 +258,7 @@ def _format_targets(seconds: dict[SweepTool, np.ndarray], wrong_shares: dict[Swe
 
 
 def processor_name() -> str:
+    """Return the name of this machine's processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -254,6 +267,7 @@ def processor_name() -> str:
 
 
 def main() -> None:
+    """Measure times and errors of the tools, and print and write the report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--side", type=int, default=4096)
     parser.add_argument("--truth-side", type=int, default=2048)

@@ -47,8 +47,10 @@ CELL_M_BY_RASTER = {
 """Side of a cell in the flat world, metres, by raster below the folder."""
 
 SITE_CRS = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+"""An engineering CRS in metres. The world of a level with this CRS is flat."""
 
 Symmetry = tuple[bool, bool, bool]
+"""A symmetry of a square, one of ``SYMMETRIES``."""
 
 
 def transform_grid(values: np.ndarray, symmetry: Symmetry) -> np.ndarray:
@@ -84,7 +86,10 @@ def read_heights(path: Path, crop: int) -> np.ndarray:
 
 
 def flat_world_scene(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
-    """Return the scene of heights (rows, cols) in a flat world, whose origin is their south-west corner."""
+    """Return the scene of heights (rows, cols) in a flat world, whose origin is their south-west corner.
+
+    ``sun`` is azimuth and altitude in degrees. The level file is written into ``folder``.
+    """
     rows, cols = heights.shape
     transform = rasterio.transform.from_origin(0.0, rows * cell_m, cell_m, cell_m)
     with rasterio.open(
@@ -110,7 +115,10 @@ def flat_world_scene(heights: np.ndarray, cell_m: float, sun: tuple[float, float
 
 
 def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
-    """Return the mask of pixels in shadow (rows, cols) in a map of the whole scene."""
+    """Return the mask of pixels in shadow (rows, cols) in a map of the whole scene.
+
+    ``algorithm`` is the name of an algorithm, or ``truth`` for traced rays. ``size`` is (columns, rows).
+    """
     view = scene.view(bounds=scene.elevation.bounds, size=size)
     assert isinstance(view, MapView)
     if algorithm != "truth":
@@ -129,7 +137,10 @@ def shadow_mask(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarr
 
 
 def max_differing_share(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
-    """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first."""
+    """Return the largest share of pixels in which one of the eight pictures, transformed back, differs from the first.
+
+    ``heights`` is (rows, cols) in metres, ``sun`` azimuth and altitude in degrees. With ``between_nodes`` pixels lie between nodes.
+    """
     pictures = []
     for symmetry in SYMMETRIES:
         ground = np.ascontiguousarray(transform_grid(heights, symmetry))
@@ -142,7 +153,10 @@ def max_differing_share(heights: np.ndarray, cell_m: float, sun: tuple[float, fl
 
 
 def format_report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
-    """Format Markdown: a row for each raster and algorithm, in per cent of the pixels."""
+    """Yield lines of Markdown: a row for each raster and algorithm, in per cent of the pixels.
+
+    ``folder`` has the rasters, and ``crop`` limits their sides in cells. With ``between_nodes`` pixels lie between nodes.
+    """
     yield "| raster | algorithm | " + " | ".join(f"{azimuth:g} / {altitude:g}" for azimuth, altitude in SUNS) + " |"
     yield "| --- | --- |" + " ---: |" * len(SUNS)
     for name, cell_m in CELL_M_BY_RASTER.items():
@@ -153,6 +167,7 @@ def format_report(folder: Path, algorithms: list[str], crop: int, between_nodes:
 
 
 def main() -> None:
+    """Measure all rasters and algorithms, and print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--algorithms", nargs="+", default=["sweep", "truth", "shadow_map", "shadow_volume"])

@@ -48,8 +48,11 @@ ROOT = Path(__file__).resolve().parents[1]
 
 MERCATOR = matrix_sets.get("WebMercatorQuad")
 ZOOMS = range(9, 15)
+"""Zooms of the requested tiles."""
 CONCURRENCY = 8
+"""Number of connections that request tiles at the same time."""
 SERVICE_CORE, CLIENT_CORE = 0, 1
+"""Numbers of the processor cores on which the service and this process run."""
 START_TIMEOUT_S = 120.0
 
 TITILER_SETTINGS = {
@@ -57,13 +60,15 @@ TITILER_SETTINGS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_HTTP_MERGE_CONSECUTIVE_RANGES": "YES", "GDAL_HTTP_MULTIPLEX": "YES",
     "GDAL_HTTP_VERSION": "2", "PYTHONWARNINGS": "ignore", "VSI_CACHE": "TRUE", "VSI_CACHE_SIZE": "536870912",
 }  # fmt: skip
-"""As titiler's manual recommends (its page on performance tuning)."""
+"""Environment variables of titiler, as its manual recommends (page on performance tuning)."""
 
 SUNS = [(75.0 + 9.0 * n, 8.0 + 47.0 * (1.0 - abs(n - 11.5) / 11.5)) for n in range(24)]
 """Azimuths and altitudes of a day's sun, from morning to evening."""
 
 Tile = tuple[int, int, int]
+"""Zoom, column and row of a tile."""
 Sun = tuple[float, float]
+"""Azimuth and altitude of a sun, degrees."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +112,7 @@ class RunningService:
 
 
 def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> RequestRound:
-    """Request paths over ``concurrency`` persistent connections. Raises ``RuntimeError`` for a status other than 200."""
+    """Request URL paths over ``concurrency`` persistent connections. Raises ``RuntimeError`` for a status other than 200."""
     pending_paths, latencies_s, sizes = list(reversed(paths)), [], []
 
     async def client() -> None:
@@ -142,7 +147,11 @@ def request_all(port: int, paths: list[str], concurrency: int = CONCURRENCY) -> 
 def run_service(
     command: list[str], port: int, ready_path: str, path_of_tile: Callable[[Tile, Sun], str], **env: str
 ) -> Iterator[RunningService]:
-    """Run a service on one core, as a context manager. Raises ``RuntimeError`` if it does not start."""
+    """Run a service on one core, as a context manager. Raises ``RuntimeError`` if it does not start.
+
+    The service is ready as soon as ``ready_path`` returns status 200. ``path_of_tile`` is that of ``RunningService``, and ``env``
+    are further environment variables.
+    """
     start = time.perf_counter()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
@@ -167,7 +176,7 @@ def run_service(
 
 
 def run_skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[RunningService]:
-    """Run Skugga's service of a raster with one render process and default settings."""
+    """Run Skugga's service of a raster with one render process and default settings. Its level file is written into ``folder``."""
     level = folder / "cog.yaml"
     level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
 
@@ -182,7 +191,7 @@ def run_skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextMana
 
 
 def run_titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[RunningService]:
-    """Run titiler with one process."""
+    """Run titiler with one process. ``python`` is the interpreter in whose environment it is installed."""
 
     def path(tile: Tile, sun: Sun) -> str:
         z, x, y = tile
@@ -225,7 +234,9 @@ def central_tiles(tiles: list[Tile]) -> list[Tile]:
 
 
 Rounds = dict[str, list[RequestRound]]
+"""Results of rounds of requests, by name of the round; one for each repeat."""
 ServiceFactory = Callable[[], AbstractContextManager[RunningService]]
+"""A function that starts a service as a context manager."""
 
 
 def measure_service(
@@ -233,7 +244,8 @@ def measure_service(
 ) -> None:
     """Run all rounds of requests once with a service, and add their results to ``rounds`` and ``scalar_figures``.
 
-    A service without a cache receives the repeated requests only once.
+    ``scalar_figures`` has seconds until the service is ready and until its first tile. A service without a cache receives the
+    repeated requests only once.
     """
     shuffled, viewport_tiles = random.Random(23).sample(tiles, len(tiles)), central_tiles(tiles)
     with start_service() as running:
@@ -262,7 +274,7 @@ def measure_service(
 
 
 async def request_at_rate(port: int, paths: list[str], requests_per_s: float) -> RequestRound:
-    """Send requests at a steady rate, even while earlier ones are still pending."""
+    """Request URL paths at a steady rate, even while earlier requests are still pending."""
     latencies_s: list[float] = []
     sizes: list[int] = []
 
@@ -353,7 +365,8 @@ loops."""
 def measure_block_cpu_ms(folder: Path, level: Path, zoom: int) -> dict[str, float]:
     """Return CPU milliseconds of a block, computed by the code in ``folder``: cold, and the median of new suns.
 
-    If the code has a function that encodes tiles, the milliseconds to encode a tile of 512 x 512 pixels are added.
+    ``level`` is a level file. If the code has a function that encodes tiles, the milliseconds to encode a tile of 512 x 512 pixels
+    are added.
     """
     suns = [SUNS[6], *SUNS[1::4]]
     process = subprocess.run(
@@ -368,7 +381,7 @@ def measure_block_cpu_ms(folder: Path, level: Path, zoom: int) -> dict[str, floa
 
 
 def software_versions(python: Path) -> dict[str, str]:
-    """Return versions of the software and the machine."""
+    """Return versions of the software and the machine. ``python`` is the interpreter in whose environment titiler is installed."""
     modules = "titiler.application, rio_tiler, rasterio, uvicorn"
     program = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
     package_versions = subprocess.run([str(python), "-c", program], capture_output=True, text=True, check=True).stdout.split()
@@ -384,6 +397,7 @@ def median_round(rounds: list[RequestRound]) -> RequestRound:
 
 
 def _median_by_name(values: list[dict[str, float]]) -> dict[str, float]:
+    """Return the median of each figure over dictionaries with the same keys."""
     return {name: statistics.median(entry[name] for entry in values) for name in values[0]}
 
 

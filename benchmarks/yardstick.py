@@ -32,7 +32,9 @@ from skugga.terrain.shading import albedo_of, daylight_in_frame
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, foliage
 
 DEPTH_MAP_BITS = 16
+"""Bits of a depth in the depth map."""
 NEAR_M, FAR_M = 0.5, 20_000.0
+"""Distances of the near and the far plane from the eye."""
 
 DEPTH_MAP_EXTENT_M = 400.0
 """Side of the square that the depth map covers. The middle of the square lies half of this ahead of the eye."""
@@ -201,6 +203,7 @@ class Yardstick:
         return gl.read(self._target, 0, "f1", 4)
 
     def _vertex_arrays(self, fragment: str) -> ProgramArrays:
+        """Compile the programs with a fragment shader for surfaces and for trees, and return their vertex arrays."""
         gl, arrays = device(), []
         for kind in ("OPAQUE", "TREES"):
             define = f"#version 430\n#define {kind}"
@@ -219,6 +222,11 @@ class Yardstick:
     def _render(
         self, arrays: ProgramArrays, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
     ) -> None:
+        """Draw surfaces and trees into the current framebuffer.
+
+        Matrices are (4, 4): from the scene's frame to the target's clip space and to that of the depth map. Quads of trees stand
+        upright and face ``towards`` (2,), east and north. ``uniforms`` are further values of the programs' variables.
+        """
         gl = device()
         leaf_axis = np.array([-towards[1], towards[0]]) / max(float(np.hypot(*towards)), 1e-9)
         matrices = {"clip_from_frame": tuple(clip_from_frame.T.ravel()), "map_from_frame": tuple(map_from_frame.T.ravel())}
@@ -234,7 +242,10 @@ class Yardstick:
             gl.render(arrays.trees, vertices=6, instances=self.trees)
 
     def _depth_map_matrix(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
-        """Return the matrix (4, 4) from the scene's frame to the clip space of the depth map."""
+        """Return the matrix (4, 4) from the scene's frame to the clip space of the depth map.
+
+        ``eye`` (3,) is in metres, ``camera_from_frame`` (3, 3) has the camera's axes as rows, and ``to_sun`` (3,) is a unit vector.
+        """
         right = np.cross([0.0, 0.0, 1.0], to_sun)
         right = right / max(float(np.linalg.norm(right)), 1e-9)
         axes = np.stack([right, np.cross(to_sun, right), -to_sun])
@@ -275,7 +286,10 @@ def _opaque_mesh(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame:
 
 
 def _used_attributes(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
-    """Return the names of the attributes that a program uses, and a buffer layout that skips all others."""
+    """Return the names of the attributes that a program uses, and a buffer layout that skips all others.
+
+    ``names`` are all attributes of the buffer. ``layout`` is their layout as moderngl writes it, such as "3f 4f 1f/i".
+    """
     per_instance = layout.endswith("/i")
     words, used_names = [], []
     for name, word in zip(names, layout.removesuffix("/i").split(), strict=True):
@@ -288,7 +302,10 @@ def _used_attributes(program: moderngl.Program, names: tuple[str, ...], layout: 
 
 
 def _clip_matrix(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
-    """Return the matrix (4, 4) from the scene's frame to clip space, with row 0 of the picture first."""
+    """Return the matrix (4, 4) from the scene's frame to clip space, with row 0 of the picture first.
+
+    ``eye`` (3,) is in metres, and ``camera_from_frame`` (3, 3) has the camera's axes as rows.
+    """
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])
     scale, shift = 2.0 * view.focal_px / (view.step_px * size), (1.0 - 2.0 * first / view.step_px) / size - 1.0

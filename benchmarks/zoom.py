@@ -52,7 +52,7 @@ MOSAIC_CELLS = 4608
 
 
 def raster_scene(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
-    """Return the scene of a raster under a sun (azimuth, altitude)."""
+    """Return the scene of a raster under a sun (azimuth, altitude), degrees. Its level file is written into ``folder``."""
     level = {"version": 1, "terrain": {"source": str(raster.resolve())}, "sun": {"azimuth": sun[0], "altitude": sun[1]}}
     (folder / "level.yaml").write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(folder / "level.yaml"))
@@ -108,7 +108,7 @@ def ground_visibility(scene: Scene, view: MapView, pixel_sampling: PixelSampling
 
 
 def print_shares(scene: Scene, algorithm: str) -> None:
-    """Print the mean shadow by zoom."""
+    """Print the mean shadow by zoom, with means over pixels and with single points. ``algorithm`` may be ``auto``."""
     finest_zoom = native_zoom(scene)
     print("| zoom | samples per pixel | shadow, % | single points, % | mask, % |\n| --- | --- | --- | --- | --- |")
     for zoom in range(finest_zoom, finest_zoom - COARSER_ZOOM_COUNT - 1, -1):
@@ -128,7 +128,7 @@ def print_shares(scene: Scene, algorithm: str) -> None:
 
 
 def print_times(scene: Scene, repeats: int) -> None:
-    """Print times of blocks of coarse pixels."""
+    """Print times of blocks of coarse pixels, medians of ``repeats`` rounds."""
     finest_zoom = native_zoom(scene)
     print("| zoom | samples per pixel | block, ms | single points, ms | ratio |\n| --- | --- | --- | --- | --- |")
     for zoom in range(finest_zoom - 1, finest_zoom - 5, -1):
@@ -159,7 +159,10 @@ def print_times(scene: Scene, repeats: int) -> None:
 
 
 def print_far_caster_errors(scene: Scene, sun: tuple[float, float]) -> None:
-    """Print the shares of missed and of false shadow that result from the lower detail of distant casters."""
+    """Print the shares of missed and of false shadow that result from the lower detail of distant casters.
+
+    ``sun`` is azimuth and altitude in degrees.
+    """
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     view = block_view(scene, native_zoom(scene), east_share=0.12)
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
@@ -179,6 +182,7 @@ def print_far_caster_errors(scene: Scene, sun: tuple[float, float]) -> None:
 
 
 def main() -> None:
+    """Print the parts that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--raster", default="mountain/bigtujunga_30m_utm11.tif")

@@ -7,9 +7,11 @@ import importlib
 import sys
 
 COMPILED_PACKAGES = ("numba", "numpy", "pyproj", "rasterio", "scipy", "PIL.Image")
+"""Modules that load system libraries on import."""
 
 
 def main() -> int:
+    """Print one line with the result, and return the exit status: 0, or 1 if a library is missing."""
     try:
         for name in COMPILED_PACKAGES:
             importlib.import_module(name)

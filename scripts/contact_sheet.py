@@ -28,6 +28,7 @@ CELL_ASPECT = 5 / 4
 """Width over height of a picture's cell on the sheet: that of 1280 x 1024."""
 
 GAP_PX, LABEL_PX, TEXT_PX = 12, 28, 16
+"""Gap between cells, height of a label and height of its text, in pixels of the sheet."""
 PAGE_COLOR, TEXT_COLOR = (255, 255, 255), (32, 32, 32)
 WEBP_QUALITIES = range(85, 9, -5)
 
@@ -41,7 +42,10 @@ class LabelledPicture:
 
 
 def labelled_pictures(levels: Sequence[Path], width_px: int) -> Iterator[LabelledPicture]:
-    """Yield a labelled picture of every view of some levels. Levels with the most views come first."""
+    """Yield a labelled picture of every view of some levels. Levels with the most views come first.
+
+    ``levels`` are level files. ``width_px`` is the width of a picture's cell.
+    """
     loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
     for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
@@ -86,6 +90,7 @@ def encode_webp(page: Image.Image, max_bytes: int) -> bytes:
 
 
 def main() -> int:
+    """Draw the sheet, write it, and return the exit status."""
     parser = argparse.ArgumentParser(description="Render every view of the bundled levels onto one sheet.")
     parser.add_argument("levels", nargs="*", type=Path, help="level files; default: all bundled levels")
     parser.add_argument("-o", "--output", type=Path, default=SHEET_PATH, help="the WebP file to write")

@@ -91,6 +91,7 @@ def _draw_blocks(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[
 
 
 def _run_command(*arguments: object) -> None:
+    """Run a command of ``skugga`` in this process. ``arguments`` are its words."""
     from skugga.api.cli.main import main
 
     sys.argv = ["skugga", *map(str, arguments)]
@@ -106,16 +107,19 @@ def _sun_options(raster: Path) -> list[object]:
 
 
 def compute_maps(rasters: Sequence[Path], folder: Path) -> None:
+    """Draw blocks of ``rasters`` that have only relief, from several directions of the sun. ``folder`` is not used."""
     _draw_blocks(rasters, ["shadow"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
 
 
 def compute_maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
+    """Draw blocks of bundled levels with trees and meshes. The parameters are not used."""
     from skugga.api.catalogue import find_level
 
     _draw_blocks([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
 
 
 def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
+    """Draw masks and heights of tiles, a picture and all layers of each raster. Files are written into ``folder``."""
     _draw_blocks(rasters, ["mask", "visibility", "terrain-rgb"])
     for raster in rasters:
         _run_command("render", raster, *_sun_options(raster), "--size", "600x600", "-o", folder / "out.png")
@@ -124,6 +128,7 @@ def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def compute_views(rasters: Sequence[Path], folder: Path) -> None:
+    """Draw all perspective views of the bundled levels. The parameters are not used."""
     from skugga.api.catalogue import bundled_levels
     from skugga.api.cli.snapshot import snapshot
     from skugga.api.request import ProductRequest
@@ -136,11 +141,13 @@ def compute_views(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def compute_masks(rasters: Sequence[Path], folder: Path) -> None:
+    """Compute a mask of each raster, as a file in ``folder``."""
     for raster in rasters:
         _run_command("shade", raster, *_sun_options(raster), "-o", folder / "out.tif")
 
 
 def compute_sun_hours(rasters: Sequence[Path], folder: Path) -> None:
+    """Compute sun hours of the first two rasters, and times of their first sun and longest spell, as files and as tiles."""
     from skugga.api.http.server.first_blocks import central_blocks
     from skugga.api.http.state.served_levels import ServedLevels
     from skugga.api.products.sun_hours import SunHoursOptions
@@ -160,6 +167,7 @@ def compute_sun_hours(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def compute_points(rasters: Sequence[Path], folder: Path) -> None:
+    """Compute reports of points on the rasters and on a bundled level with trees. ``folder`` is not used."""
     from skugga.api.catalogue import find_level
     from skugga.api.point.report import point_report
     from skugga.api.point.values import PointQuery
@@ -181,12 +189,13 @@ PRODUCERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
     MAPS: compute_maps, MAPS_OF_CASTERS: compute_maps_of_casters, PICTURES: compute_pictures, MASKS: compute_masks,
     SUN_HOURS: compute_sun_hours, POINTS: compute_points, VIEWS: compute_views,
 }  # fmt: skip
+"""Functions that compute a product from the paths of rasters and a folder for files, by the product's name."""
 
 
 def record_loops(product: str) -> list[tuple[str, Any]]:
     """Compute a product in this process, and return the loops that it compiled with their encoded argument types.
 
-    The process must have no stored machine code.
+    ``product`` is a key of ``PRODUCERS``. The process must have no stored machine code.
     """
     from skugga.terrain.compiling.hooks import compile_lazily
     from skugga.terrain.compiling.loop_cache import compile_recorders

@@ -183,6 +183,7 @@ def lit_at_points(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray)
 
 
 def _lit_at(scene: Scene, query: PointQuery, crs: CRS) -> bool:
+    """Return whether the sun is visible at the point and time of a query, whose coordinates are those of ``crs``."""
     moment = reported_sun(point_surroundings(scene, query, crs))
     assert moment is not None
     return moment.lit

@@ -43,6 +43,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that writes golden pictures."""
     parser.addoption("--regenerate-goldens", action="store_true", help="write golden pictures anew; look at each")
 
 
@@ -59,6 +60,7 @@ def gl():
 
 @pytest.fixture(autouse=True)
 def _check_gl_errors() -> Iterator[None]:
+    """Fail a test that leaves an OpenGL error behind."""
     yield
     from skugga.terrain.gl import device as module
 

@@ -16,6 +16,7 @@ from skugga.terrain.scene import Scene
 
 
 def plan_of(scene: Scene, view: MapView, **overrides: Any) -> Plan:
+    """Return the plan of a map by the fixed rules. ``overrides`` replace keys of the level's ``shadows``."""
     return make_plan(describe(scene, view), scene.loaded.level, overrides)
 
 

@@ -30,6 +30,7 @@ _numbered_programs: set[int] = set()
 
 
 def _program_with_primitive_numbers(self: Device, vertex: str, fragment: str, *args: Any, **kwargs: Any) -> moderngl.Program:
+    """Compile a program for softpipe, which lacks ``gl_PrimitiveID``: the vertex shader passes the triangle's number."""
     needs_numbers = "gl_PrimitiveID" in fragment
     if needs_numbers:
         declaration = r"\1flat {} int primitive_number;\n"
@@ -47,6 +48,7 @@ def _program_with_primitive_numbers(self: Device, vertex: str, fragment: str, *a
 def _mesh_without_indices(
     self: Device, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray, *args: Any, **kwargs: Any
 ) -> Iterator[moderngl.VertexArray]:
+    """Upload a mesh without shared vertices if its program needs the triangle's number."""
     if program.glo in _numbered_programs:
         vertices, indices = np.asarray(vertices)[np.ravel(indices)], np.arange(np.size(indices), dtype=np.int32)
     with _original_uploaded_mesh(self, program, vertices, indices, *args, **kwargs) as array:

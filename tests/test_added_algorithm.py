@@ -81,12 +81,14 @@ def compute_visibility(buffer, scene, light, kinds, casters, settings, log):
 
 
 def resolve(request: SettingsRequest) -> ResolvedSettings:
+    """Return the algorithm's settings from a request, and their reasons."""
     map_size = request.effective_shadows.map_size
     side = 4 if map_size == "auto" else max(4096 // map_size, 1)
     return CoarseRaysSettings(square_px=side), [NamedReason(name=f"square_px {side}", reason="fewer rays would be seen")]
 
 
 def estimate_work(task: Workload, settings: CoarseRaysSettings) -> Work:
+    """Return the units of work of a view, by part."""
     return {
         "coarse rays": {
             "blocks": 1.0,
@@ -132,6 +134,7 @@ def register() -> Iterator[Callable[[Algorithm], None]]:
 
 @pytest.fixture
 def coarse_rays(register) -> Iterator[None]:
+    """Register the algorithm ``coarse_rays`` for a test."""
     register(ALGORITHM)
     visibility_caches["coarse rays"] = Cache("tests.coarse_rays", "light", 2**26)
     ray_counts.clear()
@@ -148,6 +151,7 @@ LEVEL = {
 
 
 def level_file(tmp_path: Path, **keys) -> Path:
+    """Write the level ``LEVEL`` with further keys, and return its path."""
     path = tmp_path / "level.yaml"
     path.write_text(json.dumps(LEVEL | keys), encoding="utf-8")
     return path
@@ -160,6 +164,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def coarse_rays_plan(scene: Scene, view, **overrides) -> Plan:
+    """Return a plan with the algorithm ``coarse_rays``."""
     return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **overrides})
 
 
@@ -268,6 +273,7 @@ RATES = {"coarse rays": {"blocks": 1e6}}
 
 @pytest.fixture
 def ridges(scene) -> Descriptor:
+    """Descriptor of the scene's map."""
     return describe(scene, scene.view(size=(64, 64)))
 
 

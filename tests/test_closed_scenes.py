@@ -50,6 +50,7 @@ def lon_lat_at(east_m: float, south_m: float) -> list[float]:
 
 @pytest.fixture
 def scene(scene_factory) -> Scene:
+    """A new scene of hills with a pond, a wood, a house, a lamp, clouds, haze and imagery."""
     return scene_factory()
 
 

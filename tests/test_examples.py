@@ -27,18 +27,21 @@ def run_example(example: Path, folder: Path) -> str:
 
 
 def captured_number(pattern: str, output: str) -> float:
+    """Return the number that the group of a pattern matches in a text."""
     match = re.search(pattern, output)
     assert match, output
     return float(match[1])
 
 
 def check_garden(output: str) -> None:
+    """Check the hours of sun that the example prints."""
     assert captured_number(r"before +mean +([\d.]+) h", output) == pytest.approx(day_length_h("2024-03-21", 59.3), abs=0.02)
     # At noon the sun is 31 degrees high, and a wall of 7 m casts 11.7 m of shadow: over all rows of the garden, 5 to 15 m away.
     assert captured_number(r"after +mean +([\d.]+) h", output) < 10.0 and captured_number(r"after.*least +([\d.]+) h", output) < 6.0
 
 
 def check_satellite_scene(output: str) -> None:
+    """Check the share of shadow and the correlations that the example prints."""
     assert 0.0 < captured_number(r"([\d.]+)% of the ground in shadow", output) < 2.0
     assert (
         captured_number(r"as seen .*: ([-+\d.]+)", output) > 0.9
@@ -47,6 +50,7 @@ def check_satellite_scene(output: str) -> None:
 
 
 def check_roof_panel(output: str) -> None:
+    """Check the monthly losses that the example prints."""
     lost_percent = [float(share) for share in re.findall(r"([\d.]+)% of it behind", output)]
     assert len(lost_percent) == 12 and lost_percent[11] > 5.0 > 0.5 > lost_percent[5], (
         "a ridge in the south east costs winter, not summer"
@@ -54,15 +58,18 @@ def check_roof_panel(output: str) -> None:
 
 
 def check_first_sun(output: str) -> None:
+    """Check the times of first and last sun that the example prints."""
     rows = re.findall(r"(\d\d:\d\d) +(\d\d:\d\d) +([\d.]+) of ([\d.]+) h +relief", output)
     assert len(rows) == 7 and all(first < last and float(direct) < float(up) for first, last, direct, up in rows)
 
 
 def check_large_raster(output: str) -> None:
+    """Check the mean hours of sun that the example prints."""
     assert 4.0 < captured_number(r"600 x 400 cells, EPSG:32633, mean ([\d.]+) h", output) < day_length_h("2024-12-21", 46.9)
 
 
 def check_winters_day(output: str) -> None:
+    """Check the hours of sun that the example prints."""
     assert 0.0 < captured_number(r"median ([\d.]+) h", output) < captured_number(r"\d: ([\d.]+) h", output) + 4.0
 
 

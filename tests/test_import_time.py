@@ -166,6 +166,7 @@ def run_and_list_imports(code: str, folder: Path, **environment: str) -> tuple[i
 
 
 def run_skugga(arguments: list[str], folder: Path) -> tuple[int, set[str], str]:
+    """Run a command of ``skugga`` in a new process. Return its exit status, the imported modules, and its output."""
     return run_and_list_imports(COMMAND_SCRIPT.format(argv=["skugga", *arguments]), folder)
 
 

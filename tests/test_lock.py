@@ -13,11 +13,13 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def locked_requirements() -> list[Requirement]:
+    """Return the requirements of the lock file."""
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     return [Requirement(line) for line in lines if not line.startswith("#")]
 
 
 def declared_requirements() -> list[Requirement]:
+    """Return the requirements of the project and of its extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     requirement_lists = [project["dependencies"], *project["optional-dependencies"].values()]
     return [

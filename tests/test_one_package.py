@@ -35,6 +35,7 @@ def project(tmp_path: Path) -> Path:
 
 
 def run_in_project(project: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a project's folder, with the project and this checkout on the path of modules."""
     path = os.pathsep.join([str(project), str(ROOT)])
     environment = {**os.environ, "PYTHONPATH": path}
     return subprocess.run(list(map(str, command)), cwd=project, env=environment, capture_output=True, text=True, timeout=600)

@@ -25,6 +25,7 @@ BENCHMARKS, DOCS = ROOT / "benchmarks", ROOT / "docs"
 
 
 def stored_figures(name: str) -> dict:
+    """Return the figures of a JSON file below ``benchmarks``."""
     return json.loads((BENCHMARKS / name).read_text(encoding="utf-8"))
 
 

@@ -19,12 +19,14 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def _is_compiled(function: Function) -> bool:
+    """Return whether numba compiles a function."""
     return any(
         isinstance(decorator, ast.Name) and decorator.id in ("compiled", "internal") for decorator in function.decorator_list
     )
 
 
 def _is_unannotated(function: Function) -> bool:
+    """Return whether a function has no annotation at all."""
     arguments = function.args
     all_arguments = (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, arguments.vararg, arguments.kwarg)
     return function.returns is None and all(argument is None or argument.annotation is None for argument in all_arguments)

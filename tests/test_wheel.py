@@ -47,6 +47,7 @@ def wheel_python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def dem(tmp_path: Path) -> Path:
+    """File of a raster of hills."""
     rows, cols = np.mgrid[:200, :200] / 30.0
     heights = (500.0 + 300.0 * np.sin(rows) * np.cos(cols)).astype(np.float32)
     return write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32632", 600_000, 5_100_000, 30)

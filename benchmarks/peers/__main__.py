@@ -93,9 +93,9 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
 
 
 def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[ComparedRaster, list[GridTruth]]:
-    """Return a raster's description, and the truth under each sun.
+    """Return a raster's description, and the truth under each of ``SUN_ANGLES_DEG``.
 
-    The shares in the description count cells whose truth is certain for either diagonal of a quad.
+    ``height_m`` is (rows, cols). The shares in the description count cells whose truth is certain for either diagonal of a quad.
     """
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUN_ANGLES_DEG]
@@ -112,14 +112,20 @@ def describe_raster(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Com
 
 
 def shadow_errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
-    """Return false and missed shadow as shares of the cells in ``certain``, which is one of the masks of ``truth``."""
+    """Return false and missed shadow as shares of the cells in ``certain``, which is one of the masks of ``truth``.
+
+    ``lit`` is a tool's mask of cells that see the sun (rows, cols).
+    """
     count = certain.sum()
     false, missed = (certain & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
     return float(false.sum() / count), float(missed.sum() / count)
 
 
 def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
-    """Check the tools, trace truth, run the tools in turns, and return all results."""
+    """Check the tools, trace truth, run the tools in turns, and return all results.
+
+    ``python`` is the interpreter of the other tools' packages. ``side`` is the largest side of a raster, in cells.
+    """
     begin = time.perf_counter()
     runs: dict[tuple[Tool, str, int], list[ToolRun]] = {}
     error_shares: dict[tuple[Tool, str, int], tuple[float, float]] = {}
@@ -166,6 +172,10 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
 def _tool_result(
     tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], error_shares: tuple[float, float] | None
 ) -> ToolResult:
+    """Return the result of a tool's runs on the raster ``name`` under a sun (azimuth and altitude, degrees).
+
+    ``error_shares`` are false and missed shadow; ``None`` if the tool casts no shadows.
+    """
     compute_s = [run.compute_s for run in runs if run.compute_s is not None]
     return ToolResult(
         tool=tool.name,
@@ -183,6 +193,7 @@ def _tool_result(
 
 
 def main() -> None:
+    """Measure, and write figures, page and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--python", default=sys.executable, metavar="PATH", help="the interpreter that has the packages of the other tools"

@@ -227,7 +227,7 @@ class ToolStanding:
 def standings_by_case(comparison: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
     """Return the tools' standings in each case: every raster under every sun, and means over the suns off the grid's axes.
 
-    ``clock`` selects the seconds to compare.
+    ``clock`` is a key of ``CLOCKS`` and selects the seconds to compare.
     """
     out: dict[str, list[ToolStanding]] = {}
     for tool in comparison.casting_tools:
@@ -244,7 +244,7 @@ def standings_by_case(comparison: PeerComparison, clock: str) -> dict[str, list[
 def dominated_results(comparison: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
     """Return triples of a row of Skugga (the sweep with some number of lines), a peer that beats it, and the case.
 
-    A peer beats a row if it is both faster and more accurate.
+    A peer beats a row if it is both faster, by ``clock``, and more accurate.
     """
     return dominated_rows(standings_by_case(comparison, clock))
 

@@ -39,7 +39,7 @@ def format_range(values: Iterable[float], format_value: Callable[[float], str]) 
 
 
 def upper_bound_prefix(comparison: PeerComparison, tool: ToolRecord) -> str:
-    """Return the prefix that marks seconds of computing as an upper bound; empty if they are exact."""
+    """Return the prefix that marks a tool's seconds of computing as an upper bound; empty if they are exact."""
     return "≤ " if comparison.has_upper_bounds(tool) else ""
 
 
@@ -117,7 +117,7 @@ def format_verdict(comparison: PeerComparison) -> str:
 
 
 def _pareto_text(comparison: PeerComparison, clock: str, peers: int) -> str:
-    """Format the verdict for one measure of time, a key of ``CLOCKS``."""
+    """Format the verdict for one measure of time, a key of ``CLOCKS``. ``peers`` is the number of peers."""
     title, count = (
         f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**",
         len(standings_by_case(comparison, clock)),
@@ -164,10 +164,12 @@ def _compare_best_peers(comparison: PeerComparison) -> str:
 
 
 def _line_count_text(standing: ToolStanding) -> str:
+    """Return a row of Skugga's name without its prefix, such as "8 lines"."""
     return standing.tool.name.removeprefix("Skugga sweep, ")
 
 
 def _join_names(names: list[str]) -> str:
+    """Join at least one name to a list with "and"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -198,6 +200,7 @@ def format_page(comparison: PeerComparison, image: str) -> str:
 
 
 def _method_text(comparison: PeerComparison) -> str:
+    """Format how rasters, suns, truth and times were chosen and measured."""
     rasters = "; ".join(
         f"{RASTER_TITLES[terrain.name]}: {terrain.cols} x {terrain.rows} cells of {terrain.cell_m:g} m, {terrain.lowest_m:.0f} to "
         f"{terrain.highest_m:.0f} m high"
@@ -235,9 +238,11 @@ RASTER_TITLES = {
     "Jacksboro": "*Jacksboro*, SRTM of the Jacksboro fault, warped bicubically to UTM 16N",
     "fractal": "*fractal*, mountains of spectral synthesis",
 }
+"""Descriptions of the rasters, by name."""
 
 
 def _notes_text(comparison: PeerComparison) -> list[str]:
+    """Return the notes on tools that ran, and on those that were left out."""
     tool_names = {tool.name for tool in comparison.tools}
     notes = [note for name, note in TOOL_NOTES if name in tool_names]
     if slower := [tool.name for tool in comparison.casting_tools if _low_sun_ratio(comparison, tool) > MIN_LOW_SUN_RATIO]:
@@ -253,6 +258,7 @@ def _notes_text(comparison: PeerComparison) -> list[str]:
 
 
 MIN_LOW_SUN_RATIO = 2.0
+"""Ratio of computing times, lowest to highest suns, above which a note names the tool."""
 
 
 def _low_sun_ratio(comparison: PeerComparison, tool: ToolRecord) -> float:

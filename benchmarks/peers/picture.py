@@ -48,14 +48,17 @@ def write_plot(comparison: PeerComparison, path: Path) -> None:
 
 
 def _raster_standings(comparison: PeerComparison, terrain: ComparedRaster) -> list[ToolStanding]:
+    """Return the tools' mean standings on a raster, over the suns off the grid's axes."""
     return standings_by_case(comparison, "computing")[f"{terrain.name}, mean off the axes"]
 
 
 def _plot_xy(standing: ToolStanding) -> tuple[float, float]:
+    """Return a tool's point in the plot: seconds and per cent of wrong cells, both above the axes' lower limits."""
     return max(standing.seconds, 1e-3), max(100.0 * standing.wrong, ZERO_ERROR_PERCENT)
 
 
 def _draw_panel(axes: Axes, comparison: PeerComparison, terrain: ComparedRaster) -> None:
+    """Draw the tools' points on a raster, and the axes' grid and legend, without labels of points."""
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
     axes.grid(color=GRID_COLOR)
@@ -122,6 +125,6 @@ def _draw_labels(axes: Axes, canvas: FigureCanvasAgg, standings: list[ToolStandi
 
 
 def _overlap_area(box: Bbox, other: Bbox) -> float:
-    """Return the area that two boxes share."""
+    """Return the area that two boxes share, in square pixels."""
     shared = Bbox.intersection(box, other)
     return 0.0 if shared is None else shared.width * shared.height

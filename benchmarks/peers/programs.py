@@ -114,6 +114,7 @@ MASK_FUNCTION_FACTORIES: dict[str, Callable[[str, np.ndarray, float], MaskFuncti
     "whitebox": whitebox,
     "sweep": sweep,
 }
+"""Functions of a raster's path, heights (rows, cols) and cell side in metres, by name of the program."""
 
 
 def write_mask(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
@@ -155,6 +156,7 @@ def write_horizon_angles(path: str, azimuth_deg: float, out: str) -> float:
 
 
 def main(arguments: list[str]) -> Any:
+    """Run the program of the command line, and return what it prints: the package's version, or seconds of computing."""
     if arguments[0] == "--version":
         importlib.import_module(arguments[2])
         return version(arguments[1])

@@ -18,6 +18,7 @@ from affine import Affine
 PROGRAMS_FILE = Path(__file__).with_name("programs.py")
 
 CRS = "EPSG:32616"
+"""CRS of the rasters, a UTM zone in which north is up on the central meridian."""
 MIDDLE_XY_M = (500_000.0, 0.0)
 """Middle of the rasters, on the central meridian and the equator. There grid north is true north, which r.horizon uses."""
 
@@ -25,6 +26,7 @@ FLOOR_SIDE_CELLS, POLE_WIDTH_CELLS, POLE_HEIGHT_M, FLOOR_CELL_M, FLOOR_HEIGHT_M 
 """Geometry of the check of conventions: a square floor with a block (the pole) in its middle."""
 
 POLE_SUN_ANGLES_DEG = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
+"""Azimuths and altitudes of the suns over the pole."""
 POLE_TOLERANCE_CELLS = 2.0
 """The tolerance of a pole's shadow in length and position, in cells."""
 
@@ -40,6 +42,7 @@ class ToolJob:
 
     @property
     def sun_arguments(self) -> list[str]:
+        """Azimuth and altitude in degrees, as words of a command."""
         return [f"{self.azimuth_deg:g}", f"{self.altitude_deg:g}"]
 
 
@@ -248,6 +251,10 @@ def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
 
 
 def _check_shadow(lit: np.ndarray, azimuth_deg: float, altitude_deg: float) -> None:
+    """Check the mask of cells that see the sun, bool (rows, cols), of the pole's floor under a sun.
+
+    Raises ``RuntimeError`` if the pole's shadow has the wrong direction or length.
+    """
     dark = np.argwhere(~lit) - FLOOR_SIDE_CELLS // 2
     if not len(dark):
         raise RuntimeError(f"azimuth {azimuth_deg:g}: the pole casts no shadow")

@@ -39,7 +39,10 @@ def write_page() -> None:
 
 
 def make_report(name: str, data: Path, time_limit_s: float | None) -> None:
-    """Measure a scene, and write its report, its plot and its figures."""
+    """Measure the scene ``name``, and write its report, its plot and its figures.
+
+    If ``time_limit_s`` is ``None``, the scene's own limit applies.
+    """
     scene_record = measure_scene(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
     RECORDS_FILE.write_text(json.dumps(stored_records() | {name: scene_record}, indent=1) + "\n", encoding="utf-8")
     print(
@@ -49,7 +52,10 @@ def make_report(name: str, data: Path, time_limit_s: float | None) -> None:
 
 
 def make_reports(names: list[str], options: list[str]) -> list[str]:
-    """Measure each scene in a process of its own, and return the names of the scenes that failed."""
+    """Measure each scene in a process of its own, and return the names of the scenes that failed.
+
+    ``options`` are further words of the command line.
+    """
     failed = []
     for name in names:
         status = subprocess.run([sys.executable, "-m", "benchmarks.reports", *options, "--only", name], check=False).returncode
@@ -60,6 +66,7 @@ def make_reports(names: list[str], options: list[str]) -> list[str]:
 
 
 def main() -> None:
+    """Measure the scenes of the command line, and write their reports and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of sample rasters")
     parser.add_argument("--only", nargs="+", choices=SCENES, default=list(SCENES), metavar="NAME", help=", ".join(SCENES))

@@ -21,6 +21,7 @@ MAX_REPORT_BYTES = 1_000_000
 """Size limit of a published report."""
 
 Figures = dict[str, Any]
+"""Stored figures of a scene, or of a row (measured choice) of it, by key."""
 
 ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto", "pareto_soft")
 """Stored values of a row, in addition to its time and its name."""

@@ -11,13 +11,14 @@ from benchmarks.selection.page import markdown_table
 from skugga.selector.formatting import format_duration, format_list, format_percent
 
 Figures = dict[str, Any]
+"""Stored figures of a scene, or of a row (measured choice) of it, by key."""
 
 ERROR_GOALS = [goal for goal in GOALS if goal.time_share is None]
 """Goals without a time limit."""
 
 
 def format_comparisons(records: Mapping[str, Figures]) -> str:
-    """Format all tables, and the findings in each scene, as Markdown."""
+    """Format all tables, and the findings in each scene, as Markdown. ``records`` has the stored figures by name of the scene."""
     first = next(iter(records.values()))
     devices = list(dict.fromkeys(f"{record['device']}, {record['processors']} processors" for record in records.values()))
     parts = [
@@ -51,16 +52,19 @@ def omitted_row_commands(record: Figures) -> list[str]:
 
 
 def _report_link(name: str, record: Figures) -> str:
+    """Format a scene's title, with a link to its report."""
     return f"[{name}](compare/{name}.html): {record['title'][:1].lower()}{record['title'][1:]}"
 
 
 def _scene_cells(record: Figures) -> list[str]:
+    """Return a scene's cells in the table of scenes, after the link."""
     view = f"`{record['level'].partition(':')[0]}`, {record['view']}"
     shares = [format_percent(record["cast"]), format_percent(record["noise_floor"])]
     return [view, record["light"], record["size"].removesuffix(" pixels"), *shares, _row_count(record)]
 
 
 def _row_count(record: Figures) -> str:
+    """Format the number of measured rows, and of all rows if some were left out."""
     return (
         f"{len(record['rows'])} of {len(record['rows']) + len(record['left_out'])}"
         if record["left_out"]
@@ -69,11 +73,13 @@ def _row_count(record: Figures) -> str:
 
 
 def _cheapest_row_text(record: Figures, goal: Goal) -> str:
+    """Format the name and time of the quickest row that meets a goal, or "none"."""
     row = GoalInstance(record, goal, None).cheapest
     return "none" if row is None else f"`{row}`, {_format_time(record['rows'][row])}"
 
 
 def _default_row_cells(record: Figures) -> list[str]:
+    """Return the cells of a scene's default choice: name, two errors, time, and place on the Pareto fronts."""
     row = record["rows"].get(record["default"])
     if row is None:
         return ["none casts", "", "", "", ""]
@@ -99,10 +105,12 @@ def _pareto_text(record: Figures, row: Figures) -> str:
 
 
 def _format_time(row: Figures) -> str:
+    """Format the time of a row. "?" marks the time of a single run, which includes compilation."""
     return f"{format_duration(row['ms'])}{'?' if row['cold'] else ''}"
 
 
 def _section(name: str, record: Figures) -> str:
+    """Format the section of a scene: plot, origin, findings, and commands for rows that were left out."""
     lines = [
         f"\n## {record['title']}",
         "",

@@ -57,6 +57,7 @@ class ReportScene:
 
     @property
     def command(self) -> str:
+        """The command line of the comparison."""
         return shlex.join(self.command_words)
 
     def level_path(self, data: Path) -> str:

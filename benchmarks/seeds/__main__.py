@@ -72,6 +72,7 @@ rules of shared points, cuts and smooth ground of [accuracy.md](accuracy.md) hel
 
 
 def main() -> None:
+    """Run the experiments of the command line, and write the figures and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=", ".join(EXPERIMENTS))
     parser.add_argument("--json", type=Path, default=FOLDER / "seeds.json", metavar="FILE")

@@ -41,6 +41,7 @@ MAX_CACHED_TIME_RATIO = 0.8
 
 
 def measure() -> Figures:
+    """Measure the figures that decide on the thesis's advice: times in main and close views, and errors of maps and volumes."""
     near_times = {
         f"boxgrid{sun}, {view}": measure_times(f"thesis_boxgrid{sun}", view, (SV, HYBRID))
         for sun in LIGHT_BY_SUFFIX
@@ -64,12 +65,13 @@ def measure() -> Figures:
 
 
 def _view_errors(level: str, view: str, size: tuple[int, int], algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
-    """Return the errors of algorithms in a view of a bundled level."""
+    """Return the errors of algorithms in a view of a bundled level, by algorithm. ``size`` is (width, height) in pixels."""
     scene = bundled_scene(level)
     return measure_algorithm_errors(trace_view_truth(scene, named_view(scene, view, size), "main"), algorithms)
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims of the thesis's advice with our figures."""
     views, near_times, paths = figures["views"], figures["near"], figures["paths"]
     times_under_spot = {scene: views[scene] for scene in SCENE_TITLES}
     volume_time_ratios = {name: time_ratio(times, SV, SM) for name, times in views.items()}

@@ -45,7 +45,9 @@ COARSE_MAP_SIZE = 256
 """Size of a coarser map, on which the formulas of the bias are compared too."""
 
 TAPS_PER_SIDE = (1, 2, 3)
+"""Taps a side of the compared filters."""
 BIAS_SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
+"""Multiples of the engine's amount of bias that are compared."""
 MAX_SLOPE_BIAS = 0.005
 """The report's upper bound of the bias, in depths from 0 to 1."""
 
@@ -53,6 +55,7 @@ BIAS_CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
 """Constants b of the report's formula that are compared."""
 
 BIAS_FORMULAS = ("constant", "slope", "clamped")
+"""Names of the compared formulas of the bias (``_wrong_cast_by_formula``)."""
 MIN_ACNE_RATIO, MIN_PETER_PANNING_RATIO, MAX_EQUAL_RATIO = 10.0, 2.0, 1.5
 """Ratios of two errors. From the first on, false shadow counts as acne. From the second on, missed shadow counts as peter-panning.
 Up to the last, two errors count as equal."""
@@ -62,6 +65,7 @@ MESHES_BIASED_ROW, MESHES_UNBIASED_ROW, FRONT_CULLED_ROW = "bodies x 1", "bodies
 
 
 def measure() -> Figures:
+    """Measure the errors of a shadow map with several kinds and amounts of bias, numbers of taps, and sides of culled faces."""
     figures: Figures = {}
     for scene, (level, view_name) in VIEWS.items():
         truth_view = view_with_truth(bundled_scene(level), view_name, SIZE_PX)
@@ -89,10 +93,11 @@ def measure() -> Figures:
 
 
 def _errors_with_bias(truth_view: ViewWithTruth, overrides: ShadowOverrides) -> dict[str, float]:
-    """Return the errors of a shadow map with some overrides, such as its bias.
+    """Return the errors of a shadow map with some overrides, such as its bias, as shares in [0, 1].
 
     Two further figures describe the visibility of points that face the sun. ``partial`` is the share of points with a visibility
-    strictly between 0 and 1. ``off`` is the mean absolute error of the visibility.
+    strictly between 0 and 1. ``off`` is the mean absolute error of the visibility. ``missed_cast``, ``missed_ground`` and
+    ``missed_bodies`` are the lit shares of all points in cast shadow, of those on the ground and of those on meshes.
     """
     visibility, decided = truth_view.visibility(truth_view.plan(overrides)), truth_view.truth.decidable & truth_view.receivers
     partial = (visibility > 0.0) & (visibility < 1.0) & truth_view.receivers
@@ -141,13 +146,18 @@ def _wrong_cast_by_formula(truth_view: ViewWithTruth, size: int) -> dict[str, An
 
 
 def _wrong_cast(truth_view: ViewWithTruth, dark: np.ndarray) -> float:
-    """Return ``wrong_cast`` of ``skugga.shadows.truth.metrics.ErrorMetrics`` without computing the slower edge distances."""
+    """Return ``wrong_cast`` of ``skugga.shadows.truth.metrics.ErrorMetrics`` without computing the slower edge distances.
+
+    ``dark`` is the mask of pixels in shadow (rows, cols).
+    """
     truth = truth_view.truth
     cast = truth.decidable & ~truth.attached_shadow_mask & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on bias, culling and filter taps, and the tables of errors."""
+
     def format_shares(values: dict[str, float]) -> str:
         return format_by_scene(values, format_percent)
 

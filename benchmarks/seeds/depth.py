@@ -29,10 +29,14 @@ from skugga.terrain.scene import Scene
 
 DEPTH_BITS = (16, 24, 32)
 SUN_BY_ALTITUDE = {3: SunSpec(azimuth=205, altitude=3), 30: SunSpec(azimuth=205, altitude=30)}
+"""Suns by their altitude in degrees."""
 MAP_SIZE = 4096
+"""Texels a side of the shadow map."""
 SIZE_PX = (320, 320)
 RELIEF_M, SIDE_M, MAP_SIDE_M = 2000, 12_000, 6000
+"""Height of the mountains, side of the ground, and side of the map view."""
 EYE_XY_M, FORWARD_XY = (0.0, 0.0), (0.6, 0.8)
+"""Position of the eye, metres east and north of the ground's middle, and the unit vector of its view."""
 RECEIVER_PLANE, POLYGON_OFFSET = "receiver_plane", "polygon_offset"
 MAX_ERROR_STEPS = {RECEIVER_PLANE: 1.0, POLYGON_OFFSET: 4.5}
 """Maximum error of a depth, in quantisation steps of the map, by kind of bias. Half a step comes from rounding. The rest comes from
@@ -61,6 +65,7 @@ def mountain_scene(folder: Path) -> Scene:
 
 
 def measure() -> Figures:
+    """Measure the errors by number of depth bits, in a map and in perspective, under a low and a high sun."""
     figures: Figures = {}
     with tempfile.TemporaryDirectory() as folder:
         base_scene = mountain_scene(Path(folder))
@@ -115,6 +120,7 @@ MAX_CHANGED_SHARE = 1e-4
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on depth bits, and the tables of errors."""
     cases = {(name, bias): case for name, by_bias in figures.items() if isinstance(by_bias, dict) for bias, case in by_bias.items()}
     rows_with_fewer_bits = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, DEPTH_BITS[:-1])]
     rows_over_bound = [(key, bits, row) for key, bits, row in rows_with_fewer_bits if row["changed"] > row["bound"]]

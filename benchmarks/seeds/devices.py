@@ -35,7 +35,7 @@ def read_figures(path: Path) -> FiguresByDevice:
 
 
 def add_figures(measured: FiguresByDevice, device: Device, name: str, figures: Figures) -> None:
-    """Replace an experiment's figures of a device. The figures of other devices are kept."""
+    """Replace the figures of the experiment ``name`` of a device. The figures of other devices are kept."""
     device_figures = measured.setdefault(device.renderer, {"software": device.egl_device.is_software, "experiments": {}})
     device_figures["experiments"][name] = figures
 
@@ -71,7 +71,8 @@ def format_experiment(name: str, experiment: Experiment, measured: FiguresByDevi
 def _merge_tables(tables: Tables, other_tables: Mapping[str, Tables]) -> Tables:
     """Merge the tables of all devices, so that a cell shows the values of each device.
 
-    A table with other rows or columns than that of the first device stays separate, below the merged table.
+    ``tables`` are those of the first device, ``other_tables`` those of other devices by name. A table with other rows or columns
+    than that of the first device stays separate, below the merged table.
     """
     result: Tables = []
     for number, (title, rows) in enumerate(tables):
@@ -97,4 +98,5 @@ def _table_layout(rows: list[dict[str, str]]) -> list[tuple[tuple[str, ...], str
 
 
 def _format_device_claims(device: str, claims: list[Claim]) -> str:
+    """Format the table of claims with the verdicts of a further device."""
     return "\n".join([f"**The same claims on {device}**", "", *format_claims(claims), ""])

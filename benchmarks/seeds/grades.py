@@ -59,7 +59,7 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 
 
 def measure_algorithm_errors(truth_view: ViewWithTruth, algorithms: tuple[str, ...] = THESIS_ALGORITHMS) -> Figures:
-    """Return errors by algorithm, with two figures on the wrong pixels.
+    """Return errors by algorithm (a key of ``COMPARED_VARIANTS``), with two figures on the wrong pixels.
 
     ``on_foliage`` is the share of wrong pixels on foliage. ``texel_px`` is the median size of a shadow map texel at wrong pixels.
     """
@@ -94,6 +94,7 @@ def measure_errors_by_camera_move(level: str) -> list[Figures]:
 
 
 def measure() -> Figures:
+    """Measure times and errors of the four algorithms in all scenes, for comparison with the thesis's grades."""
     return {
         "paths": {scene: measure_errors_by_camera_move(f"thesis_{scene}") for scene in SCENE_TITLES},
         "times": {
@@ -161,13 +162,19 @@ REASONS_BY_COLUMN: dict[str, dict[str, str]] = {
 
 
 def rank_correlation(column: str, measured: dict[tuple[str, str], float]) -> float:
-    """Return Spearman's rank correlation of grades and figures: 1 if better grades always have smaller figures."""
+    """Return Spearman's rank correlation of grades and figures: 1 if better grades always have smaller figures.
+
+    ``column`` is a key of ``GRADE_INDEX_BY_COLUMN``. Keys of ``measured`` are scene and algorithm.
+    """
     grades = [GRADES[key][scene][GRADE_INDEX_BY_COLUMN[column]] for scene, key in measured]
     return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
 
 
 def contradicted_pairs(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
-    """Return by scene the pairs of algorithms that grades and figures rank differently."""
+    """Return by scene the pairs of algorithms that grades and figures rank differently.
+
+    ``column`` is a key of ``GRADE_INDEX_BY_COLUMN``. Keys of ``measured`` are scene and algorithm.
+    """
     result: dict[str, list[str]] = {}
     for scene in SCENE_TITLES:
         for algorithm, other in permutations(THESIS_ALGORITHMS, 2):
@@ -180,6 +187,7 @@ def contradicted_pairs(column: str, measured: dict[tuple[str, str], float]) -> d
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on the order of grades, and the tables of figures."""
     measured = _figures_by_column(figures)
     rows = []
     for scene in SCENE_TITLES:

@@ -31,6 +31,7 @@ FRAME_SIZE_PX = (1280, 1024)
 """The thesis's frame size."""
 
 MAP_SIZES = (256, 512, 1024, 2048, 4096)
+"""Texels a side of the measured shadow maps."""
 THESIS_MAP_SIZE = 2048
 """The map size in the thesis's text."""
 
@@ -63,7 +64,7 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
 
 
 def texel_sizes_at_edges_px(truth_view: ViewWithTruth, map_size: int) -> np.ndarray:
-    """Return the pixels per texel of a spot light's map at the pixels (n,) on true shadow edges.
+    """Return the pixels per texel of a spot light's map at the n pixels on true shadow edges. ``map_size`` is in texels a side.
 
     The formula is d = d_s (r_s / r_i) (cos b / cos a). d_s is a texel's side at distance 1 from the light. r_s and r_i are the
     distances to the light and to the eye. a and b are the angles between the surface's normal and the directions to the light and
@@ -110,6 +111,7 @@ def measure() -> Figures:
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on map size and cut-off angle, and the table of errors."""
     rows = figures["rows"]
     least_deg, wide_deg = (min(row["cutoff_deg"] for row in rows), max(row["cutoff_deg"] for row in rows))
     narrow_rows, wide_rows = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))

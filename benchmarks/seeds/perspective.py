@@ -34,7 +34,7 @@ from skugga.terrain.scene import Scene
 
 SIZE_PX = (960, 768)
 MAP_SIZE = 512
-"""Map size."""
+"""Texels a side of the shadow maps."""
 
 SPOT_DISTANCE_AND_HEIGHT_M = (113.0, 54.0)
 """Horizontal distance and height of the spot light of figure 54 from the middle circle, as in the bundled level."""
@@ -47,6 +47,7 @@ MAX_EQUAL_FACTOR = 1.25
 """Errors that differ by at most this factor count as about equal."""
 
 MIN_WORSE_FACTOR = 1.5
+"""Ratio of errors from which a map counts as far worse."""
 
 NEAR_SPOT_DISTANCE_SHARES = (1.5, 0.5, 0.25)
 """Distances of the spot light from the objects in figure 55, as shares of the camera's distance."""
@@ -55,6 +56,7 @@ NEAR_SPOT_DIRECTIONS_DEG = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
 """Directions from the objects to the spot light in figure 55: degrees clockwise from the view direction, and altitude."""
 
 NEAR_SPOT_CUTOFF_DEG = 75.0
+"""Cut-off angle of the spot light in figure 55."""
 SHOWN_CASE = NEAR_SPOT_DIRECTIONS_DEG[0][0], NEAR_SPOT_DISTANCE_SHARES[-1]
 """Direction and distance of the spot light in the pictures of figure 55."""
 
@@ -68,6 +70,7 @@ FITTED_UNIFORM_MAP, SHORTEST_SLIDE_BACK, BEST_SLIDE_BACK = (
     "perspective, best slide-back",
 )
 MAP_VARIANTS = (UNIFORM_MAP, FITTED_UNIFORM_MAP, SHORTEST_SLIDE_BACK, BEST_SLIDE_BACK, PERSPECTIVE_MAP)
+"""Names of the compared maps (``map_variants``), in the order of the tables."""
 
 SPOT_RIGHT, WIDE_SPOT_RIGHT, SPOT_FRONT, NEAR_SPOT_FRONT = (
     "spot at the right",
@@ -148,7 +151,8 @@ def map_variants() -> dict[str, Variant]:
 def wrong_shares_of_thirds(truth_view: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     """Return the wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third.
 
-    ``dark`` is the shadow mask to compare with truth (rows, cols). Each third has the same number of pixels in cast shadow.
+    The keys are ``near`` and ``far``. ``dark`` is the shadow mask to compare with truth (rows, cols). Each third has the same
+    number of pixels in cast shadow.
     """
     truth, ahead_m = truth_view.truth, truth_view.view_depth_m
     cast = truth.decidable & ~truth.lit & truth_view.receivers
@@ -163,8 +167,9 @@ def stone_circle_scene(
 ) -> Scene:
     """Return the scene of the stone circles under a light whose direction is ``clockwise_deg`` degrees clockwise from a view's.
 
-    The light is a spot light at a distance and a height, metres, from the view's target. Without a distance it is the sun at an
-    altitude in degrees.
+    The light is a spot light at a distance and a height, metres, from the target of the bundled level's view ``view``. Without a
+    distance it is the sun at an altitude in degrees. ``lamp`` are keys of the spot light. The level file is written into
+    ``folder``.
     """
     level = read_bundled_level("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
     level["terrain"]["flat"]["size"] = [FLOOR_SIDE_M, FLOOR_SIDE_M]
@@ -179,6 +184,7 @@ def stone_circle_scene(
 
 
 def _draw_row(truth_view: ViewWithTruth, name: str, variant: Variant, case: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
+    """Draw a variant of shadow maps. Return its result, and its row of figures with the keys of ``case`` and the map's name."""
     drawn_variant = draw_variant(truth_view, variant)
     return drawn_variant, {**case, "map": name, **drawn_variant.figures, "note": drawn_variant.note}
 
@@ -237,6 +243,7 @@ def measure_bad_case() -> Figures:
 
 
 def make_light_direction_section(figures: Figures) -> Section:
+    """Format the claims on the light's direction, and the table of errors."""
     row_by_key = {(row["light"], row["map"]): row for row in figures["rows"]}
 
     def ratio(light: str, map_name: str, other: str, key: str = "wrong_cast") -> float:
@@ -375,6 +382,7 @@ def make_light_direction_section(figures: Figures) -> Section:
 
 
 def make_bad_case_section(figures: Figures) -> Section:
+    """Format the claims on spot lights nearer than the camera, and the table of errors."""
     row_by_key = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
     places = list(dict.fromkeys(key[:3] for key in row_by_key))
     near_places = [place for place in places if place[2] < 1.0]

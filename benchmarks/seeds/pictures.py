@@ -18,6 +18,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 MAX_SHEET_KB = 200
+"""Maximum size of a sheet's file, kilobytes."""
 
 SHADOW_BRIGHTNESS = 0.45
 """Brightness of a pixel in shadow in pictures of errors, relative to the lit pixel."""
@@ -35,7 +36,7 @@ class CaptionedPicture:
 
 
 def draw_crop(truth_view: ViewWithTruth, variant: Variant, box: CropBox, downscale_factor: int = 1) -> Image.Image:
-    """Draw a crop of a view, downscaled by a factor. The settings must not depend on the view's extent."""
+    """Draw a crop of a view, with both sides divided by ``downscale_factor``. The settings must not depend on the view's extent."""
     with variant.disable_part():
         color = render_frame(truth_view.scene, _crop_view(truth_view.perspective, box), truth_view.plan(variant.overrides)).color
     clear_caches("light")
@@ -59,6 +60,7 @@ def draw_errors(truth_view: ViewWithTruth, drawn_variant: DrawnVariant, box: Cro
 
 
 def _crop_view(view: PerspectiveView, box: CropBox) -> PerspectiveView:
+    """Return the view of a crop of the picture."""
     left, top, width, height = box
     return view.part(top, left, height, width)
 
@@ -73,7 +75,7 @@ def enable_pictures(enabled: bool) -> None:
 
 
 def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
-    """Write pictures of one size in rows, each above its caption, as a file in ``IMAGES``."""
+    """Write pictures of one size, ``columns`` in a row, each above its caption, as the file ``name`` in ``IMAGES``."""
     if not _writes_pictures:
         return
     width, height = cells[0].picture.size

@@ -52,9 +52,11 @@ MAX_WRONG_SHARE = 0.001
 """Maximum wrong share of the cast shadow of a correct method."""
 
 CountingSetting = Literal["auto", "z_fail"]
+"""Ways of counting volumes: by z-fail, or by the engine's choice of z-pass and z-fail."""
 
 
 def measure() -> Figures:
+    """Measure the volumes of all levels, and the errors of ways of counting with the eye in shadow."""
     scenes = {level.removeprefix("thesis_").removesuffix("_sun"): _measure_volumes(level) for level in LEVELS}
     return {"scenes": scenes, "inside": _measure_shadowed_eye()}
 
@@ -111,14 +113,17 @@ def _measure_volumes(level: str) -> dict[str, float]:
 
 
 def _engine_volumes(truth_view: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
-    """Return the shadow volumes that the engine builds for a view's meshes."""
+    """Return the shadow volumes that the engine builds for a view's meshes. ``light`` is ``Scene.light_position``."""
     return volumes_of(truth_view.buffer, truth_view.scene, light, ("meshes",), truth_view.casters, PassRecord(""))
 
 
 def _count_volumes(
     truth_view: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting
 ) -> tuple[np.ndarray, int]:
-    """Return the number of volumes that contain each point facing the sun (rows, cols), and the number of drawn faces."""
+    """Return the number of volumes that contain each point facing the sun (rows, cols), and the number of drawn faces.
+
+    ``light`` is ``Scene.light_position``.
+    """
     record = PassRecord("")
     receivers = truth_view.receivers
     return count_volumes(
@@ -127,7 +132,7 @@ def _count_volumes(
 
 
 def edges_without_sharing(triangles: np.ndarray) -> Edges:
-    """Return the edges of triangles (m, 3) as if no two triangles shared an edge.
+    """Return the edges of triangles (m, 3), indices of vertices, as if no two triangles shared an edge.
 
     The silhouette of such a mesh includes all edges of each triangle.
     """
@@ -140,7 +145,8 @@ def edges_without_sharing(triangles: np.ndarray) -> Edges:
 def extruded_volumes(vertices: np.ndarray, outline: Silhouette, light: np.ndarray) -> Volumes:
     """Return the sun's shadow volume of a silhouette, as one caster.
 
-    The volume consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
+    ``vertices`` (n, 3) are in metres. ``light`` is ``Scene.light_position``, whose first three values point to the sun. The volume
+    consists of the caps, and of a triangle from each silhouette edge to the point at infinity.
     """
     count = len(vertices)
     a, b = np.repeat(outline.edges, outline.multiplicity, axis=0).T
@@ -196,6 +202,7 @@ def _measure_shadowed_eye() -> dict[str, float]:
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on silhouettes and on ways of counting, and the table of figures."""
     scenes, shadowed_eye_errors = figures["scenes"], figures["inside"]
     rows = scenes.values()
 

@@ -53,7 +53,9 @@ from skugga.terrain.describe import describe
 
 HALF_SIZE_PX = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4
+"""Number of timed turns of the ways of counting, and of whole frames."""
 MAP_SIZES = 256, 1024
+"""Texels a side of the smaller and the larger shadow map of whole frames."""
 THESIS_GROWTH = 260.0 / 200.0
 """Ratio of the thesis's frame times with the larger and the smaller map of ``MAP_SIZES``."""
 
@@ -70,6 +72,7 @@ MAX_INDEPENDENT_RATIO = 1.25
 """A time does not depend on the number of pixels if four times the pixels increase it by at most this ratio."""
 
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
+"""Bundled levels of the experiment ``stencil``, without their prefix ``thesis_``."""
 
 
 def measure_times_by_picture_size(level: str) -> Figures:
@@ -103,6 +106,7 @@ def measure_whole_frames(level: str) -> Figures:
 
 
 def measure_stages() -> Figures:
+    """Measure the times of the four algorithms by stage, by picture size, and as a share of whole frames."""
     return {
         "views": {
             f"{scene}{sun}": measure_times(f"thesis_{scene}{sun}", "main") for sun in LIGHT_BY_SUFFIX for scene in SCENE_TITLES
@@ -113,11 +117,13 @@ def measure_stages() -> Figures:
 
 
 def measure_stencil() -> Figures:
+    """Measure the times of shadow volumes with one and with two passes of the stencil buffer."""
     methods = SV, "two passes"
     return {"levels": {level: measure_times(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
 
 
 def make_stages_section(figures: Figures) -> Section:
+    """Format the claims on times, and the tables of stages under both lights."""
     tables, claims = [], []
     for sun, light in LIGHT_BY_SUFFIX.items():
         views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENE_TITLES}
@@ -141,6 +147,10 @@ def make_stages_section(figures: Figures) -> Section:
 
 
 def _stage_row(scene: str, key: str, times: Figures) -> dict[str, str]:
+    """Return a table row: an algorithm's time relative to ``shadow_map``, and the shares of its stages in its time.
+
+    ``key`` is the algorithm. ``times`` are those of ``measure_times`` in the scene.
+    """
     stages = times[key]["redrawn"]["stages"]
     total_ms = sum(stages.values())
     cells = {
@@ -150,6 +160,8 @@ def _stage_row(scene: str, key: str, times: Figures) -> dict[str, str]:
 
 
 def _timing_claims(views: Figures, light: str) -> list[Claim]:
+    """Return the claims on times under one light. ``views`` has the times by scene; ``light`` is a value of ``LIGHT_BY_SUFFIX``."""
+
     def time_ratios(algorithm: str, other: str) -> dict[str, float]:
         return {scene: time_ratio(scene_times, algorithm, other) for scene, scene_times in views.items()}
 
@@ -298,6 +310,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
 
 
 def _size_claims(sizes: Figures) -> list[Claim]:
+    """Return the claims on the number of pixels. ``sizes`` is the result of ``measure_times_by_picture_size``."""
     size_ratios = {
         key: sizes[f"{key} {SIZE_PX[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE_PX[0]}"]["redrawn"]["ms"]
         for key in THESIS_ALGORITHMS
@@ -336,6 +349,7 @@ def _size_claims(sizes: Figures) -> list[Claim]:
 
 
 def _frame_claims(frames: Figures) -> list[Claim]:
+    """Return the claims on whole frames. ``frames`` is the result of ``measure_whole_frames``."""
     small, large = (frames[str(size)] for size in MAP_SIZES)
     frame_ratio = large["ms"] / small["ms"]
     half_as_steep = 1.0 + (THESIS_GROWTH - 1.0) / 2.0
@@ -376,6 +390,7 @@ def _frame_claims(frames: Figures) -> list[Claim]:
 
 
 def make_stencil_section(figures: Figures) -> Section:
+    """Format the claim on one and two passes of the stencil buffer, and the table of time ratios."""
     rows = [
         {
             "scene": scene_title(level),
@@ -411,4 +426,5 @@ def make_stencil_section(figures: Figures) -> Section:
 
 
 def _counting_ms(times: Figures, key: str) -> float:
+    """Return the milliseconds of the stage ``counting`` of the algorithm ``key``, with everything redrawn."""
     return times[key]["redrawn"]["stages"]["counting"]

@@ -11,8 +11,11 @@ FRAME_SIZE_PX = (1280, 1024)
 """The thesis's frame size."""
 
 MAP_SIZES = (128, 256, 512, 1024)
+"""Texels a side of the hybrid's shadow maps; the pictures show only some of them."""
 SHOWN_MAP_SIZES = (128, 512)
 HYBRID_MASKS = ("original", "conservative")
+"""Values of the setting ``mask`` of ``hybrid``, which selects the pixels that its shadow map leaves to shadow volumes. ``original``
+is the rule of the paper (Chan and Durand 2004), which can miss casters thinner than a texel; ``conservative`` misses none."""
 
 MAX_WRONG_SHARE = 0.001
 """Maximum wrong share of the cast shadow of an exact algorithm. The rasteriser snaps edges to 1/256 of a pixel."""
@@ -36,6 +39,7 @@ def measure() -> Figures:
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on thin casters, and the table of errors by mask and map size."""
     original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in HYBRID_MASKS)
     coarse_row, fine_row = original[0], original[-1]
     worst = max(row["wrong_cast"] for row in conservative)

@@ -22,21 +22,28 @@ from skugga.shadows.plan import Plan
 T = TypeVar("T")
 
 LIGHT_BY_SUFFIX = {"": "the spot", "_sun": "the sun"}
+"""Names of the lights for readers, by the suffix of the thesis's levels."""
 
 SIZE_PX = 1280, 1024
+"""Width and height of the timed views."""
 REPEATS = 3
+"""Number of timed turns."""
 
 STAGE_BY_PASS = {
     "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
 }  # fmt: skip
 """Stage of the thesis by pass of the engine. The remaining time, between passes, is the stage ``BETWEEN_PASSES``."""
 BETWEEN_PASSES = "between"
+"""Name of the stage that is the time outside of all passes."""
 STAGE_NAMES = (*dict.fromkeys(STAGE_BY_PASS.values()), BETWEEN_PASSES)
 
 
 @cache
 def measure_times(level: str, view: str, algorithms: tuple[str, ...] = THESIS_ALGORITHMS, repeats: int = REPEATS) -> Figures:
-    """Return median times of algorithms in a view (``median_times``)."""
+    """Return median times of algorithms in the view ``view`` of a bundled level (``median_times``).
+
+    ``algorithms`` are keys of ``COMPARED_VARIANTS`` or ``COUNTING_VARIANTS``.
+    """
     timed_view = benchmark_view(level, view, SIZE_PX)
     all_variants = {**COMPARED_VARIANTS, **COUNTING_VARIANTS}
     return median_times(

@@ -23,6 +23,7 @@ from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE_PX = (960, 768)
 MAP_SIZE = 1024
+"""Texels a side of the shadow maps."""
 FULL_CROP: CropBox = (0, 0, *SIZE_PX)
 BARK_RGBA, LEAF_RGBA = (96, 74, 54, 255), (78, 118, 52, 255)
 
@@ -80,7 +81,10 @@ def open_tree_mesh(seed: int = 7) -> trimesh.Trimesh:
 
 
 def _open_tube(path_m: np.ndarray, radii_m: list[float], sides: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles of a tube along a path (k, 3), without ends."""
+    """Return vertices (n, 3) in metres and triangles (m, 3) of a tube along a path (k, 3), without ends.
+
+    ``radii_m`` are the k radii at the path's points. ``sides`` is the number of sides of the cross-section.
+    """
     tube_axis = _unit(path_m[-1] - path_m[0])
     normal = _unit(np.cross(tube_axis, np.eye(3)[np.argmin(np.abs(tube_axis))]))
     angle_rad = 2.0 * np.pi * np.arange(sides) / sides
@@ -94,6 +98,7 @@ def _open_tube(path_m: np.ndarray, radii_m: list[float], sides: int = 7) -> tupl
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
+    """Return a vector (3,) scaled to length 1."""
     return vector / np.linalg.norm(vector)
 
 
@@ -101,6 +106,7 @@ LIGHTS: dict[str, LevelDocument] = {
     "spot": {"sun": "none", "lights": {"lamp": {"kind": "spot", "position": [-14, -9, 19], "target": [0, 0, 4], "cutoff": 24}}},
     "sun": {"sun": {"azimuth": 237, "altitude": 42}},
 }
+"""Keys of the level for each light, by name."""
 ASSUMED_CLOSED = "volumes as of closed meshes"
 VARIANTS = {
     SM: Variant({"algorithm": "shadow_map", "map_size": MAP_SIZE, "cascades": 1, "filter": 1}),
@@ -109,6 +115,7 @@ VARIANTS = {
     SV: Variant({"algorithm": "shadow_volume"}),
     HYBRID: Variant({"algorithm": "hybrid"}),
 }
+"""Compared algorithms, by the name in the table."""
 
 
 def measure() -> Figures:
@@ -140,6 +147,7 @@ def measure() -> Figures:
 
 
 def make_section(figures: Figures) -> Section:
+    """Format the claims on meshes that are not closed, and the table of errors."""
     row_by_key = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
 
     def worst(algorithm: str, metric: str) -> float:

@@ -16,7 +16,9 @@ DRAW_TEXT = f"a draw: what decides lies within {100.0 * (DRAW_FACTOR - 1.0):.0f}
 SM, PSM, SV, HYBRID = "shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid"
 THESIS_ALGORITHMS = SM, PSM, SV, HYBRID
 ABBREVIATIONS = {SM: "SM", PSM: "PSM", SV: "SV", HYBRID: "hybrid"}
+"""Short names of the algorithms on the page."""
 SCENE_TITLES = {"boxgrid": "BoxGrid", "rocks": "Rocks", "street": "Street", "room": "Room", "water_tower": "Water Tower"}
+"""The thesis's names of its scenes, by the levels' names without ``thesis_``."""
 
 ClaimVerdict = bool | None
 """Whether a claim holds; ``None`` for a draw."""
@@ -48,6 +50,7 @@ def any_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
 
 
 def negate(verdict: ClaimVerdict) -> ClaimVerdict:
+    """Return the opposite verdict; a draw stays a draw."""
     return None if verdict is None else not verdict
 
 

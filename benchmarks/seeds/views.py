@@ -40,12 +40,30 @@ TRUTH_SAMPLES_PER_PIXEL = 4
 """Sub-pixel samples of truth. A pixel is decidable if all its samples agree."""
 
 ShadowOverrides = dict[str, Any]
+"""Overrides of a level's ``shadows``, by key."""
 LevelDocument = dict[str, Any]
+"""Content of a level file."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewWithTruth:
-    """A view of a scene with its first light: its visible points, its shadow casters, and the ray-traced truth."""
+    """A view of a scene with its first light: its visible points, its shadow casters, and the ray-traced truth.
+
+    Attributes
+    ----------
+    scene, view
+        The scene and the view.
+    light
+        Name of the light.
+    descriptor
+        Description of the view for plans.
+    buffer
+        The visible points, one for each pixel (rows, cols).
+    casters
+        Objects that can cast shadow on the visible points.
+    truth
+        Visibility of the light by rays, with ``TRUTH_SAMPLES_PER_PIXEL`` samples per pixel.
+    """
 
     scene: Scene
     view: MapView | PerspectiveView
@@ -67,6 +85,7 @@ class ViewWithTruth:
 
     @property
     def perspective(self) -> PerspectiveView:
+        """The view, which must be a perspective view."""
         assert isinstance(self.view, PerspectiveView)
         return self.view
 
@@ -111,7 +130,10 @@ class ViewWithTruth:
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """Return the errors of a visibility by name (``skugga.shadows.truth.metrics.ErrorMetrics``)."""
+        """Return the errors of a visibility (rows, cols) by name (``skugga.shadows.truth.metrics.ErrorMetrics``).
+
+        ``texels_px`` is the number of pixels per shadow map texel, for all pixels or for each (rows, cols).
+        """
         return asdict(error_metrics(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 

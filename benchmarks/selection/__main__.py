@@ -47,13 +47,14 @@ TYPICAL_DEVICE = MODEL.with_name("typical_device.json")
 
 
 def _rounded(value: Any) -> Any:
-    """Round every number in nested values to four significant digits. ``None`` stays."""
+    """Round every number in nested dictionaries to four significant digits. ``None`` stays."""
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     return None if value is None else float(f"{value:.4g}")
 
 
 def main() -> None:
+    """Run the subcommand of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="what", required=True)
     for name, _ in WORK_STEPS.items():
@@ -97,9 +98,10 @@ def main() -> None:
 
 
 def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done: bool) -> None:
-    """Run a step for views whose names contain a word of ``only``, or for all views.
+    """Run a step (a key of ``WORK_STEPS``) for views whose names contain a word of ``only``, or for all views if ``only`` is empty.
 
-    Views that have the step's results already are skipped unless ``repeats_done`` is true.
+    ``data`` is the folder of sample rasters, and ``folder`` that of the views' records. Views that have the step's results already
+    are skipped unless ``repeats_done`` is true.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
@@ -115,15 +117,18 @@ def _run_step(step: str, data: Path, folder: Path, only: list[str], repeats_done
 
 
 def _path(folder: Path, name: str) -> Path:
+    """Return the JSON file in ``folder`` with the record of the view called ``name``."""
     return folder / ("".join(c if c.isalnum() else "_" for c in name) + ".json")
 
 
 def _read(folder: Path, name: str) -> dict[str, Any] | None:
+    """Return the record of a view by its name; ``None`` if the view was not measured."""
     path = _path(folder, name)
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
 def _write(folder: Path, record: dict[str, Any]) -> None:
+    """Write a view's record into ``folder``, over an older record of the same view."""
     _path(folder, record["name"]).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 

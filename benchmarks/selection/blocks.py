@@ -37,15 +37,18 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
 
 LEVELS = ("jacksboro_wooded", "grenoble", "lisbon", "sanfrancisco", "quebec", "bilbao, trees")
+"""Levels to probe: keys of ``RASTERS``, or names of bundled levels."""
 PLACES = ((0.25, 0.3), (0.75, 0.72), (0.45, 0.85))
-"""Middles of other blocks, as shares of the level's sides."""
+"""Centres of the other blocks, as shares of the level's sides from the west and from the south."""
 SUNS = (SunSpec(azimuth=140.0, altitude=12.0), SunSpec(azimuth=220.0, altitude=40.0))
 TARGETS = (0.01, 0.03)
+"""Largest allowed errors (shares of the cast shadow) for which plans are made."""
 MAX_POINTS_S = 2.0
-"""Time limit of truth, whose points are refined as long as it is not reached."""
+"""Seconds that truth at the next set of sample points may take. Points are added while it would take less."""
 
 
 def main() -> None:
+    """Compare the blocks of all levels, suns and pixel sizes, and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
@@ -83,6 +86,14 @@ def _compare_block(
     differences: dict[str, list[tuple[float, float]]],
     outcomes: dict[tuple[str, float], list[tuple[bool, float]]],
 ) -> None:
+    """Compare the level's blocks at ``PLACES`` with probes, and add the results to ``differences`` and ``outcomes``.
+
+    ``name`` is printed. ``pixel_m`` is the side of a pixel in metres. ``differences`` has the keys ``errors`` and ``times``. Its
+    entries are pairs: the difference between the logarithms of a choice's figure in a block and in the probe, and the standard
+    deviation of that difference that sampling alone explains. Keys of ``outcomes`` are a way of planning (predict, a probe of the
+    middle, probes) and the largest allowed error. Its entries are pairs: whether the block's plan stays within that error, and its
+    milliseconds.
+    """
     probed = probe_blocks(scene, pixel_m, profile, budget_s=PROBE_BUDGET_S)
     observed_options = probed.observations.get(SUN, ())
     origin_class = MapClass(0, 0)
@@ -113,9 +124,9 @@ def _compare_block(
 
 
 class _Block:
-    """A block of tiles. Each option (choice of algorithms for the sun) is drawn at most once.
+    """A block of map tiles. Each option (choice of algorithms for the sun) is drawn at most once.
 
-    ``options`` is ``None`` if nothing in the block casts shadows.
+    ``options`` is ``None`` if no object in the block casts shadows.
     """
 
     def __init__(self, scene: Scene, view: MapView, profile: DeviceProfile) -> None:
@@ -128,7 +139,7 @@ class _Block:
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
     def measured_option(self, which: int) -> tuple[float, float, float]:
-        """Return error, milliseconds and error noise of an option, given by its number.
+        """Return error, milliseconds and error noise of the option with the index ``which`` in ``options.options``.
 
         The noise is the standard deviation of the error's logarithm that sampling of points causes. A refused option has the error
         1 and infinite time.

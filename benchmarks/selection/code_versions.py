@@ -26,6 +26,7 @@ from skugga.shadows.registry import ALGORITHM_MODULES, ALGORITHMS
 
 ROOT = Path(__file__).resolve().parents[2]
 ACCEPTED = Path(__file__).with_name("code_digests.json")
+"""File with the accepted version and code digest of each algorithm."""
 
 DECLARATIONS = {
     "skugga.shadows.algorithm",
@@ -34,22 +35,24 @@ DECLARATIONS = {
     "skugga.shadows.plan",
     "skugga.shadows.registry",
 }
+"""Modules that declare algorithms and plans. Their text does not count in digests."""
 
 METHODS = frozenset(name for kind in (np.ndarray, dict, list, set, str) for name in dir(kind))
 """Methods that keep their text in digests, whatever value they belong to."""
 
 MAX_WORD = 24
-"""Length up to which a text without spaces counts as a part of the code: a key or a name. Other texts are messages."""
+"""Number of characters up to which a text without spaces counts as code: a key or a name. Other texts are messages."""
 
 
 STEPS = ("compared", "timed", "probed")
 """Keys of a view's record with the origin of its errors, of its times, and of its probes."""
 
 Figures = dict[str, Any]
+"""A JSON object of a view's record (or a part of it) by key."""
 
 
 def algorithms_of(rows: Mapping[str, Figures]) -> list[str]:
-    """Return the names of the algorithms of measured rows."""
+    """Return the sorted names of all algorithms in measured rows (plans of a view by name)."""
     return sorted({algorithm for row in rows.values() for algorithm in row["algorithms"]})
 
 
@@ -68,13 +71,16 @@ def origin_now(algorithms: Iterable[str]) -> Figures:
 
 
 def stale_algorithms(record: Figures, step: str) -> list[str]:
-    """Return the algorithms of a view's rows whose code has another version than it had at a step of the measurement."""
+    """Return the algorithms of a view's rows whose present version differs from the version at ``step``, one of ``STEPS``."""
     versions = record.get(step, {}).get("versions", {})
     return [name for name in algorithms_of(record["rows"]) if versions.get(name) != ALGORITHMS[name].version]
 
 
 def code_digests() -> dict[str, str]:
-    """Return a digest of each algorithm's code. Comments, docstrings, messages, imports and the names of variables do not count."""
+    """Return a digest of each algorithm's code, 16 hexadecimal digits, by the algorithm's name.
+
+    Comments, docstrings, messages, imports and the names of variables do not count.
+    """
     return {module.ALGORITHM.name: _digest(_files_of(module)) for module in ALGORITHM_MODULES if module.ALGORITHM.passes}
 
 
@@ -118,6 +124,7 @@ def _imported_modules(path: Path) -> list[str]:
 
 
 def _digest(files: list[Path]) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 hash of normalized Python and GLSL files."""
     digest = hashlib.sha256()
     for file in files:
         text = file.read_text(encoding="utf-8")
@@ -126,6 +133,7 @@ def _digest(files: list[Path]) -> str:
 
 
 def _normalized_shader(text: str) -> str:
+    """Return GLSL source without comments and with single spaces."""
     without_comments = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text, flags=re.DOTALL)
     return " ".join(without_comments.split())
 
@@ -173,15 +181,17 @@ def _normalized_python(text: str) -> str:
 
 
 def _root(node: ast.AST) -> str | None:
-    """Return the name that a chain of attributes begins with."""
+    """Return the first name of a chain of attributes (``np`` of ``np.linalg.norm``); ``None`` if it does not begin with a name."""
     while isinstance(node, ast.Attribute):
         node = node.value
     return node.id if isinstance(node, ast.Name) else None
 
 
 def _is_text(node: ast.AST) -> bool:
+    """Return whether a node of the syntax tree is a constant string."""
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
 def _is_message(value: object) -> bool:
+    """Return whether a constant is a text for people: longer than ``MAX_WORD`` or with spaces."""
     return isinstance(value, str) and (len(value) > MAX_WORD or " " in value)

@@ -33,6 +33,7 @@ ROOT = Path(__file__).parents[2]
 README, PAGE, FIGURE = ROOT / "README.md", ROOT / "docs" / "accuracy.md", ROOT / "docs" / "images" / "cost-of-accuracy.svg"
 
 MARK_NAME = "cost of accuracy"
+"""Name in the HTML comments that mark the replaced text of README and page."""
 
 TEXT_COLOR, GRID_COLOR, GOAL_COLORS = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
 """Colours of the figure: lighter is looser."""
@@ -41,6 +42,7 @@ MIN_VIEWS_OF_MEDIAN = 2
 """The least number of views for a median."""
 
 Figures = dict[str, Any]
+"""A measured view's record by key."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +70,12 @@ class PriceRatios:
 
     @property
     def median(self) -> float:
+        """The median of ``ratios``; NaN without any."""
         return float(np.median(self.ratios)) if self.ratios.size else np.nan
 
     @property
     def p90(self) -> float:
+        """The 90th percentile of ``ratios``; NaN without any."""
         return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
 
 
@@ -192,7 +196,10 @@ def format_table(views: Sequence[Figures]) -> str:
 
 
 def replace_between_marks(text: str, part: str) -> str:
-    """Replace the text between a page's marks."""
+    """Replace the text between the comments of ``MARK_NAME`` in the page ``text`` by ``part``.
+
+    Raises ``ValueError`` if the page lacks the comments.
+    """
     start, end = f"<!-- {MARK_NAME} -->\n", f"<!-- end of {MARK_NAME} -->\n"
     if not (start in text and end in text):
         raise ValueError(f"the page has no {start.strip()} and {end.strip()}")
@@ -200,7 +207,7 @@ def replace_between_marks(text: str, part: str) -> str:
 
 
 def wrap_paragraph(text: str, width: int = 132) -> str:
-    """Wrap a paragraph."""
+    """Wrap a paragraph to lines of at most ``width`` characters. Words are never cut."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
@@ -250,7 +257,10 @@ def write_cost_of_accuracy(views: Sequence[Figures], device: str) -> None:
 
 
 def _draw_prices(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
-    """Draw the points of one kind of scene in the figure, a line of points for each goal."""
+    """Draw one kind of scene in the figure, a line of points for each goal.
+
+    ``row`` is the kind's index from the top. ``family_prices`` has a price for each of ``FINER_GOALS``.
+    """
     for number, (price, colour) in enumerate(zip(family_prices, GOAL_COLORS, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)
@@ -260,6 +270,7 @@ def _draw_prices(axes: Axes, row: int, family_prices: Sequence[Price]) -> None:
 
 
 def _style_axes(axes: Axes, names: Sequence[str]) -> None:
+    """Set scales, ticks, labels and legend of the figure. ``names`` are the kinds of scene from the top."""
     axes.set(xscale="log", ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names)
     ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100) if tick <= 1.4 * axes.get_xlim()[1]]
     axes.xaxis.set_major_locator(FixedLocator(ticks))

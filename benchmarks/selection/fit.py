@@ -43,29 +43,32 @@ from skugga.terrain.facts.probes import MIN_CAST_SHADOW_SHARE
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
+"""A measured view's record, or a row (measured plan) of it, by key."""
 
 MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
 EXACT_ALGORITHMS = ("shadow_volume", "hybrid", "sweep", DECIMATED_GROUP)
 
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
+"""Kinds of casters in the order of the constants of the fit."""
 
 INITIAL_CONSTANTS = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
 """Start values of the fit. They are maximum, half and steepness for each kind of casters; pixels of a perspective map's texels at
 the picture's own size; and the error floors of both kinds of maps."""
 
 NARROWEST_PERSPECTIVE = 1e-9
-"""A constant of perspective maps that surely gives them narrower texels than a uniform map."""
+"""A value of ``ErrorModel.perspective`` so small that perspective maps get narrower texels than a uniform map."""
 
 PRIOR_WEIGHT = 0.1
-"""The weight of the prior, which pulls constants to their start, in residuals."""
+"""Weight of the prior's residuals, which pull the logarithms of constants to those of ``INITIAL_CONSTANTS``."""
 
 MIN_WRONG_SHARE = 5e-4
 """Least share of wrong pixels in rows to which the share of interior ones is fitted."""
 
 USUAL_TIME_SPREAD = 0.2
-"""The spread of times where no calibration is available."""
+"""Scale of the logistic distribution of log(measured / expected time) where no calibration is available."""
 
 NO_SHARED_VARIANCE = SharedVariance(view=0.0, family=0.0)
+"""Shares of a variance that no two plans have in common."""
 INDEPENDENT_ERRORS = SharedErrors(error=NO_SHARED_VARIANCE, interior=NO_SHARED_VARIANCE, time=NO_SHARED_VARIANCE)
 
 INITIAL_COVERAGE = 0.5, 0.01
@@ -75,11 +78,24 @@ MAX_EXPONENT = 700.0
 """The largest argument of the exponential function in float64."""
 
 LOG2_TEXEL_SIZES = np.log2(TEXEL_SIZES_PX)
+"""Binary logarithms of the sides of texels in pixels, ``TEXEL_SIZES_PX``."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitCase:
-    """A measured plan (row): its view, the steps of the plan, and its errors."""
+    """A measured plan of a view.
+
+    Attributes
+    ----------
+    view
+        Record of the view.
+    descriptor
+        Descriptor of the view.
+    steps
+        The plan's steps for the light.
+    row
+        The plan's entry in ``view["rows"]``: milliseconds (``ms``) and errors in [0, 1].
+    """
 
     view: Figures
     descriptor: Descriptor
@@ -88,21 +104,26 @@ class FitCase:
 
     @property
     def light(self) -> str:
+        """Name of the measured light."""
         return self.view["light"]
 
     @property
     def error(self) -> float:
+        """The measured error that targets limit, a share in [0, 1]."""
         return self.row[self.view["error"]]
 
     @property
     def algorithms(self) -> frozenset[str]:
+        """Names of the algorithms of the steps."""
         return frozenset(step.algorithm for step in self.steps)
 
     @property
     def error_groups(self) -> frozenset[str]:
+        """Names of the steps' error groups: algorithms that share constants of the error model."""
         return frozenset(error_group_of(self.descriptor, step) for step in self.steps)
 
     def expected(self, model: ErrorModel) -> ExpectedErrors:
+        """Return the errors that a model expects of the plan."""
         return expected_errors(self.descriptor, self.light, self.steps, model)
 
     def expected_ms(self, device: DeviceProfile) -> float:
@@ -113,14 +134,17 @@ class FitCase:
 
 
 def request_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
-    """Return a planning request for a descriptor alone, without a level file."""
+    """Return a planning request for a descriptor alone, without a level file.
+
+    ``shadows`` holds the target; ``None`` is the default target.
+    """
     return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 
 def cases_of(view: Figures) -> list[FitCase]:
-    """Return the measured plans of a view's choices, each once.
+    """Return the measured plans of a view's choices, each plan once.
 
-    A view without cast shadow gives none, because errors are shares of cast shadow.
+    A view without cast shadow gives an empty list, because errors are shares of cast shadow.
     """
     if view["error"] == "wrong":
         return []
@@ -135,10 +159,10 @@ def cases_of(view: Figures) -> list[FitCase]:
 
 
 def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
-    """Return the constants of the error model that fit measured plans.
+    """Return the error model whose constants fit measured plans.
 
-    With the calibration of the device that measured them, constants for times are fitted too. Views whose errors are measured by
-    coverage give the constants of coverage only, which hang on all others.
+    If ``device`` is the calibration of the device that measured them, constants for times are fitted too. Views whose errors are
+    measured by coverage give only the constants of coverage, which depend on all other constants.
     """
     coverage_cases = [case for case in cases if case.view["error"] == "coverage"]
     cases = [case for case in cases if case.view["error"] != "coverage"]
@@ -173,12 +197,12 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
     model = model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
-    errors = _Deviations.of(
+    errors = _Deviations.from_cases(
         cases,
         lambda case, expected_errors: (log_error(case.error) - log_error(expected_errors.wrong_cast)) / expected_errors.spread,
         model,
     )
-    interiors = _Deviations.of(
+    interiors = _Deviations.from_cases(
         cases,
         lambda case, expected_errors: (
             (log_interior(case.row["interior"]) - log_interior(expected_errors.interior)) / expected_errors.interior_spread
@@ -187,14 +211,17 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     )
     shared = model.shared.model_copy(update={"error": errors.shared, "interior": interiors.shared})
     if device is not None:
-        times = _Deviations.of(cases, lambda case, expected_errors: log(case.row["ms"] / case.expected_ms(device)), model)
+        times = _Deviations.from_cases(cases, lambda case, expected_errors: log(case.row["ms"] / case.expected_ms(device)), model)
         shared = shared.model_copy(update={"time": times.shared})
         model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.deviations)), MIN_SPREAD)})
     return model.model_copy(update={"shared": shared, "coverage": _coverage_error(coverage_cases, model)})
 
 
 def _coverage_error(cases: Sequence[FitCase], model: ErrorModel) -> CoverageError | None:
-    """Return the constants of dense woods that fit measured plans there; ``None`` without any."""
+    """Return the constants of dense woods that fit the plans measured there; ``None`` if ``cases`` is empty.
+
+    ``model`` has the other constants.
+    """
     if not cases:
         return None
     expected = [case.expected(model) for case in cases]
@@ -220,26 +247,30 @@ def _coverage_error(cases: Sequence[FitCase], model: ErrorModel) -> CoverageErro
 
 @dataclass(frozen=True, eq=False)
 class _Deviations:
-    """Deviations of measured plans from their expected values.
+    """Differences between logarithms of a measured and an expected quantity (an error or a time), for n plans.
 
     Attributes
     ----------
     deviations
-        Deviation of each plan (n,).
-    view
-        Number of each plan's view (n,).
-    family
-        Number of each plan's family (n,). Plans of a family have the same algorithms for the same caster kinds.
+        Measured minus expected logarithm, float (n,), without unit. Differences of errors are divided by their expected spread.
+    view_index
+        Index of each plan's view, int (n,), in the order of first appearance.
+    family_index
+        Index of each plan's family, int (n,). Plans of a family have the same algorithms for the same caster kinds.
     """
 
     deviations: np.ndarray
-    view: np.ndarray
-    family: np.ndarray
+    view_index: np.ndarray
+    family_index: np.ndarray
 
     @classmethod
-    def of(
+    def from_cases(
         cls, cases: Sequence[FitCase], deviation_of: Callable[[FitCase, ExpectedErrors], float], model: ErrorModel
     ) -> _Deviations:
+        """Return the deviations of measured plans.
+
+        ``deviation_of`` returns the deviation of a plan from the plan and the errors that ``model`` expects of it.
+        """
         views: dict[int, int] = {}
         families: dict[object, int] = {}
         rows = [
@@ -260,8 +291,9 @@ class _Deviations:
         They follow from mean products of the deviations of two plans of a view. Each view has the same weight.
         """
         variance, other, same_family = [], [], []
-        for number in np.unique(self.view):
-            deviations, family = self.deviations[self.view == number], self.family[self.view == number]
+        for number in np.unique(self.view_index):
+            in_view = self.view_index == number
+            deviations, family = self.deviations[in_view], self.family_index[in_view]
             products, alike = np.outer(deviations, deviations), family[:, None] == family
             off_diagonal = ~np.eye(len(deviations), dtype=bool)
             variance.append(np.mean(deviations**2))
@@ -275,7 +307,7 @@ class _Deviations:
 class _Terms:
     """The expected errors of ``skugga.selector.cost.error_model``, split into terms that can be summed for many sets of constants.
 
-    Each step of a plan has a term for each band of distance of each caster kind.
+    Each step of a plan has a term for each band of distance of each caster kind. Arrays have one entry for each of the n terms.
     """
 
     def __init__(self, cases: Sequence[FitCase]) -> None:
@@ -303,12 +335,15 @@ class _Terms:
                                 )
                             )
                             differs.append(smoothed_differing_shares(band.differs))
-        self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
-        self._of, self._kind, self._differs = self._of.astype(int), self._kind.astype(int), np.array(differs)
+        columns = (np.array(column) for column in zip(*rows, strict=True))
+        case_index, kind_index, self._share, self._max_texel_px, self._texel_px_factor = columns
+        self._case_index, self._kind_index = case_index.astype(int), kind_index.astype(int)
+        self._differs = np.array(differs)
 
     def expected(self, x: np.ndarray) -> np.ndarray:
+        """Return the expected error ``wrong_cast`` of each plan, in [0, 1], for constants in the order of ``INITIAL_CONSTANTS``."""
         counts, perspective, floors = np.reshape(x[:-3], (len(KINDS), 3)), x[-3], x[-2:]
-        texel = np.minimum(self._most, perspective * self._each)
+        texel = np.minimum(self._max_texel_px, perspective * self._texel_px_factor)
         histogram_index = np.clip(
             np.interp(np.log2(np.maximum(texel, 1e-9)), LOG2_TEXEL_SIZES, np.arange(len(LOG2_TEXEL_SIZES))),
             0,
@@ -318,15 +353,16 @@ class _Terms:
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
         differs = first + (second - first) * (histogram_index - low)
         differs = np.where(texel <= TEXEL_SIZES_PX[0], self._differs[:, 0] * texel / TEXEL_SIZES_PX[0], differs)
-        maximum, half, steepness = counts[self._kind].T
+        maximum, half, steepness = counts[self._kind_index].T
         # The search tries steep curves, whose powers would overflow.
         powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MAX_EXPONENT))
         responses = maximum / (1.0 + powers)
-        total = np.bincount(self._of, self._share * differs * responses, minlength=self._count)
+        total = np.bincount(self._case_index, self._share * differs * responses, minlength=self._count)
         return np.minimum(total + self._maps @ floors, 1.0)
 
 
 def _model(x: np.ndarray) -> ErrorModel:
+    """Return the error model with constants ``x`` in the order of ``INITIAL_CONSTANTS``. Its other constants are not fitted yet."""
     values = np.reshape(x[:-3], (len(KINDS), 3)).tolist()
     curves = {kind: HillCurve(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
     floor = {name: x[-2 + MAP_ALGORITHMS.index(name)] if name in MAP_ALGORITHMS else 0.0 for name in error_groups()}

@@ -23,25 +23,27 @@ import numpy as np
 from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
 PAR_FACTOR = 10.0
-"""The penalty of a missed target, as a multiple of the slowest row that meets it."""
+"""Penalty of a missed target, as a multiple of the time of the slowest row that meets it."""
 
 NOISE_FLOORS = 3.0
 """The smallest decidable target, as a multiple of truth's own noise."""
 
 MIN_GAP = 0.10
-"""Gap between single best and virtual best up to which its closed share is not reported."""
+"""Gap (difference of mean losses) between single best and virtual best up to which its closed share is not reported."""
 
 WORST_COUNT = 5
 """The number of worst choices in the report."""
 
 Figures = dict[str, Any]
+"""A measured view's record, or a row (measured plan) of it, by key."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A target: the largest error and, optionally, a limit of time.
+    """A target: the largest error (a share in [0, 1]) and, optionally, a limit of time.
 
-    The limit is a share of the way from the quickest to the slowest row of a view (measured plan), in logarithms of milliseconds.
+    The limit ``time_share`` is a share of the way from the quickest to the slowest row of a view (measured plan), in logarithms of
+    milliseconds. ``None`` is no limit.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Goal:
 GOALS = (
     Goal("10 %", 0.10), Goal("3 %", 0.03), Goal("1 %", 0.01), Goal("0.3 %", 0.003), Goal("most accurate in time", 1e-4, 0.4),
 )  # fmt: skip
+"""All targets of the evaluation, by decreasing error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +70,11 @@ class GoalInstance:
 
     @property
     def rows(self) -> dict[str, Figures]:
+        """The view's measured plans by name."""
         return self.view["rows"]
 
     def error(self, name: str) -> float:
+        """Return the error of a row that the view's targets limit, a share in [0, 1]."""
         return self.rows[name][self.view["error"]]
 
     @property
@@ -93,7 +98,10 @@ class GoalInstance:
         )
 
     def losses(self, strict: bool = False) -> dict[str, float]:
-        """Return the loss of every row, as a multiple of the least loss. ``strict`` uses the fixed cutoff of strict scores."""
+        """Return the loss of every row by its name, as a multiple of the least loss.
+
+        ``strict`` uses the fixed cutoff of strict scores.
+        """
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
             cutoff = max(row["ms"] for row in self.rows.values()) if strict else max(met.values())
@@ -107,7 +115,7 @@ class GoalInstance:
 
     @property
     def cheapest(self) -> str | None:
-        """The quickest row that meets the target; ``None`` if none does."""
+        """Name of the quickest row that meets the target; ``None`` if no row does."""
         return min(filter(self.meets, self.rows), key=lambda name: self.rows[name]["ms"], default=None)
 
     def share_of_best(self, ms: float) -> float:
@@ -115,6 +123,7 @@ class GoalInstance:
         return ms / self.rows[self.cheapest]["ms"] if self.cheapest is not None else 0.0
 
     def _overshoot(self, name: str) -> float:
+        """Return the largest ratio of a row's error, interior error or time to its limit; at least 0.001."""
         row = self.rows[name]
         late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
         return max(self.error(name) / self.goal.max_error, row["interior"] / MAX_INTERIOR_SHARE, late, 1e-3)
@@ -135,15 +144,21 @@ def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> lis
 
 @dataclass(frozen=True)
 class PolicyScore:
-    """Scores of a policy: means over some instances, as the page shows them."""
+    """Scores of a policy: means over some instances, as the page shows them.
+
+    A regret is a loss minus the least loss of the instance, in multiples of the least loss.
+    """
 
     instances: int
+    """Number of instances."""
     met: float
     """Share of the instances with a feasible target in which the policy's row meets it."""
     met_interval: tuple[float, float]
     """The 95 % interval of ``met`` over resampled terrains."""
     regret: float
+    """Mean regret."""
     regret_interval: tuple[float, float]
+    """The 95 % interval of ``regret`` over resampled terrains."""
     regret_median: float
     regret_p95: float
     regret_met: float
@@ -154,8 +169,10 @@ class PolicyScore:
     single: float
     """Mean loss of the single best."""
     single_met: float
+    """Share of the instances with a feasible target that the single best meets."""
     gap_closed: float | None
-    """``None`` where single best and virtual best lie within ``MIN_GAP``."""
+    """Share of the gap between single best and virtual best that the policy closes, at most 1. ``None`` if the gap is at most
+    ``MIN_GAP``."""
     worst: list[tuple[str, str, str, float]]
     """View, goal, chosen row and regret of the worst choices."""
 
@@ -169,8 +186,9 @@ def score_choices(
 ) -> PolicyScore:
     """Score the rows that a policy chose, and compare them with the one choice that is best over all views.
 
-    ``choices`` and ``single`` hold the name of the chosen row (measured plan) by names of view and goal. ``own_ms`` is the time to
-    choose. With ``strict`` a miss costs ten times the slowest row of the view, whichever rows meet the target.
+    ``choices`` and ``single`` hold the name of the chosen row (measured plan) by names of view and goal. ``own_ms`` returns the
+    milliseconds that the policy takes to choose. With ``strict`` a miss costs ten times the slowest row of the view, whichever rows
+    meet the target.
     """
     losses = [instance.losses(strict) for instance in instances]
     keys = [(instance.view["name"], instance.goal.name) for instance in instances]
@@ -200,9 +218,10 @@ BOOTSTRAP_DRAWS = 2000
 
 
 def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a mean. Each draw takes as many terrains as there are, with repetition.
+    """Return the 95 % bootstrap interval of the mean of ``values`` (n,). ``terrain`` (n,) has the name of each value's terrain.
 
-    Views of one terrain are not independent (B. Efron, Bootstrap methods: another look at the jackknife, 1979).
+    Each draw takes as many terrains as there are, with repetition. Views of one terrain are not independent (B. Efron, Bootstrap
+    methods: another look at the jackknife, 1979).
     """
     names = np.unique(terrain)
     if not len(names):
@@ -221,7 +240,7 @@ def _mean(values: np.ndarray) -> float:
 
 
 def equivalent_row(choice: str, view: Figures) -> str | None:
-    """Return the row that a choice amounts to in a view; ``None`` if there is none.
+    """Return the name of the row that a choice amounts to in a view; ``None`` if no row does.
 
     Options of the choice that do not apply in the view are dropped: cascades, map sizes, or a sweep of level ground.
     """
@@ -239,7 +258,7 @@ def equivalent_row(choice: str, view: Figures) -> str | None:
 
 
 def single_best(training: Sequence[GoalInstance]) -> str:
-    """Return the choice with the least mean loss over the training instances. A choice that cannot be drawn counts as a miss."""
+    """Return the name of the choice with the least mean loss over the instances. A choice that cannot be drawn counts as a miss."""
     names = sorted({name for instance in training for name in instance.view["picks"] if not name.startswith("rules ")})
     losses = [(instance, instance.losses()) for instance in training]
 
@@ -251,7 +270,7 @@ def single_best(training: Sequence[GoalInstance]) -> str:
 
 
 def marginal_values(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return two figures on the value of each algorithm.
+    """Return two figures on the value of each algorithm, by its name.
 
     The first is the increase of the virtual best's mean loss without the algorithm. The second is the share of instances whose best
     row uses it.

@@ -33,6 +33,7 @@ RUNS = 3
 """The number of timed runs of a row, all rows in turns, after a first run that compiles."""
 
 Figures = dict[str, Any]
+"""A measured view's record, or a row (measured plan) of it, by key."""
 
 
 def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan]:
@@ -62,7 +63,7 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
 
 
 def measure_instance(instance: ViewInstance, data: Path) -> Figures:
-    """Measure an instance, and return its record.
+    """Measure an instance, and return its record. ``data`` is the folder of sample rasters.
 
     The record has the descriptor as ``POST /plan`` takes it, times and errors of all rows, and by choice the name of the row
     (``picks``). ``compared`` and ``timed`` are the origins of errors and times. ``error`` names the error of targets. It is
@@ -143,7 +144,11 @@ def _is_refused(choice: str, record: Figures) -> bool:
 def _time_rows(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> Figures:
-    """Return ``rows`` with their median milliseconds, of a perspective view or per block of a map, and the origin of the times."""
+    """Return ``rows`` with their median milliseconds, and the origin of the times.
+
+    Times are those of a perspective view, or of one block of a map on average. ``plans`` has the plans by choice, and ``rows`` the
+    measured rows by name.
+    """
     pictures = picture_blocks(scene, view)
     plan_by_row = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
@@ -156,6 +161,7 @@ def _time_rows(
 
 
 def _row(figures: Figures, light: str) -> Figures:
+    """Return a row of the record (algorithms, rounded errors in [0, 1], bytes of the passes) from the figures of a comparison."""
     shares = {key: _rounded(figures[key]) for key in ("wrong", "wrong_cast", "interior", "coverage")}
     algorithms = sorted(set(figures["algorithm"].get(light, {}).values()) - {"none"})
     return {"algorithms": algorithms, **shares, "bytes": figures["bytes"]}
@@ -191,6 +197,7 @@ def _calibration() -> DeviceProfile:
 
 
 def _all_rounded(value: Any) -> Any:
+    """Round every number in nested dictionaries and lists to five significant digits."""
     match value:
         case float():
             return _rounded(value)
@@ -202,7 +209,10 @@ def _all_rounded(value: Any) -> Any:
 
 
 def _compare_supported(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
-    """Compare the plans that support a view with ray-traced truth. Refused plans are removed from ``plans``."""
+    """Compare the plans that support a view with ray-traced truth, and return the comparison.
+
+    Refused plans are removed from ``plans``. ``name`` is the name of the view.
+    """
     while True:
         try:
             return compare(scene, view, name, light=light, time_limit_s=0.0, plans=list(plans.values()))
@@ -215,4 +225,5 @@ def _compare_supported(scene: Scene, view: MapView | PerspectiveView, name: str,
 
 
 def _rounded(value: float) -> float:
+    """Round a number to five significant digits."""
     return float(f"{value:.5g}")

@@ -15,6 +15,7 @@ from skugga.selector.formatting import format_percent
 from skugga.shadows.registry import selectable_algorithms
 
 Figures = dict[str, Any]
+"""A measured view's record by key."""
 
 DENSE = "dense wood"
 """The family of views whose targets use coverage."""
@@ -28,13 +29,15 @@ TARGETS = {
     "probe": {"met": "96.5 %", "gap": "0.90", "mean": "0.60", "p95": "2.00"},
     "probe, no limit of time": {"met": "99 %", "mean": "0.10"},
 }  # fmt: skip
-"""The targets."""
+"""The aims of each policy as texts: least share of met targets, least closed share of the gap, and largest regret (mean, 95th
+percentile)."""
 
 ALGORITHM_TITLES = {each.name: each.plural_name for each in selectable_algorithms()}
+"""Plural names of the algorithms for readers, by name."""
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:
-    """Format all tables as Markdown."""
+    """Format all tables as Markdown. ``views`` are all records of the file, and ``device`` is the calibration of their device."""
     all_splits = splits(views, device)
     parts = [
         _instances_text(views),
@@ -57,6 +60,7 @@ def with_tables(text: str, tables: str) -> str:
 
 
 def _instances_text(views: Sequence[Figures]) -> str:
+    """Format the numbers of views, terrains and plans by family, and the number of decidable instances."""
     families: dict[str, list[Figures]] = {}
     for view in views:
         families.setdefault(view["family"], []).append(view)
@@ -111,6 +115,7 @@ def _policies(split: Split) -> str:
 
 
 def _score_row(name: str, score: PolicyScore, aims: Mapping[str, str]) -> list[str]:
+    """Return the cells of a policy in the table of scores. ``aims`` is its entry in ``TARGETS``."""
     low, high = score.met_interval
     aim = ", ".join(aims.get(key, "-") for key in ("met", "gap", "mean", "p95")) if aims else ""
     return [
@@ -233,10 +238,12 @@ def _probes(all_splits: Sequence[Split]) -> str:
 
 
 def _format_gap(score: PolicyScore) -> str:
+    """Format the closed share of the gap between single best and virtual best."""
     return "gap too small to report" if score.gap_closed is None else f"{score.gap_closed:.2f}"
 
 
 def _worst(all_splits: Sequence[Split]) -> str:
+    """Format the choices with the largest regret of each policy, on held-out views."""
     decidable = [instance for instance in all_splits[0].instances if instance.is_decidable]
     rows = [
         [policy, view, goal, f"`{row_name}`", f"{regret:.1f}"]
@@ -248,6 +255,7 @@ def _worst(all_splits: Sequence[Split]) -> str:
 
 
 def _marginal(views: Sequence[Figures]) -> str:
+    """Format how much each algorithm adds to the virtual best, with one view that it wins."""
     instances = instances_of(views)
     rows = []
     for name, (gain, share) in marginal_values(instances, list(ALGORITHM_TITLES)).items():
@@ -264,6 +272,7 @@ def _marginal(views: Sequence[Figures]) -> str:
 
 
 def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
+    """Format the errors of expected times as shares of measured times, and the time of planning."""
     cases, rows = [case for view in views for case in cases_of(view)], []
     for name in ALGORITHM_TITLES:
         deviations = errors_of_time(cases, device, lambda case, name=name: name in case.algorithms)

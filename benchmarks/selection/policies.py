@@ -22,19 +22,22 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import Shadows
 
 POLICIES = ("rules", "predict", "probe", "measure")
+"""Policies that are judged. ``rules`` are the fixed rules, ``predict`` uses models alone, ``probe`` and ``measure`` add probes."""
 
 Figures = dict[str, Any]
+"""A measured view's record by key."""
 RowChoices = dict[tuple[str, str], str]
+"""Name of the chosen row (measured plan) by names of view and goal."""
 
 FOLDS = 3
-"""Folds of the views of each terrain: each is judged by models that were fitted to the others."""
+"""Number of folds of the views of each terrain: each fold is judged by models that were fitted to the others."""
 
 
 BUDGET_S = 3.0
-"""Time of a probe, seconds."""
+"""Time limit of the policy ``probe``, seconds."""
 
 BUDGETS_S = (1.0, 3.0, 10.0, 30.0)
-"""Other times of a probe to compare, seconds. The policy ``measure`` has no limit."""
+"""Other time limits of a probe to compare, seconds. The policy ``measure`` has no limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +47,17 @@ class Split:
     name: str
     instances: Sequence[GoalInstance]
     choices: Mapping[str, RowChoices]
+    """Chosen rows by policy."""
     single: RowChoices
+    """Rows of the single best choice for each goal."""
     best: Mapping[str, int]
-    """Number of folds by goal and the choice that was the single best in them."""
+    """Number of folds in which a choice was the single best for a goal. Keys are texts of the form "goal: choice"."""
     probe_s: Mapping[tuple[str, str], float]
-    """Seconds of the probe of each instance."""
+    """Seconds of the probe of each instance, by names of view and goal."""
     drawn: Mapping[tuple[str, str], int]
-    """Number of options that the probe of each instance draws."""
+    """Number of options that the probe of each instance draws, by names of view and goal."""
     by_budget: Mapping[str, RowChoices]
-    """The choices with probes of other times."""
+    """Chosen rows by the probe's time limit, a text such as "3 s"."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
@@ -66,7 +71,7 @@ def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
 
 
 def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
-    """Split views into folds of one terrain each."""
+    """Split views into folds, so that each fold has all views of one terrain."""
     return [[view for view in views if view["terrain"] == name] for name in dict.fromkeys(view["terrain"] for view in views)]
 
 
@@ -117,6 +122,7 @@ def _rules_pick(instance: GoalInstance) -> str:
 
 
 def _leader(probe: LightProbe, instance: GoalInstance) -> int:
+    """Return the index of the option that a probe prefers for the instance's target."""
     return leader_of(probe.options, instance.goal.max_error, instance.max_ms)
 
 
@@ -127,7 +133,7 @@ def _policy_input(instance: GoalInstance) -> tuple[Descriptor, StandaloneRequest
 
 
 def predicted_row(instance: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
-    """Return the name of the row that the policy ``predict`` chooses."""
+    """Return the name of the row that the policy ``predict`` chooses. ``model`` ``None`` stands for the bundled error model."""
     descriptor, request = _policy_input(instance)
     return name_of(predicted_plan(descriptor, request, None, device, model), instance.view["light"])
 
@@ -137,7 +143,8 @@ def replay_probe(
 ) -> tuple[LightProbe | None, list[str]]:
     """Replay a probe of an instance from the record of its view. Return its result, and the names of its options' rows.
 
-    The result is ``None`` if the view has no record of probes.
+    The result is ``None`` if the view has no record of probes. ``model`` ``None`` stands for the bundled error model. ``budget_s``
+    limits the simulated seconds; ``None`` is no limit.
     """
     record, light = instance.view.get("probe") or {}, instance.view["light"]
     options = plan_options(planner_of(*_policy_input(instance)), device, model)
@@ -175,7 +182,7 @@ def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
 def errors_of_time(
     cases: Iterable[FitCase], device: DeviceProfile, which: Callable[[FitCase], bool] = lambda case: True
 ) -> np.ndarray:
-    """Return the errors of expected times as shares of the measured times, for the cases that ``which`` selects."""
+    """Return (expected - measured) / measured time (n,) of the cases that ``which`` selects."""
     deviations = []
     for case in filter(which, cases):
         deviations.append(case.expected_ms(device) / case.row["ms"] - 1.0)

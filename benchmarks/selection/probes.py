@@ -28,14 +28,15 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 
 Figures = dict[str, Any]
+"""A record of probes, or a row of it, by key."""
 
 
 def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
-    """Record the measurements of probes for all options of a light.
+    """Record the measurements of probes for all options of a light. ``name`` is the name of the view.
 
-    ``start_s`` is the time of work that is done once, whatever is drawn. ``points_s`` is the time of ray-traced truth on all
-    lattices of points up to each step. Each row has the milliseconds of a probe's drawing, and its errors (``proofs``) with 1, 2,
-    4, 8 and 16 lattices of points.
+    The result is empty if no object casts shadows from the light. ``start_s`` is the time of work that is done once, whatever is
+    drawn. ``points_s`` is the time of ray-traced truth on all lattices of points up to each step. Each row has the milliseconds of
+    a probe's drawing, and its errors (``proofs``) with 1, 2, 4, 8 and 16 lattices of points.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     options = plan_options(planner_of(descriptor, level), profile)
@@ -70,10 +71,11 @@ def record_probes(scene: Scene, view: MapView | PerspectiveView, name: str, ligh
 
 
 class RecordedProber:
-    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record. ``rows`` names the row of each option.
+    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record.
 
-    Recorded drawings were repeated up to ``MAX_REPEATED_MS``. Where a probe would not repeat one, a replay takes that share of its
-    time. Its milliseconds remain the least of all drawings.
+    ``record`` is the result of ``record_probes``. ``rows`` names the row of each option. Options are identified by their indices in
+    ``options.options``, the parameter ``which`` of the methods. Recorded drawings were repeated up to ``MAX_REPEATED_MS``. Where a
+    probe would not repeat one, a replay takes that share of its time. Its milliseconds remain the least of all drawings.
     """
 
     def __init__(self, record: Figures, rows: Sequence[str], options: LightOptions) -> None:
@@ -101,19 +103,19 @@ class RecordedProber:
         return draw_count(ms, is_warm(self._options, which, self._drawn)) * ms / 1000.0
 
     def measurement(self, which: int) -> ErrorMeasurement:
-        """Return the recorded measurement of an option at the points of truth that have been added so far."""
+        """Return the recorded errors of an option at the sample points of truth that have been added so far."""
         if self._step is None:
             self._step = 0
             self._elapsed_s += self._record["points_s"][0]
         return ErrorMeasurement(*self._record["rows"][self._rows[which]]["proofs"][self._step])
 
     def add_points_s(self) -> float | None:
-        """Return the seconds that truth at more points would take; ``None`` if no more points are recorded."""
+        """Return the seconds of ray tracing for the points that the record's next set adds; ``None`` if this is the last set."""
         points_s, step = self._record["points_s"], self._step or 0
         return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
 
     def add_points(self) -> None:
-        """Advance to the recorded truth at more points."""
+        """Advance to the record's next set of sample points, which has twice as many lattices of points."""
         more_s = self.add_points_s()
         assert more_s is not None and self._step is not None
         self._elapsed_s += more_s
@@ -121,6 +123,6 @@ class RecordedProber:
 
 
 def recorded_options(options: LightOptions, names: Sequence[str], record: Figures) -> LightOptions:
-    """Return a light's options, where those without a record count as refused."""
+    """Return a light's options, where options without a record count as refused. ``names`` are the names of the options' rows."""
     missing = {which for which, name in enumerate(names) if name not in record["rows"]}
     return LightOptions(options.options, options.error, options.interior, options.time, refused=frozenset(missing))

@@ -19,12 +19,14 @@ from pyproj import Transformer
 
 CRS = "EPSG:32633"
 CENTRE_M = 500_000.0, 5_200_000.0
+"""Easting and northing of the centre of every terrain, metres."""
 
 House = tuple[float, float, float, float, float, float]
-"""Centre east and north of the terrain's centre, length, width and height in metres, and angle in degrees."""
+"""Metres of its centre to the east and north of the terrain's centre; length, width and height in metres; direction of its length,
+degrees anticlockwise from east."""
 
 Wood = tuple[float, float, float, float, float]
-"""Centre east and north of the terrain's centre, length and width in metres, and trees per hectare."""
+"""Metres of its centre to the east and north of the terrain's centre; length (eastwards) and width in metres; trees per hectare."""
 
 
 @dataclass(frozen=True)
@@ -102,15 +104,17 @@ def _rectangle(east_m: float, north_m: float, length_m: float, width_m: float, a
 
 
 def _feature(ring: list[tuple[float, float]], **properties: float) -> dict[str, Any]:
+    """Return a GeoJSON feature of a polygon. ``ring`` is its closed outline, (longitude, latitude) in degrees."""
     return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
 
 
 def _write_features(path: Path, features: list[dict[str, Any]]) -> None:
+    """Write GeoJSON features as a collection."""
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
 
 
 def fractal_noise(shape: tuple[int, int], exponent: float, random: np.random.Generator) -> np.ndarray:
-    """Return noise with mean 0 and standard deviation 1 whose amplitude spectrum falls with the frequency's ``exponent``.
+    """Return noise (rows, cols) with mean 0 and standard deviation 1 whose amplitudes are proportional to frequency ** -exponent.
 
     Larger exponents are smoother. (D. Saupe, Algorithms for random fractals, 1988: spectral synthesis.)
     """
@@ -123,6 +127,7 @@ def fractal_noise(shape: tuple[int, int], exponent: float, random: np.random.Gen
 
 
 def _fractal(exponent: float, relief_m: float) -> Callable[..., np.ndarray]:
+    """Return a function ``Site.height_m`` of fractal mountains around 1000 m. ``relief_m`` is the standard deviation of heights."""
     return lambda east, north, random: 1000 + relief_m * fractal_noise(east.shape, exponent, random)
 
 
@@ -158,6 +163,7 @@ def _canyon(east: np.ndarray, north: np.ndarray, random: np.random.Generator) ->
 
 
 def _volcano(east: np.ndarray, north: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A volcanic cone with a crater at its top."""
     distance = np.hypot(east, north)
     cone = 2400 * np.exp(-distance / 3500) - 700 * np.exp(-((distance / 500) ** 2))
     return 300 + cone + 25 * fractal_noise(east.shape, 1.7, random)
@@ -188,19 +194,25 @@ def _valley(east: np.ndarray, north: np.ndarray, random: np.random.Generator) ->
 
 
 def _plain(east: np.ndarray, north: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A level plain with bumps of less than a metre."""
     return 400 + 0.4 * fractal_noise(east.shape, 1.8, random)
 
 
 def _slope(east: np.ndarray, north: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A slope that rises by one metre in four towards the north."""
     return 600 + 0.25 * north + 3 * fractal_noise(east.shape, 1.9, random)
 
 
 def _hollow(east: np.ndarray, north: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """An elliptic bowl, steeper from west to east than from south to north."""
     return 500 + (east**2 + 0.4 * north**2) / 900 + 1.5 * fractal_noise(east.shape, 1.8, random)
 
 
 def _scattered(count: int, span_m: float, height_m: tuple[float, float]) -> Callable[[np.random.Generator], list[House]]:
-    """Houses at random places."""
+    """Return a function ``Site.houses`` of ``count`` houses at random places in a square with sides of ``span_m``.
+
+    ``height_m`` has the lowest and the highest height.
+    """
 
     def houses(random: np.random.Generator) -> list[House]:
         low, high = height_m
@@ -214,7 +226,11 @@ def _scattered(count: int, span_m: float, height_m: tuple[float, float]) -> Call
 
 
 def _blocks(count: int, pitch_m: float, side_m: float, height_m: tuple[float, float]) -> Callable[..., list[House]]:
-    """Houses on a grid of streets."""
+    """Return a function ``Site.houses`` of ``count`` x ``count`` houses on a grid of streets.
+
+    ``pitch_m`` is the distance between centres, ``side_m`` the length of a house. ``height_m`` has the lowest and the highest
+    height.
+    """
 
     def houses(random: np.random.Generator) -> list[House]:
         low, high = height_m
@@ -228,7 +244,7 @@ def _blocks(count: int, pitch_m: float, side_m: float, height_m: tuple[float, fl
 
 
 def _woods_at(*woods: Wood) -> Callable[[np.random.Generator], list[Wood]]:
-    """Return a function that returns these woods, whatever its generator."""
+    """Return a function ``Site.woods`` that returns these woods, whatever its generator."""
     return lambda random: list(woods)
 
 

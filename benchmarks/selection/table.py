@@ -13,18 +13,20 @@ from skugga.terrain.facts.descriptor import Descriptor
 TABLE = Path(__file__).with_name("selection.jsonl")
 
 ROW_COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage", "bytes")
-"""Columns of a row in the table."""
+"""Keys of a row (measured plan), in the order of its values in the file."""
 
 DIGITS = 8
-"""Digits of a descriptor's numbers: shares must still add up to no more than one."""
+"""Significant digits of a descriptor's numbers: shares must still add up to no more than one."""
 
 PROBE_DIGITS = 4
+"""Significant digits of the numbers of probes."""
 
 Figures = dict[str, Any]
+"""A measured view's record by key."""
 
 
 def write_table(views: Iterable[Figures], profile: DeviceProfile, path: Path = TABLE) -> None:
-    """Write views' records and the calibration of the device that measured them."""
+    """Write views' records, and the calibration of the device that measured them, as lines of JSON."""
     lines = [profile.model_dump(mode="json"), *map(_to_compact_record, views)]
     path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines), encoding="utf-8")
 
@@ -53,6 +55,7 @@ def _to_compact_record(view: Figures) -> Figures:
 
 
 def _from_compact_record(line: Figures) -> Figures:
+    """Return a view's record from its compact form in the file. Omitted default values of the descriptor stay omitted."""
     names = list(line["rows"])
     return line | _with_rows(line, lambda rows: {names[int(number)]: observations for number, observations in rows}) | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
@@ -72,6 +75,7 @@ def _with_rows(view: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Fig
 
 
 def _rounded(value: Any, digits: int = DIGITS) -> Any:
+    """Round every float in nested dictionaries and lists to ``digits`` significant digits."""
     match value:
         case float():
             return float(f"{value:.{digits}g}")

@@ -21,8 +21,10 @@ Family = Literal[
 ]  # fmt: skip
 
 PERSPECTIVE_PX, MAP_PX, DENSE_PX = (640, 512), (512, 512), (320, 256)
+"""Sizes of pictures in pixels, (columns, rows): perspective views, maps, and views of dense woods."""
 
 SunAngles = tuple[float, float]
+"""Azimuth and altitude of the sun, degrees."""
 
 FAULT_BOUNDS = (740_900.0, 4_021_000.0, 747_300.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
@@ -30,6 +32,7 @@ VILLAGE_BOUNDS = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
 """West, south, east and north, metres in UTM zone 16: houses, hedges and woods in the valley of the Jacksboro fault."""
 
 CITY = "urban/goteborg_1m"
+"""Folder of the rasters of Gothenburg, below the folder of sample data."""
 
 DENSE_WOOD_BOUNDS = (-84.200, 36.21633, -84.148, 36.25433)
 """West, south, east and north, degrees: a part of the Jacksboro fault, modelled as entirely wooded."""
@@ -87,15 +90,16 @@ def scene_of(level: str | Site | dict[str, Any], data: Path, folder: Path, **fur
 
 
 def _rectangle(bounds: tuple[float, float, float, float]) -> dict[str, Any]:
+    """Return a GeoJSON feature of a rectangle. ``bounds`` are west, south, east and north, degrees."""
     west, south, east, north = bounds
     corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
     return {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [corners]}}
 
 
 def _central_bounds(scene: Scene) -> tuple[float, float, float, float] | None:
-    """Return the bounds of a raster's middle for a picture with one pixel per cell, clamped to the raster.
+    """Return the bounds of a raster's middle for a picture with one pixel per cell, in units of the map's CRS.
 
-    In flat worlds return ``None``, which stands for the whole raster.
+    The bounds are clamped to the raster. In flat worlds return ``None``, which stands for the whole raster.
     """
     if scene.world.is_flat:
         return None
@@ -110,6 +114,7 @@ def _central_bounds(scene: Scene) -> tuple[float, float, float, float] | None:
 
 
 def _perspective_view(scene: Scene, look: tuple[float, float, float, float, float]) -> dict[str, Any]:
+    """Return the keys of a level's perspective view. ``look`` is ``ViewInstance.camera``."""
     assert scene.bounds_lon_lat is not None
     west, south, east, north = scene.bounds_lon_lat
     (x, y, u, v, above_m) = look
@@ -118,6 +123,7 @@ def _perspective_view(scene: Scene, look: tuple[float, float, float, float, floa
 
 
 def _raster(path: str, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a level whose terrain is the file ``path`` below the folder of sample data, with further ``keys``."""
     return {"terrain": {"source": f"DATA/{path}"}, **keys}
 
 
@@ -153,9 +159,11 @@ RASTERS: dict[str, dict[str, Any]] = {
     "bilbao": _raster("urban/bilbao/DEM.tif"),
     "bilbao, trees": _raster("urban/bilbao/DEM.tif", forest=[{"source": "DATA/urban/bilbao/CDSM.tif"}]),
 }
+"""Keys of the levels on sample rasters, by name. ``DATA`` stands for the folder of sample data."""
 
 
 def _thesis() -> Iterator[ViewInstance]:
+    """Yield views of the thesis's scenes, under a spot light and under the sun."""
     suns: dict[str, SunAngles | None] = {"main": None, "close": (225.0, 12.0), "overview": (140.0, 55.0), "map": (75.0, 25.0)}
     for scene in ("boxgrid", "rocks", "street", "room", "water_tower"):
         for view in ("main", "close", "overview"):
@@ -165,6 +173,7 @@ def _thesis() -> Iterator[ViewInstance]:
 
 
 def _relief() -> Iterator[ViewInstance]:
+    """Yield maps and perspective views of terrain without trees."""
     for sun in ((237.0, 4.0), (120.0, 15.0), (200.0, 40.0), (180.0, 68.0)):
         yield ViewInstance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT_BOUNDS)
     maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
@@ -191,6 +200,7 @@ def _relief() -> Iterator[ViewInstance]:
 
 
 def _wooded() -> Iterator[ViewInstance]:
+    """Yield maps and perspective views of terrain with trees or houses."""
     for sun in ((255.0, 9.0), (160.0, 42.0)):
         yield ViewInstance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE_BOUNDS)
     views: tuple[tuple[str, SunAngles | None], ...] = (

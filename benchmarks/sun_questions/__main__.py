@@ -33,6 +33,7 @@ FIGURES_FILE = FOLDER / "sun_questions.json"
 PAGE = FOLDER.parents[1] / "docs" / "sun-questions.md"
 
 QUESTION_BY_OPTION = {"hours": HOURS_QUESTION, "point": HORIZON_QUESTION, "masks": MASKS_QUESTION}
+"""Questions by their name on the command line."""
 
 
 REPEATS = 2
@@ -40,7 +41,11 @@ REPEATS = 2
 
 
 class Measurements:
-    """Measurements of the questions so far."""
+    """Measurements of the questions so far.
+
+    ``python`` is the interpreter of the other tools' packages. ``side`` is the side of crops for the sun hours, in cells. ``cells``
+    is the number of sampled cells. Rasters are read from ``data`` and written to ``folder``.
+    """
 
     def __init__(self, data: Path, python: str, side: int, cells: int, folder: Path) -> None:
         self._data, self._python, self._side, self._cells, self._folder = data, python, side, cells, folder
@@ -99,21 +104,28 @@ class Measurements:
 
     @property
     def elapsed_s(self) -> float:
+        """Seconds since the start of the measurements."""
         return time.perf_counter() - self._begin
 
     def _add_case(self, question: str, case: str, description: str) -> None:
+        """Add the description of the raster ``case`` for which a question is asked."""
         self.cases.append(QuestionCase(question, case, description))
 
     def _add_answer(self, answer: SunAnswer) -> None:
+        """Add an answer, and print it."""
         self.answers.append(answer)
         self._print_progress(f"{answer.case}: {answer.tool}: {answer.whole_s or 0.0:.1f} s, wrong {answer.wrong}")
 
     def _print_progress(self, message: str) -> None:
+        """Print a message after the elapsed seconds."""
         print(f"{self.elapsed_s:4.0f} s  {message}", flush=True)
 
 
 def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
-    """Measure the questions in ``only``. The stored figures of the other questions are kept."""
+    """Measure the questions in ``only`` (keys of ``QUESTION_BY_OPTION``). The stored figures of the other questions are kept.
+
+    The other parameters are those of ``Measurements``.
+    """
     with tempfile.TemporaryDirectory() as folder_name:
         measurements = Measurements(data, python, side, cells, Path(folder_name))
         for name in only:
@@ -141,6 +153,7 @@ def measure_questions(data: Path, python: str, side: int, cells: int, only: list
 
 
 def main() -> None:
+    """Measure the questions of the command line, and write figures and page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of rasters")
     parser.add_argument(

@@ -73,14 +73,20 @@ class QuestionDem:
 
 
 def write_question_dem(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m: float, folder: Path) -> QuestionDem:
-    """Write heights as a raster whose middle lies on the central meridian of its zone."""
+    """Write heights as a raster whose middle lies on the central meridian of its zone.
+
+    ``height_m`` is (rows, cols), float32. ``crs`` is a UTM zone. ``northing_m`` is that of the raster's middle.
+    """
     path, middle = folder / f"{name.replace(' ', '_')}_{height_m.shape[0]}.tif", (500_000.0, northing_m)
     write_dem(path, height_m, cell_m, crs, middle)
     return QuestionDem(name, path, height_m, cell_m, crs, middle)
 
 
 def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionDem | None:
-    """Read a raster of ``RASTERS``, or its middle of at most ``side`` x ``side`` cells; ``None`` if its file is absent."""
+    """Read a raster of ``RASTERS``, or its middle of at most ``side`` x ``side`` cells; ``None`` if its file is absent.
+
+    The result is written into ``folder`` as a raster on the central meridian.
+    """
     file, crs, _ = RASTERS[name]
     if not (data / file).exists():
         return None

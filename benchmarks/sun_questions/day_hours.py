@@ -46,6 +46,7 @@ RAY_STEP_S = 10.0
 """Seconds between rays."""
 
 MARGIN_CELLS = 3
+"""Width of the margin of a raster without sampled cells."""
 
 CLIFF_HEIGHT_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
 """Geometry of the check of conventions, a level floor with a cliff in the east: height of the cliff, side of a cell, rows and
@@ -85,6 +86,7 @@ class HoursTool:
 
     @property
     def is_skugga(self) -> bool:
+        """Whether the tool is part of Skugga."""
         return self.tool_name == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
@@ -102,7 +104,10 @@ class HoursTool:
 
 
 class HoursTruth:
-    """Ray-traced hours of sun in sampled cells of a raster, for each solar position algorithm of the tools."""
+    """Ray-traced hours of sun in n sampled cells of a raster, for each solar position algorithm of the tools.
+
+    ``row`` and ``col`` (n,) are the sampled cells.
+    """
 
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
@@ -156,6 +161,10 @@ class HoursTruth:
 
 
 def _sunlit_hours(rays: CellRays, directions: np.ndarray, min_sine: float) -> np.ndarray:
+    """Return hours of sun (n,) of cells. ``directions`` (times, 3) lead to the sun at steps of ``RAY_STEP_S`` seconds.
+
+    ``min_sine`` is the sine of the least altitude of a visible sun.
+    """
     return np.asarray(
         sum(rays.sun_visible(direction, min_sine).astype(np.float64) for direction in directions) * RAY_STEP_S / 3600.0
     )
@@ -177,7 +186,10 @@ def day_length_h(sun_model: str, dem: QuestionDem) -> float:
 
 
 def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
-    """Return azimuths and altitudes (n,) of a tool's sun, every ``RAY_STEP_S`` seconds of a day."""
+    """Return azimuths and altitudes (n,) of a tool's sun, degrees, every ``RAY_STEP_S`` seconds of a day.
+
+    ``sun_model`` is one of ``HoursTool.sun_model``.
+    """
     if sun_model == "suncalc":
         return suncalc_path(*dem.lon_lat, RAY_STEP_S)
     if sun_model == "solar day":
@@ -191,6 +203,10 @@ def _sun_path(sun_model: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]
 
 
 def _read_raster(path: Path, dem: QuestionDem) -> np.ndarray:
+    """Return the first band of a file (rows, cols).
+
+    ``dem`` is the raster of heights, which ``HoursTool.read_hours`` passes to all readers. Only some of them need it.
+    """
     with rasterio.open(path) as dataset:
         return dataset.read(1)
 
@@ -253,7 +269,10 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
 
 
 def measure_hours(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Measure tools on a raster, and yield their results. Tools that fail are added to ``left_out`` with the reason."""
+    """Measure tools on the raster ``case`` and yield their results, with errors in ``cells`` sampled cells.
+
+    Tools that fail are added to ``left_out`` with the reason.
+    """
     truth = HoursTruth(dem, cells)
     for tool in tools:
         try:

@@ -127,7 +127,7 @@ ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
 
 
 def tool_standings(comparison: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
-    """Return the tools' standings in each case of a question.
+    """Return the tools' standings in each case of a question. ``clock`` is a key of ``ANSWER_CLOCKS``.
 
     Tools without seconds by ``clock``, or without an error, are omitted.
     """

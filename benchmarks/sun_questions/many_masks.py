@@ -36,12 +36,14 @@ SAMPLING_INTERVAL, SAMPLING_INTERVAL_BY_TOOL = 3, {"Whitebox Workflows": 5}
 """Only one in this many single-mask runs is measured, and its seconds are multiplied. The dictionary holds exceptions by tool."""
 
 PEER_NAMES = ("insolation", "solweig", "Whitebox Workflows", "gdaldem hillshade")
+"""Names of the compared tools in ``benchmarks.peers.tools``."""
 
 ALTITUDE_TOLERANCE_DEG = 0.01
 """Change of the sun's altitude, degrees. Truth in a cell is certain if a sun lower and a sun higher by this give the same
 result."""
 
 MARGIN_CELLS = 3
+"""Width of the margin of a raster without sampled cells."""
 
 
 def mask_times(lon_deg: float) -> list[datetime]:
@@ -52,11 +54,11 @@ def mask_times(lon_deg: float) -> list[datetime]:
 
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
-    """Truth at sampled cells (``row``, ``col``) for each time.
+    """Truth at n sampled cells (``row``, ``col``) for each time.
 
     Masks are bool (times, n): whether the sun is visible (``lit``), and whether that is certain (``certain``). The prefix
     ``round_`` marks masks with each cell's own solar position on the round earth. The prefix ``flat_`` marks masks in a flat world
-    with the sun's angles at each time, which are the input of other tools.
+    with the sun's angles at each time (``azimuth_deg``, ``altitude_deg``), which are the input of other tools.
     """
 
     row: np.ndarray
@@ -70,7 +72,7 @@ class MaskTruth:
 
 
 def trace_mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
-    """Trace the truth of all masks with rays at random cells."""
+    """Trace the truth of all masks with rays at ``cells`` random cells. ``times`` are those of the masks."""
     rows, cols = dem.height_m.shape
     rng = np.random.default_rng(1)
     row, col = (rng.integers(MARGIN_CELLS, length - MARGIN_CELLS, cells) for length in (rows, cols))
@@ -106,12 +108,15 @@ def trace_mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> Mas
 
 
 def wrong_share(lit: np.ndarray, truth: np.ndarray, certain: np.ndarray) -> float:
-    """Return the share of wrong results among the cells with certain truth."""
+    """Return the share of wrong results among the cells with certain truth. All masks have the same shape."""
     return float((certain & (lit != truth)).sum() / certain.sum())
 
 
 def measure_masks(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """Measure Skugga and other tools, and yield their results. Tools that fail are added to ``left_out`` with the reason."""
+    """Measure Skugga and other tools, and yield their results, with errors in ``cells`` sampled cells.
+
+    Tools that fail are added to ``left_out`` with the reason.
+    """
     times = mask_times(dem.lon_lat[0])
     truth = trace_mask_truth(dem, times, cells)
     yield from _measure_skugga(dem, times, truth)
@@ -145,6 +150,10 @@ def _measure_skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -
 
 
 def _measure_peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
+    """Measure single-mask runs of a tool, and yield an answer scaled to all masks. Raises ``RuntimeError`` if a run fails.
+
+    If the tool reports its time of computing, yield a second answer: one start of the process and the computing of all masks.
+    """
     interval = SAMPLING_INTERVAL_BY_TOOL.get(tool.name, SAMPLING_INTERVAL)
     runs, mask_samples, indices = [], [], list(range(interval // 2, MASK_COUNT, interval))
     for n in indices:
@@ -187,6 +196,11 @@ def _mask_answer(
     error_as_is: float | None,
     seconds_factor: float = 1.0,
 ) -> SunAnswer:
+    """Return an answer with the summed times of ``runs``, multiplied by ``seconds_factor``.
+
+    ``name`` is the tool with its way of running. Errors are shares of the cells with certain truth, by the tool's own world and by
+    the round earth. They are ``None`` if the tool casts no shadows.
+    """
     wall_s, cpu_s = (seconds_factor * sum(getattr(run, cost) for run in runs) for cost in ("wall_s", "cpu_s"))
     return SunAnswer(
         MASKS_QUESTION, dem.name, name, is_skugga, None, wall_s, cpu_s, error_share, None, error_as_is, seconds_factor > 1.0
@@ -194,6 +208,10 @@ def _mask_answer(
 
 
 def _read_and_delete(path: Path, truth: MaskTruth, decode_mask: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Read a mask file and delete it. Return whether the sun is visible, bool (n,), in the sampled cells.
+
+    ``decode_mask`` converts the file's values (rows, cols) to that mask.
+    """
     with rasterio.open(path) as dataset:
         values = decode_mask(dataset.read(1))[truth.row, truth.col]
     os.unlink(path)

@@ -43,10 +43,11 @@ def exact_horizon(
 ) -> float:
     """Return the exact horizon angle of a node in a direction, degrees.
 
-    ``col_direction`` and ``row_direction`` are the unit vector of the direction in columns and rows. A column is ``cell_m`` metres
-    wide, and ``radius_m`` is the earth's radius R. The result uses every crossing of the direction with edges of triangles: rows,
-    columns and both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a distance s, the
-    tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
+    ``height_m`` are the heights of nodes (rows, cols). ``col_direction`` and ``row_direction`` are the unit vector of the direction
+    in columns and rows. A column is ``cell_m`` metres wide, and ``radius_m`` is the earth's radius R. The result uses every
+    crossing of the direction with edges of triangles: rows, columns and both diagonals of quads. Only one diagonal is an edge;
+    crossings with the other do no harm. At a distance s, the tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R
+    + h0)) / ((R + h) sin(s/R)), where h0 is the height of the node.
     """
     rows, cols = height_m.shape
     rim_distances = [

@@ -20,7 +20,7 @@ UNIT_BY_QUESTION = {HOURS_QUESTION: "minutes", HORIZON_QUESTION: "degrees", MASK
 
 
 def format_error(question: str, value: float | None) -> str:
-    """Format an error in the question's unit."""
+    """Format an error in the question's unit: minutes, degrees, or the share ``value`` of cells in per cent. ``None`` is "-"."""
     if value is None:
         return "-"
     if question == MASKS_QUESTION:
@@ -29,6 +29,7 @@ def format_error(question: str, value: float | None) -> str:
 
 
 def _format_seconds(value: float | None, answer: SunAnswer) -> str:
+    """Format seconds of an answer, with "~" if they are extrapolated; ``None`` as "-"."""
     return "-" if value is None else f"{'~ ' if answer.scaled else ''}{format_seconds(value)}"
 
 
@@ -86,7 +87,10 @@ def _better_peers(comparison: SunComparison, question: str) -> list[str]:
 
 
 def _better_peers_text(comparison: SunComparison, question: str, metric: str, clock: str, adjective: str) -> str:
-    """Describe the peers that beat Skugga's best row in accuracy or time, with the number of cases and the largest factor."""
+    """Describe the peers that beat Skugga's best row in accuracy or time, with the number of cases and the largest factor.
+
+    ``metric`` is a field of ``ToolStanding``, ``clock`` a key of ``ANSWER_CLOCKS``. ``adjective`` is the comparative in the text.
+    """
     standings_by_case = tool_standings(comparison, question, clock)
     if not standings_by_case:
         return f"- {adjective[0].upper()}{adjective[1:]}: not measured."

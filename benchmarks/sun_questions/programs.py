@@ -49,10 +49,12 @@ def time_in_daylight(path: str, out: str, day: str, degrees: str) -> float:
 
 
 def _grass(*arguments: str) -> str:
+    """Run a command of GRASS, and return its standard output. Raises ``CalledProcessError`` if it fails."""
     return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
 
 
 def _import_dem(path: str) -> None:
+    """Import a raster file into the GRASS session as the map ``dem``, and set the session's region to it."""
     _grass("r.in.gdal", "--quiet", f"input={path}", "output=dem")
     _grass("g.region", "raster=dem")
 

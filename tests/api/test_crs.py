@@ -71,6 +71,7 @@ SAMPLES = [
 
 
 def open_scene(raster: Path) -> Scene:
+    """Return the scene of a raster file."""
     return build_scene(load_level(raster))
 
 

@@ -28,6 +28,7 @@ def tetrahedra(folder, name: str, **keys: object) -> Scene:
 
 
 def product_of(scene: Scene, name: str) -> np.ndarray:
+    """Return the array of a product in the view ``eye``."""
     view, product = scene.view("eye"), product_named(name)
     return compute(scene, view, ProductRequest(product=name), plan_for(scene, view, "eye", product, {})).array
 

@@ -34,6 +34,7 @@ def every_error() -> list[type[SkuggaError]]:
 
 
 def make_error(error_class: type[SkuggaError]) -> SkuggaError:
+    """Return an error of a class, with the arguments that its constructor needs."""
     if issubclass(error_class, errors.InputError):
         return error_class("azimuth", 7, "something else")
     return error_class("x", "a message") if error_class is NotServedError else error_class("a message")

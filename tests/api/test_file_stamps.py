@@ -13,11 +13,13 @@ from tests.rasters import write_geotiff
 
 
 def version_of(path: Path) -> str:
+    """Return the version of a level, which changes with its files."""
     loaded = load_level(LevelSource(path=path))
     return level_version(loaded, file_stamps(watched_files(loaded)))
 
 
 def write_flat_ground(path: Path, height_m: float) -> Path:
+    """Write a raster of equal heights and return its path."""
     return write_geotiff(path, np.full((8, 9), height_m, np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
 
 

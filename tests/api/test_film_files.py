@@ -46,6 +46,7 @@ def frames_of_webp(path: Path) -> Iterator[np.ndarray]:
 
 
 def list_files(folder: Path) -> list[str]:
+    """Return the paths of all files below a folder, relative to it."""
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
@@ -137,6 +138,7 @@ def test_png_frames_keep_every_pixel(tmp_path):
 
 
 def decoded_frames_of(path: Path) -> list:
+    """Return the frames of a video file."""
     import av
 
     with av.open(str(path)) as container:
@@ -187,6 +189,8 @@ def test_at_most_a_frame_for_each_core_is_in_memory(tmp_path, name):
 
 
 class StopError(Exception):
+    """Raised by a test to stop the writing of a film."""
+
     pass
 
 

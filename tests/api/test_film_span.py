@@ -17,6 +17,7 @@ MORNING, EVENING = "2024-10-21T06:00:00-04:00", "2024-10-21T18:00:00-04:00"
 
 
 def path(*times: str) -> CameraPathSpec:
+    """Return a camera path whose keys have the given times and the same camera."""
     return CameraPathSpec.model_validate(
         {"keys": [{"at": time_text, "eye": [0, 0, 5], "target": [9, 9, 0]} for time_text in times]}
     )

@@ -22,10 +22,12 @@ MERCATOR = registered.get("WebMercatorQuad")
 
 
 def world(lon: float, lat: float) -> World:
+    """Return a world in degrees with its anchor at a longitude and latitude."""
     return World(CRS.from_epsg(4326), False, lon, lat, lon, lat)
 
 
 def square_bounds(lon: float, lat: float, half: float) -> tuple[float, float, float, float]:
+    """Return west, south, east and north of a square with sides of 2 ``half``, degrees."""
     return lon - half, lat - half, lon + half, lat + half
 
 
@@ -106,6 +108,7 @@ def test_quadtree_levels_are_recognized():
 
 
 def tiles_with_data(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:
+    """Return column and row of the tiles of a zoom that show a part of ``data``: west, south, east and north, degrees."""
     count = 2**zoom
     return {(x, y) for x in range(count) for y in range(count) if not shows_no_data(MERCATOR, zoom, x, y, data)}
 

@@ -33,6 +33,7 @@ from tests.api.workers.test_pool import block, run_with_pool, wait_until
 
 
 def _caused_by(cause: Exception) -> Exception:
+    """Return an error of an unreadable source whose context is ``cause``."""
     try:
         try:
             raise cause

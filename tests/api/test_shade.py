@@ -24,24 +24,31 @@ CELL_M = 30.0
 
 
 def hills(rows: int = 300, cols: int = 260, rough_m: float = 4.0) -> np.ndarray:
+    """Return heights of hills in metres (rows, cols) with bumps of ``rough_m`` metres."""
     row, col = np.mgrid[:rows, :cols].astype(np.float32)
     return 900 + 300 * np.sin(col / 14) * np.cos(row / 23) + rough_m * np.sin(col * row / 97)
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Scene:
+    """Scene of hills with a hole."""
     heights = hills()
     heights[40:60, 100:130] = -9999.0
     return open_scene(write_geotiff(tmp_path / "hills.tif", heights, "EPSG:32633", 500e3, 5200e3, CELL_M, nodata=-9999.0))
 
 
 def open_scene(raster: Path) -> Scene:
+    """Return the scene of a raster file."""
     return build_scene(load_level(raster))
 
 
 def write_and_read(
     scene: Scene, folder: Path, layer: str = "mask", sun: SunSpec | None = LOW_SUN, **extent
 ) -> tuple[np.ndarray, Path]:
+    """Write a raster of a layer under a sun. Return its values (rows, cols) or (bands, rows, cols), and its path.
+
+    ``extent`` are arguments of ``raster_view``.
+    """
     path = folder / f"{layer}.tif"
     write_shade(scene, raster_view(scene, **extent), layer, [sun], [path])
     with rasterio.open(path) as dataset:

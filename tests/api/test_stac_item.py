@@ -57,6 +57,8 @@ def landsat(**changes: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def write(tmp_path: Path):
+    """A function that writes a STAC item (a JSON value, or a text) into a file and returns its path."""
+
     def write_item(item: Any) -> Path:
         path = tmp_path / "item.json"
         path.write_text(item if isinstance(item, str) else json.dumps(item), encoding="utf-8")
@@ -128,6 +130,7 @@ def test_an_invalid_item_is_one_line(write, item, expected_texts):
 
 @pytest.fixture
 def dem(tmp_path: Path) -> Path:
+    """File of a raster of hills round the item's place."""
     row, col = np.mgrid[:100, :120].astype(np.float32)
     heights = 700 + 250 * np.sin(col / 9) * np.cos(row / 11)
     return write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32633", WEST - 300, NORTH + 300, 30.0)

@@ -32,6 +32,7 @@ CELL_M = 30.0
 
 @pytest.fixture
 def scene(tmp_path: Path):
+    """Scene of fractal mountains."""
     built_scene = build_scene(
         load_level(write_geotiff(tmp_path / "own.tif", fractal_heights_m(150), "EPSG:32632", 500e3, 5200e3, CELL_M))
     )
@@ -40,6 +41,10 @@ def scene(tmp_path: Path):
 
 
 def write_and_read(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **extent) -> tuple[np.ndarray, Path]:
+    """Write a raster of sun hours with steps of ``step`` minutes. Return its values (rows, cols) and its path.
+
+    ``extent`` are arguments of ``raster_view``.
+    """
     path = folder / f"{quantity}.tif"
     progress: list[tuple[int, int]] = []
     request = sun_hours_of(date=date(2024, 3, 21), clock="utc", quantity=quantity, step_min=step)

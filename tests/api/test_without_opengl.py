@@ -49,6 +49,7 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def level(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """File of a level of hills with a map and perspective views."""
     return write_level(tmp_path_factory.mktemp("bare"), "hills", views={"map": {"kind": "map"}, **PERSPECTIVE_VIEWS})
 
 

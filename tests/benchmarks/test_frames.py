@@ -44,6 +44,7 @@ TINY_PICTURE = replace(
 
 
 def cost_row(ms: float, **other_figures: Any) -> dict[str, Any]:
+    """Return the costs of a frame of ``ms`` milliseconds. ``other_figures`` replace or add figures."""
     return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **other_figures}
 
 

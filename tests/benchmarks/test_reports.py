@@ -36,10 +36,12 @@ def parse_command(command: str) -> dict[str, Any]:
 
 
 def make_record(*rows: dict[str, Any], **other_figures: Any) -> dict[str, Any]:
+    """Return the stored figures of a scene whose comparison has these rows."""
     return stored_figures(SCENES["city"], comparison(*rows, **other_figures), REPORT_FACTS) | RUN_FIGURES
 
 
 def measured_part(text: str) -> str:
+    """Return the text between the marks of a page."""
     return text.partition(START)[2].partition(END)[0]
 
 

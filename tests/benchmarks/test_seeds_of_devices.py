@@ -19,6 +19,7 @@ FIGURES = Path(seeds.__file__).parent / "seeds.json"
 
 
 def device(renderer: str, software: bool) -> Any:
+    """Return a device with an OpenGL name, which may be a software renderer."""
     return SimpleNamespace(renderer=renderer, egl_device=SimpleNamespace(is_software=software))
 
 
@@ -26,6 +27,7 @@ CPU, CARD = device("a rasteriser", True), device("a card", False)
 
 
 def section(figures: dict[str, Any]) -> Section:
+    """Return a section with a table of times by scene, and a claim about the largest time."""
     rows = [{"scene": scene, "map": "1024", "time": f"{time:.2f}"} for scene, time in figures["times"].items()]
     claim = Claim("a text", "it is fast", f"{max(figures['times'].values()):.2f}", max(figures["times"].values()) < 1.0, "so it is")
     return Section("Times", "Measured.", [("The times", rows)], [claim])
@@ -35,6 +37,7 @@ EXPERIMENT = Experiment(dict, section)
 
 
 def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str, Any]:
+    """Return the stored figures of devices. ``times`` has each device's times by scene."""
     measured: dict[str, Any] = {}
     for device_info, device_times in zip(devices, times, strict=True):
         add_figures(measured, device_info, "times", {"times": device_times})

@@ -14,10 +14,12 @@ from skugga.terrain.geo.sun_path import sun_path
 
 
 def make_answer(tool: str, is_skugga: bool, seconds: float, error: float, question: str = "hours of a day") -> SunAnswer:
+    """Return a tool's answer with seconds of computing and an error."""
     return SunAnswer(question, "somewhere", tool, is_skugga, seconds, seconds + 1.0, seconds, error, error, error)
 
 
 def make_comparison(*answers: SunAnswer) -> SunComparison:
+    """Return results with these answers and nothing else."""
     return SunComparison("here", 1.0, 60.0, {}, {}, [], [], list(answers))
 
 

@@ -46,6 +46,7 @@ def open_panel(viewer: Viewer, panel: str, **settings: str) -> Viewer:
 
 
 def point_report(service: Client, lon_lat: str, time: str = TIME, **parameters: str) -> dict[str, Any]:
+    """Return the service's report of a point. ``lon_lat`` is longitude and latitude, joined by a comma."""
     lon, lat = lon_lat.split(",")
     return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **parameters}).json()
 
@@ -56,6 +57,7 @@ def shown_times(viewer: Viewer, selector: str) -> list[str]:
 
 
 def shown_intervals(viewer: Viewer) -> list[tuple[str, str]]:
+    """Return the begin and end times of the intervals of sun that the viewer shows."""
     times = shown_times(viewer, ".intervals")
     return list(zip(times[::2], times[1::2], strict=True))
 
@@ -321,4 +323,5 @@ def _map_picture(viewer: Viewer) -> np.ndarray:
 
 
 def _differing_share(picture: np.ndarray, other: np.ndarray) -> float:
+    """Return the share of pixels that differ by more than 32 of 255 in any channel."""
     return float((np.abs(picture.astype(int) - other).max(axis=2) > 32).mean())

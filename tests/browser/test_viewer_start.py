@@ -64,6 +64,7 @@ class ServiceReadiness:
 
 
 def _preparing(task: str | None, done: int, total: int) -> dict[str, Any] | None:
+    """Return the value ``preparing`` of ``/readyz``: the running task with its progress, ``None`` without a task."""
     return None if task is None else {"task": task, "done": done, "total": total}
 
 
@@ -74,6 +75,7 @@ def readiness(viewer: Viewer) -> ServiceReadiness:
 
 
 def _readiness_of(viewer: Viewer) -> ServiceReadiness:
+    """Return the fake readiness of the viewer's service, which is starting."""
     viewer.allowed_faults = re.compile("503|404|ERR_CONNECTION_REFUSED")
     readiness = ServiceReadiness(viewer.page)
     readiness.starting()

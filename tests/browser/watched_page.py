@@ -51,10 +51,12 @@ class WatchedPage:
         return np.asarray(Image.open(BytesIO(self.page.screenshot(clip=clip))).convert("RGB"))
 
     def _on_console(self, message: ConsoleMessage) -> None:
+        """Record an error in the console as a fault."""
         if message.type == "error":
             self.faults.append(f"console: {message.text}")
 
     def _on_request(self, request: Request) -> None:
+        """Record a request, as a fault if it goes to another host."""
         if request.url.startswith(("data:", "blob:")):
             return
         self.waiting.add(request)
@@ -63,10 +65,12 @@ class WatchedPage:
             self.faults.append(f"not from the service: {request.url}")
 
     def _on_response(self, response: Response) -> None:
+        """Record a response with an error status as a fault."""
         if response.status >= 400:
             self.faults.append(f"{response.status}: {response.url}")
 
     def _on_request_failed(self, request: Request) -> None:
+        """Record a failed request as a fault, unless the page cancelled it."""
         self.waiting.discard(request)
         if request.failure != ABORTED_ERROR:
             self.faults.append(f"{request.failure}: {request.url}")

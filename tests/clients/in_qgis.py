@@ -61,6 +61,7 @@ def browser_sources(name: str, url: str) -> list[str]:
 
 
 def layer_sources(item: object, *above: object) -> list[str]:
+    """Return the sources of all layers below an item of the browser. ``above`` keeps its parents alive."""
     item.populate(True)
     children = item.children()
     kept_references.append((item, children, above))
@@ -120,6 +121,7 @@ def record_legend(name: str, layer: QgsRasterLayer) -> None:
 
 
 def draw_wms_layers() -> None:
+    """Draw all layers of the WMS, with their legends."""
     layers = {}
     for source in browser_sources("wms", f"{address}/levels/{level}/wms"):
         name = source.partition(f"layers={level}:")[2].partition("&")[0]
@@ -137,6 +139,7 @@ def draw_wms_layers() -> None:
 
 
 def draw_wmts_layers() -> None:
+    """Draw a layer of the WMTS."""
     every = browser_sources("wmts", f"{address}/levels/{level}/WMTSCapabilities.xml")
     required_parts = (f"layers={level}:color&", "tileMatrixSet=WebMercatorQuad", "format=image/png")
     matching_sources = [source_uri for source_uri in every if all(part in source_uri for part in required_parts)]
@@ -151,6 +154,7 @@ def draw_wmts_layers() -> None:
 
 
 def draw_xyz_layer() -> None:
+    """Draw the tiles by their URL template, also beyond the last zoom."""
     template = f"{address}/levels/{level}/tiles/WebMercatorQuad/{{z}}/{{x}}/{{y}}.png"
     layer = record_layer(
         "xyz", QgsRasterLayer(f"type=xyz&zmin={plan['zooms'][0]}&zmax={plan['zooms'][1]}&url={template}", "xyz", "wms")
@@ -160,6 +164,7 @@ def draw_xyz_layer() -> None:
 
 
 def draw_layer_definition() -> None:
+    """Draw the layers of the level's QGIS layer definition file."""
     path = folder / f"{level}.qlr"
     urllib.request.urlretrieve(f"{address}/levels/{level}.qlr", path)
     project = QgsProject.instance()

@@ -44,6 +44,7 @@ def run_gdal_translate(folder: Path, source: str, *options: str) -> np.ndarray:
 
 
 def fetch_picture(client: Client, address: str, **query: str) -> np.ndarray:
+    """Return the picture of a successful response to GET ``address`` as RGBA (rows, cols, 4)."""
     answer = client.get(address, params=query)
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))

@@ -45,11 +45,13 @@ CACHE_VERSION = 5
 
 
 def free_port() -> int:
+    """Return the number of a TCP port that no process uses."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         return listening.getsockname()[1]
 
 
 def wait_until(condition: Callable[[], bool], within_s: float = TIMEOUT_S) -> None:
+    """Wait until a condition holds. Fail after ``within_s`` seconds."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end
@@ -80,10 +82,12 @@ class Deployment:
         wait_until(lambda: self._answers(self.direct, "/readyz"), READY_S)
 
     def kill_service(self) -> None:
+        """Kill the service, but not nginx."""
         self.service.kill()
         self.service.wait()
 
     def _answers(self, client: httpx.Client, address: str) -> bool:
+        """Return whether GET ``address`` has the status 200. Fail if the last started process has ended."""
         assert self._started[-1].poll() is None, "\n".join(path.read_text() for path in self.folder.glob("*.log"))
         try:
             return client.get(address).status_code == 200
@@ -141,6 +145,7 @@ class Deployment:
 
 @pytest.fixture(scope="module")
 def deployment() -> Iterator[Deployment]:
+    """A running service behind a running nginx. The test is skipped without nginx."""
     if shutil.which("nginx", path=f"{os.environ['PATH']}:/usr/sbin") is None:
         pytest.skip("there is no nginx: 'make test-clients' installs it, or 'apt-get install nginx-light'")
     print(subprocess.run(["nginx", "-v"], capture_output=True, text=True, check=True).stderr.strip())
@@ -160,6 +165,7 @@ def status_and_cache_status(answer: httpx.Response) -> tuple[int, str]:
 
 
 def tile_under_sun(altitude_deg: float) -> str:
+    """Return the URL path of a tile under a sun of an altitude."""
     return f"{TILE}?azimuth=200&altitude={altitude_deg:g}"
 
 

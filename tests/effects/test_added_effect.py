@@ -15,21 +15,25 @@ from skugga.terrain.facts.fact_types import Fact
 
 
 def judge(descriptor: Descriptor) -> Verdict:
+    """Require the effect if there is ground above 50 m."""
     highest = descriptor.facts["dust"]["highest_m"]
     assert isinstance(highest, float)
     return Verdict(highest > 50.0, f"the highest ground is at {highest:.0f} m")
 
 
 def facts(scene, view, coarse_view) -> dict[str, Fact]:
+    """Return the fact on which the effect depends: the highest ground, metres."""
     return {"highest_m": scene.height_range_m[1]}
 
 
 def paint_dust(albedo: np.ndarray, block: ShadingBlock) -> None:
+    """Colour ground above 50 m in ``albedo`` (rows, cols, 3)."""
     albedo[block.buffer.height_m > 50.0] = (0.9, 0.8, 0.1)
 
 
 @pytest.fixture
 def dust(monkeypatch: pytest.MonkeyPatch):
+    """Register the effect ``dust`` for a test."""
     effect = Effect("yellow dust on high ground", judge, facts, stage="albedo", apply=paint_dust)
     monkeypatch.setitem(effects.EFFECTS, "dust", effect)
 

@@ -23,6 +23,7 @@ SIZE = {"map": (96, 72), "perspective": (160, 120)}
 
 @pytest.fixture(scope="module")
 def scene_of():
+    """A function that returns the scene of a level file. The last scene is cached."""
     scenes: dict[Path, Scene] = {}
 
     def cached_scene(path: Path) -> Scene:
@@ -35,12 +36,14 @@ def scene_of():
 
 
 def render_level_view(scene: Scene, name: str) -> Frame:
+    """Render a level's view by its own plan, at the size of its kind of view."""
     spec = scene.loaded.level.views.get(name)
     view = scene.view(name, size=SIZE["map" if spec is None else spec.kind])
     return render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
 
 
 def views_of(path: Path) -> list[str]:
+    """Return the names of a level's views; ``map`` is always one of them."""
     return list({"map": None, **load_level(path).level.views})
 
 

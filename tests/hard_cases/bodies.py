@@ -100,6 +100,7 @@ def differing_pixel_count(first: RenderedView, second: RenderedView) -> int:
 
 
 def join_meshes(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return one mesh with all triangles of several meshes."""
     return trimesh.util.concatenate(list(meshes))
 
 
@@ -120,10 +121,12 @@ def without_triangles(mesh: trimesh.Trimesh, removed: np.ndarray | int) -> trime
 
 
 def flip_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a mesh whose triangles have the opposite winding."""
     return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
 
 
 def half_sphere(lower: bool) -> trimesh.Trimesh:
+    """Return the lower or upper half of a sphere as an open mesh."""
     ball = trimesh.creation.icosphere(3, 4.0)
     ball.apply_translation([0.0, 0.0, 5.0])
     is_upper = ball.triangles_center[:, 2] > 5.0
@@ -131,6 +134,7 @@ def half_sphere(lower: bool) -> trimesh.Trimesh:
 
 
 def sheet() -> trimesh.Trimesh:
+    """Return an open mesh of two triangles."""
     return triangle_soup([[[-4, -3, 3], [4, -3, 2], [4, 3, 5]], [[-4, -3, 3], [4, 3, 5], [-4, 3, 4]]])
 
 

@@ -92,6 +92,7 @@ class RenderedView:
 
     @cached_property
     def truth(self) -> Truth:
+        """Ray-traced truth of the view."""
         return trace_truth(self.buffer, self.scene, self.casters, light=self.light)
 
     @cached_property

@@ -67,6 +67,7 @@ def hunt_for(time_limit_s: float, seed_value: int) -> tuple[dict[str, int], list
 
 
 def main() -> int:
+    """Draw random situations for the algorithms of the command line. Return 1 if one exceeds its bounds, else 0."""
     parser = argparse.ArgumentParser(prog="hunt", description="draw new situations, and print those over their bounds")
     parser.add_argument("algorithms", nargs="*", choices=[*ALGORITHMS, []], help="all of them unless named")
     parser.add_argument("--examples", type=int, default=300, help="for each algorithm (300)")

@@ -113,12 +113,14 @@ def far_peak(trial: Trial, height_m: float, altitude_deg: float, view_radius_m: 
 
 
 def _mesa(rows: int, cols: int, edge_row: int, height_m: float) -> np.ndarray:
+    """Return heights (rows, cols) of a plain with a mesa of 12 x 28 cells. ``edge_row`` is its northernmost row."""
     heights = np.zeros((rows, cols), np.float32)
     heights[edge_row : edge_row + 12, cols // 2 - 14 : cols // 2 + 14] = height_m
     return heights
 
 
 def _peak_on_the_plane(trial: Trial, height_m: float, altitude_deg: float, view_radius_m: float) -> FarPeak:
+    """Return a mesa in a flat world under a sun in the south. Views show a square of 2 ``view_radius_m`` round its shadow's end."""
     cell, cols = 250.0, 60
     length_m = height_m / np.tan(np.radians(altitude_deg))
     rows = round(length_m / cell) + 60

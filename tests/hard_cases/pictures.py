@@ -46,6 +46,7 @@ def visibility_image(scene: Scene, view: View, **overrides: Any) -> Image.Image:
 
 
 def bodies(trial: Trial) -> Image.Image:
+    """Draw the shadows of unusual meshes."""
     views = {"eye": eye((22, 42, 26), (0, 2, 0), fov=50)}
     scene = trial.scene(FLOOR, (200, 35), [arrange_in_rows(list(UNUSUAL_BODIES.values())[:6])], "bodies", views=views)
     return color_image(scene, scene.view("eye", size=(WIDTH_PX, HEIGHT_PX)), algorithm="shadow_volume")
@@ -68,6 +69,7 @@ def curvature(trial: Trial) -> Image.Image:
 
 
 def needle(trial: Trial) -> Image.Image:
+    """Draw the shadow of a single high cell."""
     heights = np.zeros((96, 128), np.float32)
     heights[48, 16] = 3000.0
     scene = trial.scene(trial.raster(heights, ENGINEERING, 0.0, 0.0, 32.0, "needle"), (270, 45), name="needle")
@@ -75,6 +77,7 @@ def needle(trial: Trial) -> Image.Image:
 
 
 def holes(trial: Trial) -> Image.Image:
+    """Draw a plateau with holes in its data."""
     raster = trial.raster(plateau_with_holes(128), UTM, *CORNER_M, 8.0, "holes", nodata=-9999.0)
     scene = trial.scene(raster, (310, 30), name="holes", effects={"cast_shadows": "on"})
     west, south, east, north = scene.view(size=(64, 64)).bounds
@@ -95,6 +98,7 @@ def masks(trial: Trial) -> Image.Image:
 
 
 def horizon(trial: Trial) -> Image.Image:
+    """Draw the visibility of a sun one degree above the horizon."""
     scene = scene_of(next(iter(COUNTEREXAMPLES.values())), trial.folder).with_sun(SunSpec(azimuth=270, altitude=1))
     west, south, east, north = scene.view(size=(64, 64)).bounds
     part = west, south + (north - south) / 8, east, north - (north - south) / 8
@@ -102,6 +106,7 @@ def horizon(trial: Trial) -> Image.Image:
 
 
 def stack_vertically(strips: list[Image.Image]) -> Image.Image:
+    """Return one image with strips below one another."""
     canvas = Image.new("RGB", (WIDTH_PX, sum(strip.height for strip in strips) + GAP_PX * (len(strips) - 1)), PAPER)
     top = 0
     for strip in strips:

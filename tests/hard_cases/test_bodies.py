@@ -67,10 +67,12 @@ def worst_over_views(
 
 
 def select_views(views: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return the views with these names."""
     return {name: views[name] for name in names}
 
 
 def max_by_figure(figure_sets: list[dict[str, float]]) -> dict[str, float]:
+    """Return the largest value of each figure."""
     return {name: max(figures[name] for figures in figure_sets) for name in figure_sets[0]}
 
 

@@ -23,6 +23,8 @@ def test_sight_is_that_of_all_pictures_and_wrong_is_the_worst():
 
 
 def case_record(folder: Any, coverage: MetricCoverage, figure: str = "interior") -> dict[str, Any]:
+    """Return the record of a case that measures nothing but the coverage of one figure."""
+
     def measure(trial: Trial) -> dict[str, float]:
         trial.record_coverage(figure, coverage)
         return {"interior": 0.0, "gap_texels": 0.0}

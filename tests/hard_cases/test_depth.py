@@ -38,6 +38,7 @@ def cliff(trial: Trial, height_m: float, altitude: float, meshes: list[trimesh.T
 
 
 def shadow_map_settings(rendered: RenderedView) -> ShadowMapSettings:
+    """Return the settings of the only step of a rendered view."""
     (step,) = rendered.plan.steps
     assert isinstance(step.settings, ShadowMapSettings)
     return step.settings

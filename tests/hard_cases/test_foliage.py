@@ -219,6 +219,7 @@ def border(trial: Trial) -> tuple[Scene, PerspectiveView]:
 
 
 def _size(trial: Trial) -> tuple[int, int]:
+    """Return rows and columns of a picture."""
     return (320, 512) if trial.thorough else (128, 192)
 
 

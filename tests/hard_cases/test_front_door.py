@@ -96,26 +96,32 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def ground(name: str, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a level whose terrain is the file ``name``."""
     return {"terrain": {"source": name, **keys}}
 
 
 def perspective_level(*position: float, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a level with a view from an eye to ``PLACE``."""
     return {"views": {"map": {"kind": "perspective", "eye": position, "target": [*PLACE, 0], "size": [40, 30], **keys}}}
 
 
 def mesh_level(name: str, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a flat level with the mesh of the file ``name``."""
     return {"terrain": FLAT, "meshes": [{"source": name, "at": [0, 0], **keys}]}
 
 
 def lamp(*position: float, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a flat level with a lamp at a position."""
     return {"terrain": FLAT, "lights": {"lamp": {"kind": "omni", "position": position, **keys}}}
 
 
 def trees(name: str, **keys: Any) -> dict[str, Any]:
+    """Return the keys of trees from the file ``name``."""
     return {"forest": [{"source": name, **keys}]}
 
 
 def houses(name: str, height: Any) -> dict[str, Any]:
+    """Return the keys of houses from the footprints of the file ``name``."""
     return {"meshes": [{"source": name, "height": height}]}
 
 

@@ -87,6 +87,7 @@ def max_by_figure(figure_sets: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def pass_notes(rendered: RenderedView) -> str:
+    """Return the notes of all passes of a rendered view."""
     return " ".join(record.note for record in rendered.log.records.values())
 
 

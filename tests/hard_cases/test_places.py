@@ -52,6 +52,7 @@ def mast(trial: Trial, place: Place, sun: tuple[float, float], name: str = "mast
 
 
 def _raster(trial: Trial, heights: np.ndarray, place: Place, name: str) -> Path:
+    """Write heights (rows, cols) as a raster around a place and return its path."""
     x, y = place.xy
     half = place.cells * place.cell / 2
     return trial.raster(heights, place.crs, x - half, y + half, place.cell, name=name)
@@ -237,6 +238,7 @@ def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
 
 
 def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
+    """Return the largest error of the sun's azimuth at points 10 km round a place, degrees."""
     assert scene.sun is not None
     worst = 0.0
     for bearing in (10.0, 100.0, 190.0, 280.0):

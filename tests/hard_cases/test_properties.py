@@ -264,10 +264,12 @@ def outcome(trial: Trial, situation: Situation) -> dict[str, float]:
 
 
 def within_bounds(figures: dict[str, float]) -> bool:
+    """Return whether all figures are within their bounds."""
     return all(figures[name] <= bound for name, bound in _BOUNDS.items())
 
 
 def _worse(worst: dict[str, float], figures: dict[str, float]) -> None:
+    """Update the largest value of each figure in ``worst``."""
     for name, value in figures.items():
         worst[name] = max(worst.get(name, 0.0), value)
 

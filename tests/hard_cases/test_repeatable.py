@@ -77,6 +77,10 @@ def test_another_rasteriser(tmp_path: Path, record_property: Callable[[str, obje
 
 
 def _across_rasterisers(trial: Trial) -> Mapping[str, float]:
+    """Return the largest share of pixels whose shadow by hardware and by software rendering differs.
+
+    The test is skipped without graphics hardware.
+    """
     worst = 0.0
     for algorithm in SHADOW_ALGORITHMS[:-1]:  # the sweep needs no rasteriser
         algorithm_trial = Trial(algorithm, False, trial.folder)

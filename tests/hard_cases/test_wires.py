@@ -50,6 +50,7 @@ def wires(width_m: float) -> list[trimesh.Trimesh]:
 
 
 def view_from_above(scene: Scene, px: int) -> MapView:
+    """Return a map of the whole level with ``px`` x ``px`` pixels."""
     half = SIDE_M / 2.0
     view = scene.view(bounds=(-half, -half, half, half), size=(px, px))
     assert isinstance(view, MapView)

@@ -81,6 +81,7 @@ def test_suns_along_the_axes(trial: Trial) -> dict[str, float]:
 
 
 def _render_under_sun(trial: Trial, scene: Scene, view: View, azimuth: float, altitude: float) -> RenderedView:
+    """Render a view under a sun, and check that it shows shadow."""
     rendered = trial.render_view(scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude)), view, map_size=512)
     assert altitude > 89.0 or rendered.dark[rendered.buffer.valid].mean() > 0.02, "shadow"
     return rendered

@@ -122,16 +122,19 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def level(scene) -> Level:
+    """The scene's level."""
     return scene.loaded.level
 
 
 def moment(scene: Scene, pose: CameraPose) -> Moment:
+    """Return the moment of a flight with a camera at ``pose``: eye and target."""
     (eye, up_vector), (target, _) = (scene.geolocator.point_above_ground(point, "place") for point in pose)
     view = look_at(eye, target, up_vector, FOV_DEG, ROWS, COLS)
     return Moment(scene, view, describe(scene, view, "flight"))
 
 
 def interpolate_poses(start: CameraPose, end: CameraPose, frames: int) -> list[CameraPose]:
+    """Return ``frames`` poses from ``start``, in equal steps towards ``end``, which is not included."""
     steps = np.linspace(np.array(start), np.array(end), frames, endpoint=False)
     return [tuple(map(tuple, step.tolist())) for step in steps]
 

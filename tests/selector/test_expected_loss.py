@@ -11,10 +11,12 @@ TIME_SPREAD = 0.2
 
 
 def forecast(name: str, ms: float, chance: float, error: float = 0.005, interior: float = 0.0) -> Forecast:
+    """Return the forecast of a candidate. ``chance`` is the probability that its error exceeds the target."""
     return Forecast(CandidateFigures(name, ms, error, interior), chance, TIME_SPREAD)
 
 
 def late_chance(ms: float, max_ms: float | None) -> float:
+    """Return the probability that a candidate of ``ms`` milliseconds exceeds ``max_ms``."""
     return forecast("a candidate", ms, 0.0).late_chance(max_ms)
 
 

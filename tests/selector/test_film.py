@@ -58,10 +58,12 @@ def figure(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def hills() -> Scene:
+    """Scene of a bundled level of terrain only."""
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 
 def frames_of(scene: Scene, request: FilmRequest, replanner: Replanner | None = None) -> Iterator[FilmFrame]:
+    """Yield the frames of a film. ``replanner`` ``None`` stands for a new replanner."""
     return film_frames(scene, request, frame_moments(scene, request), replanner)
 
 
@@ -191,6 +193,7 @@ def test_frame_moments_take_size_from_request_or_path(figure):
 
 
 def low_camera_path(height: float) -> CameraPathSpec:
+    """Return a path of four seconds whose camera ends at a height, metres above the ground."""
     keys = [{"at": at, "eye": [x, 0, z], "target": [0, 9, 0]} for at, x, z in (("0s", 0, 5), ("4s", 50, height))]
     return CameraPathSpec.model_validate({"keys": keys})
 

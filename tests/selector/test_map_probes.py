@@ -14,6 +14,7 @@ from tests.api.workers.fake_probes import observation as make_observation
 
 
 def make_probes(scale: int, sun: int, *choices: str) -> MapProbes:
+    """Return probes of one class of scale and sun, with observations of these choices."""
     return MapProbes(classes=(ProbedClass(scale=scale, sun=sun, seen={"sun": tuple(map(make_observation, choices))}),))
 
 

@@ -46,10 +46,12 @@ LEVEL_TEXTS = {
 
 
 def load(text: str) -> dict:
+    """Return the content of a YAML text."""
     return YAML(typ="safe", pure=True).load(text)
 
 
 def removed_lines(before: str, after: str) -> list[str]:
+    """Return the lines of a text that an edited text lacks."""
     return [line[2:] for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line.startswith("- ")]
 
 
@@ -296,6 +298,7 @@ def test_pinned_text_escapes_and_wraps_its_comment():
 
 @pytest.fixture(scope="module")
 def scene():
+    """Scene of a bundled level of terrain only."""
     return build_scene(load_level(Path("configs/jacksboro.yaml")))
 
 

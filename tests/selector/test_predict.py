@@ -84,14 +84,17 @@ def device(scale: Callable[[str, str], float] = lambda part, name: 1.0, rates_ns
 
 
 def expensive_texels(part: str, name: str) -> float:
+    """Return a factor of the cost of a unit of work: 50 for texels, else 1."""
     return 50.0 if name.startswith("texels") else 1.0
 
 
 def cheap_faces(part: str, name: str) -> float:
+    """Return a factor of the cost of a unit of work: 0.01 for faces, else 1."""
     return 0.01 if name.startswith("faces") else 1.0
 
 
 def make_request(descriptor: Descriptor, **shadows) -> StandaloneRequest:
+    """Return a planning request for a descriptor with keys of ``shadows``."""
     return StandaloneRequest(Shadows(**shadows), tuple(descriptor.lights))
 
 
@@ -102,6 +105,7 @@ def plan_view(
     errors: ErrorModel | None = ERROR_MODEL,
     **shadows,
 ) -> Plan:
+    """Return the predicted plan of a descriptor, for a level with keys of ``shadows`` and a request with overrides."""
     return predicted_plan(descriptor, make_request(descriptor, **shadows), overrides, profile or device(), errors)
 
 
@@ -137,6 +141,7 @@ def measured_device() -> DeviceProfile:
 
 
 def descriptor_of(record: dict[str, Any], **changes) -> Descriptor:
+    """Return the descriptor of a record of measurements. ``changes`` replace fields."""
     return Descriptor.model_validate({**record["descriptor"], **changes})
 
 

@@ -40,6 +40,7 @@ PLAIN_LEVEL = {
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Scene:
+    """Scene of the level ``PLAIN_LEVEL``."""
     path = tmp_path_factory.mktemp("steady") / "figure.yaml"
     path.write_text(json.dumps(PLAIN_LEVEL), encoding="utf-8")
     return build_scene(load_level(path))
@@ -47,11 +48,13 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def descriptor(scene) -> Descriptor:
+    """Descriptor of the scene's view ``eye``."""
     return describe(scene, scene.view("eye"), "eye")
 
 
 @pytest.fixture(scope="module")
 def level(scene) -> Level:
+    """The scene's level."""
     return scene.loaded.level
 
 
@@ -73,10 +76,12 @@ class TablePolicy:
 
 
 def algorithm_names(plans: list[Plan]) -> list[str]:
+    """Return each plan's algorithm for meshes under the sun."""
     return [plan.algorithm["sun"]["meshes"] for plan in plans]
 
 
 def count_switches(names: list[str]) -> int:
+    """Return how often successive names differ."""
     return sum(previous != current for previous, current in zip(names, names[1:], strict=False))
 
 

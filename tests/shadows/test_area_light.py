@@ -50,6 +50,7 @@ def reference_visibility(buffer: GeometryBuffer, scene: Scene, light: str) -> np
 
 
 def rendered_visibility(scene: Scene, view: View, light: str, **overrides) -> np.ndarray:
+    """Return the visibility of a light (rows, cols) in a rendered view."""
     return render_frame(scene, view, plan_of(scene, view, **overrides)).visibilities[light]
 
 

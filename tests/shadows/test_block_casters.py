@@ -67,6 +67,7 @@ def random_windows(scene: Scene, random: np.random.Generator, count: int) -> Ite
 
 
 def assert_frames_equal(frame: Frame, other_frame: Frame) -> None:
+    """Assert that all layers of two frames are equal to the bit."""
     assert np.array_equal(frame.color, other_frame.color) and np.array_equal(frame.height_m, other_frame.height_m, equal_nan=True)
     for light, visibility in frame.visibilities.items():
         assert np.array_equal(visibility, other_frame.visibilities[light], equal_nan=True)

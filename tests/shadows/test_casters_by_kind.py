@@ -32,16 +32,19 @@ def village() -> Scene:
 
 
 def view_of(scene: Scene):
+    """Return a perspective view of the village."""
     return scene.view("village", size=(192, 154))
 
 
 @pytest.fixture(scope="module")
 def buffer(village) -> GeometryBuffer:
+    """Visible points of the village."""
     return geometry_buffer(village, view_of(village))
 
 
 @lru_cache(maxsize=8)
 def truth(scene: Scene, buffer: GeometryBuffer, kinds: tuple[str, ...]):
+    """Return ray-traced truth of the shadows that these kinds of casters cast."""
     return trace_truth(buffer, scene, find_casters(scene, buffer), kinds=kinds)
 
 

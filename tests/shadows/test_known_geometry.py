@@ -26,6 +26,10 @@ TAN_ALTITUDE = np.tan(np.radians(ALTITUDE_DEG))
 
 
 def block_raster(write_raster: Callable[..., Path], crs: str, x: float, y: float, cell: float, cells: int = 81) -> Path:
+    """Write a raster of a block on a level floor around (x, y), and return its path.
+
+    ``cell`` is the side of cells in units of ``crs``, and ``cells`` their number along a side.
+    """
     heights = np.zeros((cells, cells), np.float32)
     middle = cells // 2
     heights[middle - 2 : middle + 3, middle - 2 : middle + 3] = BLOCK_HEIGHT_M

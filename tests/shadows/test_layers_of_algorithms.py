@@ -50,10 +50,12 @@ def build(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene(build) -> Scene:
+    """The scene that all tests of this module draw."""
     return build()
 
 
 def render_with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
+    """Render a view, by default ``eye``, with layers of the algorithms."""
     view = view or scene.view("eye")
     return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers))
 

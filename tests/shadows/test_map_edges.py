@@ -46,10 +46,12 @@ def tower(write_raster, make_scene, tmp_path) -> Scene:
 
 
 def view_of(scene: Scene, pixels: int = SIDE_M) -> MapView:
+    """Return a map of the whole ground with ``pixels`` pixels a side."""
     return scene.view(bounds=(0.0, 0.0, float(SIDE_M), float(SIDE_M)), size=(pixels, pixels))
 
 
 def render_at_points(scene: Scene, view: MapView, **overrides) -> Frame:
+    """Render a map with one sample point per pixel."""
     return render_frame(scene, view, plan_of(scene, view, **overrides), pixel_sampling="points")
 
 
@@ -60,6 +62,7 @@ def lit_share_cache() -> dict[int, np.ndarray]:
 
 
 def block_means(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the means over squares of ``side`` x ``side`` values."""
     return values.reshape(values.shape[0] // side, side, values.shape[1] // side, side).mean(axis=(1, 3))
 
 

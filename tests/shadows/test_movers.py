@@ -62,10 +62,12 @@ def build(tmp_path: Path) -> Build:
 
 
 def moving_box(*keyframes: dict, **motion: Any) -> dict:
+    """Return the keys of a moving box mesh. ``motion`` are further keys of its motion."""
     return {"source": "box.ply", "motion": {"path": list(keyframes), **motion}}
 
 
 def view_of(scene: Scene, kind: str) -> MapView | PerspectiveView:
+    """Return a view of a kind: ``map`` or ``perspective``."""
     return scene.view("eye") if kind == "perspective" else scene.view(bounds=(4, 4, 92, 76), size=(176, 144))
 
 

@@ -65,10 +65,12 @@ def render_uncached(scene: Scene, view: str = "eye", **overrides: Any) -> Frame:
 
 
 def render_planned(scene: Scene, view: str, plan: Plan) -> Frame:
+    """Render the view ``view`` by a plan."""
     return render_frame(scene, scene.view(view), plan)
 
 
 def record_of(frame: Frame, ending: str) -> PassRecord:
+    """Return the only record of a pass whose name has an ending."""
     (record,) = (record for record in frame.passes if record.name.endswith(ending))
     return record
 

@@ -71,6 +71,7 @@ def build(tmp_path_factory) -> Build:
 
 
 def view_of(scene: Scene, kind: str):
+    """Return a view of a kind: ``map`` or ``perspective``."""
     return scene.view("eye") if kind == "perspective" else scene.view(bounds=(-40, -40, 40, 40), size=(240, 240))
 
 

@@ -39,6 +39,7 @@ def sun_behind_spike(is_column: bool) -> dict[str, float]:
 
 
 def write_strip(write_raster, heights: np.ndarray) -> Path:
+    """Write heights (rows, cols) as a raster in a flat world and return its path."""
     return write_raster(heights, ENGINEERING, 0.0, CELL_M * heights.shape[0], CELL_M)
 
 

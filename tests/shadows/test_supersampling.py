@@ -43,11 +43,13 @@ def ridges(tmp_path):
 
 @pytest.fixture(scope="module")
 def jacksboro():
+    """Scene of a bundled level of terrain only, under a low sun."""
     scene = build_scene(load_level(Path(__file__).parents[2] / "configs" / "jacksboro.yaml"))
     return scene.with_sun(SunSpec(azimuth=250.0, altitude=12.0))
 
 
 def view_of(scene, pixels: int) -> MapView:
+    """Return a map of the whole ground with ``pixels`` pixels a side."""
     return scene.view(bounds=(0.0, 0.0, float(SIDE), float(SIDE)), size=(pixels, pixels))
 
 

@@ -21,6 +21,7 @@ EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov":
 
 @pytest.fixture(scope="module")
 def hazy(tmp_path_factory) -> Scene:
+    """Scene of tetrahedra in haze, under the sun and a lamp."""
     path = tmp_path_factory.mktemp("visibility") / "hazy.yaml"
     keys = {
         "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},

@@ -28,9 +28,11 @@ class Answers:
         return float(np.quantile(latencies_s, share) * 1000.0) if latencies_s else float("nan")
 
     def count(self, status: int) -> int:
+        """Return the number of answers with a status."""
         return self.statuses.count(status)
 
     def summary(self, name: str) -> str:
+        """Format the statuses and times of the answers, after ``name``."""
         counts = ", ".join(f"{status}: {self.count(status)}" for status in sorted(set(self.statuses)))
         return (
             f"{name}: {len(self.statuses)} answers ({counts}); of 200 and 304 half within {self.success_ms(0.5):.1f} ms, "
@@ -38,6 +40,7 @@ class Answers:
         )
 
     def success_ms(self, share: float) -> float:
+        """Return the milliseconds within which a share of the answers with status 200 or 304 came; NaN without any."""
         latencies_s = [
             latency_s for latency_s, answer_status in zip(self.seconds, self.statuses, strict=True) if answer_status in (200, 304)
         ]

@@ -68,6 +68,7 @@ class Answer:
     body: bytes
 
     def json(self) -> Any:
+        """Return the content of a JSON body."""
         return json.loads(self.body)
 
 
@@ -82,6 +83,7 @@ class ObservedAnswers:
     kinds_cut_short: set[str] = field(default_factory=set)
 
     def add(self, kind: str, answer: Answer, seconds: float) -> None:
+        """Record an answer to a kind of request that took ``seconds``."""
         self.statuses.setdefault(kind, Counter())[answer.status] += 1
         self.slowest_s[kind] = max(self.slowest_s.get(kind, 0.0), seconds)
         allowed = {200} if kind == "health" else self.allowed | ({0} if kind in self.kinds_cut_short else set())
@@ -96,9 +98,11 @@ class ObservedAnswers:
         assert not self.faults, "\n".join([f"{len(self.faults)} wrong answers: {self.summary()}", *examples[:8]])
 
     def count(self, status: int) -> int:
+        """Return the number of answers with a status, over all kinds of requests."""
         return sum(counter[status] for counter in self.statuses.values())
 
     def summary(self) -> str:
+        """Format statuses and slowest answers by kind of request."""
         kinds = (
             f"{kind} {dict(sorted(counter.items()))} in up to {self.slowest_s[kind]:.1f} s"
             for kind, counter in sorted(self.statuses.items())
@@ -254,6 +258,7 @@ def wait_for_picture(port: int, expected: Callable[[bytes], bool], within_s: flo
 
 
 def descriptor_count(pid: int) -> int:
+    """Return the number of open files of a process."""
     return len(os.listdir(f"/proc/{pid}/fd"))
 
 
@@ -279,6 +284,7 @@ def soft_limit(resource_kind: int, value_by_pid: dict[int, int]) -> Iterator[Non
 
 
 def kill_render_processes(service_pid: int) -> None:
+    """Kill all render processes of a service."""
     for pid in render_processes(service_pid):
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
@@ -541,6 +547,7 @@ KILL_COUNT = int(os.environ.get("SOAK_KILLS", "6"))
 
 
 def seed_arguments(level: Path, archive: Path) -> list[str | Path]:
+    """Return the arguments of ``skugga`` that seed an archive."""
     return ["seed", level, "--layer", "shadow", "--zooms", "10-14", "--workers", "2", "--output", archive]
 
 
@@ -691,6 +698,7 @@ print(load_profile(*renderer_and_version()).model_dump_json())
 
 
 def run_program(program: str, environment: dict[str, str]) -> str:
+    """Run a Python program in a new process with further environment variables, and return its output."""
     return subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, **environment}, capture_output=True, text=True, check=True, timeout=120
     ).stdout.strip()

@@ -100,6 +100,7 @@ def test_overload_is_refused_and_latency_holds(tmp_path: Path, capsys: pytest.Ca
 
 
 async def tile_etag(port: int) -> str:
+    """Return the entity tag of a tile."""
     connection = Connection(port)
     response_headers = await connection.get(TILE, Answers())
     connection.close()

@@ -11,6 +11,7 @@ CELL_DEG = 0.6 / 240
 
 
 def hills(lon: float, lat: float, write_raster, make_scene, **keys):
+    """Return a scene of hills round a longitude and latitude."""
     row, col = np.mgrid[:240, :240]
     heights = (3000 + 2500 * np.sin(col / 4) * np.cos(row / 6)).astype(np.float32)
     path = write_raster(heights, "EPSG:4326", lon - 0.3, lat + 0.3, CELL_DEG, name=f"at{lon:g}.tif")

@@ -16,6 +16,7 @@ from skugga.terrain.atomic_files import atomic_folder, atomic_path, remove_parti
 
 
 def file_names(folder):
+    """Return the sorted names of a folder's files."""
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -110,10 +111,12 @@ def test_error_of_another_file_keeps_its_name(tmp_path):
 
 
 def file_contents(folder: Path) -> dict[str, bytes]:
+    """Return the contents of a folder's files, by name."""
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def write_three(folder: Path, content: bytes) -> None:
+    """Write a folder of three files with the same content at once."""
     with atomic_folder(folder) as part:
         for name in "abc":
             (part / name).write_bytes(content)
@@ -223,6 +226,7 @@ WRITE_CALL = re.compile(
 
 
 def modules_that_write():
+    """Yield the paths of the modules that write files directly."""
     root = Path(__file__).parents[2]
     for package in ("terrain", "shadows", "selector", "api"):
         for path in (root / package).rglob("*.py"):

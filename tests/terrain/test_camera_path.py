@@ -21,6 +21,7 @@ ROWS, COLS = 24, 32
 
 @pytest.fixture(scope="module")
 def floor(tmp_path_factory) -> Scene:
+    """Scene of a level floor."""
     path = tmp_path_factory.mktemp("path") / "floor.yaml"
     level = {"version": 1, "terrain": {"flat": {"size": [400, 400], "cells": [100, 100]}}, "sun": {"azimuth": 200, "altitude": 35}}
     path.write_text(json.dumps(level), encoding="utf-8")
@@ -29,16 +30,19 @@ def floor(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def hills() -> Scene:
+    """Scene of a bundled level with trees."""
     return build_scene(load_level("configs/jacksboro_wooded.yaml"))
 
 
 def path_spec(*keys: tuple[str, tuple, tuple], **key_options) -> CameraPathSpec:
+    """Return a camera path with keys (time, eye, target)."""
     return CameraPathSpec.model_validate(
         {"keys": [{"at": at, "eye": eye, "target": target_point, **key_options} for at, eye, target_point in keys]}
     )
 
 
 def path_of(scene: Scene, *keys: tuple[str, tuple, tuple], **key_options) -> CameraPath:
+    """Return the path of a camera in a scene from keys (time, eye, target)."""
     return camera_path(path_spec(*keys, **key_options), scene.geolocator, None)
 
 

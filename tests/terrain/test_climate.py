@@ -31,6 +31,7 @@ def srgb_at(latitude: float, height: float) -> np.ndarray:
 
 
 def ramp_color(ramp, height: float) -> np.ndarray:
+    """Return the colour (3,) of a ramp at a height, sRGB from 0 to 255."""
     return 255.0 * ramp_srgb(ramp, np.array([height]))[0]
 
 

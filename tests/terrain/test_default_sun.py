@@ -17,6 +17,7 @@ CELL_M, CELLS = 30.0, 64
 
 
 def scene_over(folder: Path, heights: np.ndarray, crs: str = ENGINEERING, x0: float = 0.0, y0: float = 0.0) -> Scene:
+    """Return the scene of heights (rows, cols) whose north-west corner is (x0, y0)."""
     return build_scene(load_level(write_geotiff(folder / "ground.tif", heights.astype(np.float32), crs, x0, y0, CELL_M)))
 
 

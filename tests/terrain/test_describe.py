@@ -41,18 +41,22 @@ LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30, "reference_m": 10}
 
 
 def scene_of(name: str):
+    """Return the scene of a bundled level."""
     return build_scene(load_level(CONFIGS / f"{name}.yaml"))
 
 
 def with_sun_facts(**facts) -> dict:
+    """Return changes of a descriptor: facts of the sun."""
     return {"lights": {"sun": facts}}
 
 
 def with_cast_bands(*bands: dict, share: float = 0.1) -> dict:
+    """Return changes of a descriptor: bands of the sun's cast shadow of relief."""
     return with_sun_facts(casts={"relief": {"share": share, "bands": list(bands)}})
 
 
 def with_band(**changes) -> dict:
+    """Return changes of a descriptor: a band of distances."""
     return {"bands": [BAND | changes]}
 
 
@@ -218,6 +222,7 @@ def test_spinning_caster_moves():
 
 
 def _scene_view_and_name(level: str, view: str):
+    """Return the arguments of ``describe`` for a view of a bundled level."""
     scene = scene_of(level)
     return scene, scene.view(view), view
 

@@ -10,12 +10,14 @@ from skugga.terrain.interpolation_loops import blend_corners, cell_interval, ler
 
 @compiled
 def _smooth_all(shares, out):
+    """Write the smoothstep of shares (n,) to ``out``."""
     for n in range(shares.size):
         out[n] = smoothstep_value(shares[n])
 
 
 @compiled
 def _look_up_all(values, row, col, by_steps, out):
+    """Write interpolated values at fractional rows and columns (n,) to ``out``, in steps or in one call."""
     rows, cols = values.shape
     for n in range(row.size):
         r0, r1, row_share = cell_interval(row[n], rows)

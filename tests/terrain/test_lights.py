@@ -31,6 +31,7 @@ X0, Y0 = 450_000.0, 6_000_000.0
 
 @pytest.fixture
 def floor(write_raster) -> Path:
+    """File of a raster of level ground."""
     return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
 
 
@@ -42,10 +43,12 @@ def post_mesh(tmp_path) -> list[dict]:
 
 
 def omni_light(height: float = 10.0, **keys) -> dict:
+    """Return the keys of a lamp at a height above the origin."""
     return {"lamp": {"kind": "omni", "position": [0, 0, height], **keys}}
 
 
 def spot(height: float = 10.0, cutoff: float = 30.0, **keys) -> dict:
+    """Return the keys of a spot light that points down at the origin. ``cutoff`` is in degrees."""
     return {"lamp": {"kind": "spot", "position": [0, 0, height], "target": [0, 0, 0], "cutoff": cutoff, **keys}}
 
 
@@ -247,6 +250,7 @@ def test_lamp_off_the_data_is_rejected_in_one_line(floor, make_scene, light, exp
 
 
 def moving_lamp(kind: str, *keys: dict, **lamp_keys) -> dict:
+    """Return the keys of a moving lamp of a kind with a path of keys."""
     motion = {name: lamp_keys.pop(name) for name in ("loop", "above") if name in lamp_keys}
     return {"lamp": {"kind": kind, "motion": {"path": list(keys), **motion}, **lamp_keys}}
 

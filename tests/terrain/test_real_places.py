@@ -75,6 +75,7 @@ def scene_of(shared_data: Path, make_scene):
 
 
 def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
+    """Return heights (rows, cols) and geotransform of a raster file."""
     with rasterio.open(path) as dataset:
         return dataset.read(1).astype(np.float64), dataset.transform
 

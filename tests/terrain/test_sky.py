@@ -37,6 +37,7 @@ def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0):
 
 
 def color_at(scene, altitude_deg: float, azimuth_deg: float) -> np.ndarray:
+    """Return the linear colour (3,) of the sky. ``azimuth_deg`` is relative to the sun."""
     out = np.empty(3)
     sky_color(sky_of(scene), np.sin(np.radians(altitude_deg)), np.cos(np.radians(azimuth_deg)), out)
     return out

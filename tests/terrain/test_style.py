@@ -48,6 +48,7 @@ def centre_color(scene: Scene, sunlight: float) -> np.ndarray:
 
 
 def color_of(scene: Scene) -> np.ndarray:
+    """Return the colours (rows, cols, channels) of a map of a scene."""
     view = scene.view(size=(60, 60))
     return render_frame(scene, view, plan_of(scene, view)).color
 

@@ -20,11 +20,13 @@ CELL_M = 30.0
 
 
 def scene_of(folder: Path, heights: np.ndarray, crs: str = "EPSG:32633", cell_m: float = CELL_M, **options) -> Scene:
+    """Return the scene of heights (rows, cols)."""
     raster = write_geotiff(folder / "dem.tif", heights.astype(np.float32), crs, 500e3, 5200e3, cell_m, **options)
     return build_scene(load_level(LevelSource(path=raster)))
 
 
 def hills(rows: int = 160, cols: int = 160) -> np.ndarray:
+    """Return heights of hills in metres (rows, cols)."""
     row, col = np.mgrid[:rows, :cols]
     return 600 + 250 * np.sin(col / 11) * np.cos(row / 9)
 

@@ -64,6 +64,7 @@ class FakeBackend:
             self.closed += 1
 
     def encode(self, path: Path, frames: Iterable[np.ndarray], spec: AnimationSpec) -> None:
+        """Write the first value of each frame to a text file. Raise ``encoder_error`` after the first frame if it is set."""
         self.folders.append(path.parent)
         with path.open("w") as file:
             for frame in frames:
@@ -73,6 +74,7 @@ class FakeBackend:
                     raise self.encoder_error
 
     def release(self, frames: int) -> None:
+        """Allow a number of further frames to be drawn."""
         for _ in range(frames):
             self.frame_permits.release()
 
@@ -100,6 +102,7 @@ def run_with_animations(scenario: Scenario, **settings) -> None:
 
 
 def film_content(animation: Animation) -> bytes:
+    """Return the bytes of an animation's finished film."""
     assert animation.film is not None
     reader = animation.film.open_reader(0, animation.film.nbytes)
     content = b"".join(iter(reader.read_chunk, b""))

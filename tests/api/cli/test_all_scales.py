@@ -36,6 +36,7 @@ def probe_rows(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.M
 
 
 def saved_probe_files() -> list[Path]:
+    """Return the files with stored probes of this device."""
     return list(probes_folder(device().renderer, device().version).glob("*.json"))
 
 
@@ -119,6 +120,7 @@ def test_a_probe_of_a_slow_choice_changes_the_plan(probe_rows: list[dict], hills
 
 
 def _measurements(profile: DeviceProfile, version: str, probes) -> PlanMeasurements:
+    """Return measurements for plans: a calibration, and the probes of the level version ``version``."""
     return PlanMeasurements(profile, {version: probes.model_dump_json()})
 
 

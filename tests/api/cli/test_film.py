@@ -47,6 +47,7 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
 
 
 def read_pngs(folder: Path) -> list[np.ndarray]:
+    """Return the pictures of a folder's PNG files (rows, cols, channels), in the order of their names."""
     return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
 
 

@@ -18,12 +18,14 @@ COMMENTED_OUT = re.compile(r"^#(?! \S)(?=.)")
 
 
 def write_hills(folder: Path, crs: str = "EPSG:32633", name: str = "dem.tif") -> Path:
+    """Write a raster of hills with nodes of 30 units of ``crs`` as ``name``, and return its path."""
     row, col = np.mgrid[:120, :150].astype(np.float32)
     return write_geotiff(folder / name, 600 + 250 * np.sin(col / 11) * np.cos(row / 9), crs, 500e3, 5200e3, 30.0)
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder that is the working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -52,6 +52,7 @@ def site(tmp_path: Path) -> Path:
 
 
 def full_level_source(site: Path) -> LevelSource:
+    """Return a level source with all files of ``site``: heights, canopy and buildings."""
     return LevelSource(path=site / "dem.tif", canopy=site / "canopy.tif", buildings=site / "houses.geojson", nodata=7.0)
 
 

@@ -21,12 +21,14 @@ SUN = ("--azimuth", "250", "--altitude", "12")
 
 @pytest.fixture
 def raster(tmp_path: Path) -> Path:
+    """File of a raster of hills."""
     row, col = np.mgrid[:90, :120].astype(np.float32)
     return write_geotiff(tmp_path / "dem.tif", 300 * np.sin(col / 9) * np.cos(row / 13), "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
 @pytest.fixture
 def stderr_is_terminal(monkeypatch) -> None:
+    """Make warnings believe that standard error is a terminal."""
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
 
 

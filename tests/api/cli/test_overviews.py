@@ -22,6 +22,7 @@ SENTINEL = -32768
 
 @pytest.fixture(autouse=True)
 def lower_overview_limits(monkeypatch):
+    """Lower the sizes from which rasters need overviews, so that small rasters need them."""
     monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 300_000)
     monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", 300_000)
     monkeypatch.setattr(overview, "OVERVIEW_SIDE_CELLS", 64)
@@ -29,11 +30,13 @@ def lower_overview_limits(monkeypatch):
 
 
 def relief(dtype=np.int16) -> np.ndarray:
+    """Return heights of hills in metres (rows, cols), of the data type ``dtype``."""
     row, col = np.mgrid[:ROWS, :COLS]
     return (700 + 500 * np.sin(col / 200) * np.cos(row / 300)).astype(dtype)
 
 
 def raster_of(folder: Path, heights: np.ndarray, **options) -> Path:
+    """Write heights as a tiled GeoTIFF and return its path. ``options`` are creation options."""
     options = {"tiled": True, **options}
     return write_geotiff(folder / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)
 

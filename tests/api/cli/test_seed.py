@@ -15,6 +15,7 @@ QUICK_OPTIONS = "--zooms", "12-13", "--layer", "shadow", "--azimuth", "225", "--
 
 @pytest.fixture
 def raster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """File of a raster of rough ground, in the working folder."""
     monkeypatch.chdir(tmp_path)
     return write_ground(tmp_path / "dem.tif", rough_ground(120))
 

@@ -166,6 +166,7 @@ def test_the_descriptor_survives_a_round_trip(gl, run, tmp_path):
 
 
 def make_plan(predicted: Predicted | None, **target) -> Plan:
+    """Return a plan without steps, with predicted figures and the fields ``target`` of its target."""
     return Plan(
         view="map", policy="predict", algorithm={}, settings={}, effects=[], left_out=[], rejected=[], passes=[],
         predicted=predicted, target=Target(**{"max_error": 0.03, **target}), reasons=[],
@@ -195,6 +196,7 @@ def test_a_plan_over_the_render_timeout_misses_the_target(monkeypatch):
 
 
 def profile(**changes) -> DeviceProfile:
+    """Return a calibration. ``changes`` replace fields."""
     fields = {
         "renderer": "a device", "version": "4.6", "cpus": 2, "engine": "0", "measured": datetime(2026, 1, 1, tzinfo=UTC),
         "took_s": 84.0, "rates_ns": {"depth_map": {"texels": 1.5}},

@@ -25,6 +25,7 @@ RULES_OPTIONS = ("--all-views", "--policy", "rules")
 
 @pytest.fixture
 def level(tmp_path: Path) -> Path:
+    """File of the level ``LEVEL``."""
     path = tmp_path / "mine.yaml"
     path.write_text(LEVEL)
     return path

@@ -13,12 +13,14 @@ from tests.api.conftest import PNG, write_level, write_tiles
 
 
 def _patch(content: bytes, offset: int, struct_format: str, value: int) -> bytes:
+    """Return the content of an archive with a value, packed by ``struct_format``, at a byte offset."""
     changed = bytearray(content)
     struct.pack_into(struct_format, changed, offset, value)
     return bytes(changed)
 
 
 def _break_root_directory(content: bytes) -> bytes:
+    """Return the content of an archive whose root directory is zero after its first 12 bytes."""
     offset, length = struct.unpack_from("<QQ", content, 8)
     return content[: offset + 12] + bytes(length - 12) + content[offset + length :]
 

@@ -46,6 +46,7 @@ LEVEL = {
 
 
 def write_yard(folder: Path, name: str = "yard", **keys) -> Path:
+    """Write the level ``LEVEL`` with other ``keys`` and return its file."""
     path = folder / f"{name}.yaml"
     path.write_text(json.dumps({**LEVEL, **keys}), encoding="utf-8")
     return path
@@ -53,6 +54,7 @@ def write_yard(folder: Path, name: str = "yard", **keys) -> Path:
 
 @pytest.fixture(scope="module")
 def yard_level(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """File of the level ``LEVEL``."""
     return write_yard(tmp_path_factory.mktemp("yard"))
 
 
@@ -65,6 +67,7 @@ def yard_client(yard_level: Path) -> Iterator[Client]:
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
+    """Return the picture of a successful response (rows, cols, channels)."""
     assert answer.status_code == 200, answer.content[:300]
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 

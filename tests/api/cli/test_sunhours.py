@@ -12,6 +12,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 
 @pytest.fixture
 def raster(tmp_path):
+    """File of a level floor with a wall of 60 m that runs from north to south."""
     heights = np.zeros((50, 50), np.float32)
     heights[:, 25] = 60.0
     return write_geotiff(tmp_path / "wall.tif", heights, "EPSG:32632", 500e3, 5200e3, 10.0)

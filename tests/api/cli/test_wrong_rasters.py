@@ -40,6 +40,7 @@ MESSAGE_PARTS_BY_RASTER = {
 
 @pytest.fixture
 def unusable_rasters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with rasters that cannot be opened as a level for one reason each."""
     monkeypatch.chdir(tmp_path)
     heights = np.ones((20, 20), np.float32)
     utm, degrees = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)

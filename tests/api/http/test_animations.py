@@ -75,15 +75,18 @@ class GatedService:
         self.client = serve_with(target, **settings)
 
     def job_started(self) -> None:
+        """Wait until the render process has started another job."""
         assert self._job_started.acquire(timeout=TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
+        """Let a number of jobs finish."""
         for _ in range(times):
             self._may_finish.release()
 
 
 @pytest.fixture
 def gated_service(serve_with) -> Callable[..., GatedService]:
+    """A function that starts a ``GatedService``."""
     return functools.partial(GatedService, serve_with)
 
 

@@ -78,12 +78,14 @@ def read_with_gdal(
 
 
 def picture(client: Client, address: str, **query: str) -> np.ndarray:
+    """Return the picture of a successful response to GET ``address`` as RGBA (rows, cols, 4)."""
     answer = client.get(address, params=query)
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 
 
 def wmts_source(client: Client, layer: str, query: str = "") -> str:
+    """Return the name by which GDAL opens a WMTS layer of the service. ``query`` is added to the address of the capabilities."""
     address = f"{client.base_url}/levels/timed/WMTSCapabilities.xml{query}"
     return f"WMTS:{address},layer=timed:{layer},tilematrixset={DEFAULT_MATRIX_SET}"
 

@@ -58,6 +58,7 @@ def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait until a condition holds. Fail after ``TIMEOUT_S`` seconds."""
     end = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < end
@@ -65,14 +66,17 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 
 def calibration_state(client: Client) -> str:
+    """Return the state of calibration that ``/readyz`` reports."""
     return str(client.get("/readyz").json()["calibration"])
 
 
 def plan_policy(client: Client) -> str:
+    """Return the policy of the service's plan of the level."""
     return str(client.get(PLAN).json()["policy"])
 
 
 def log_count(caplog: pytest.LogCaptureFixture, words: str) -> int:
+    """Return the number of log lines that contain ``words``."""
     return sum(words in record.getMessage() for record in caplog.records)
 
 

@@ -42,10 +42,12 @@ def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
 
 
 def waiting_probes(client: Client) -> int:
+    """Return the number of waiting probes that ``/readyz`` reports."""
     return int(client.get("/readyz").json()["probes_waiting"])
 
 
 def saved_probe_files() -> list[Path]:
+    """Return the files with stored probes of the fake device."""
     return list(probes_folder(fake_workers.RENDERER, fake_workers.VERSION).glob("*.json"))
 
 

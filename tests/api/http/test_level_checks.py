@@ -36,6 +36,10 @@ class GatedCheck:
 
 
 def check(gated_check: GatedCheck, ttl_s: float = 0.0, max_wait_s: float = 0.2) -> FileCheck:
+    """Return a check of a level's files by ``gated_check``, whose results are valid for ``ttl_s`` seconds.
+
+    A caller waits for a check at most ``max_wait_s`` seconds.
+    """
     return FileCheck("level", "old", gated_check, ttl_s, max_wait_s)
 
 
@@ -163,10 +167,12 @@ def test_request_without_a_thread_is_503_with_retry_after(tmp_path: Path, monkey
 
 
 async def _without_a_thread(function: object, *args: object) -> None:
+    """Fail like a thread pool that cannot start a thread."""
     raise RuntimeError("can't start new thread")
 
 
 def tile(level: str) -> str:
+    """Return the URL path of the tile at ``CORNER``."""
     return f"/levels/{level}/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 
 

@@ -42,6 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def remove(folder: Path, name: str) -> None:
+    """Remove the file and the raster of a level."""
     for suffix in (".yaml", ".tif"):
         (folder / f"{name}{suffix}").unlink()
 
@@ -168,6 +169,7 @@ def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Call
 
 
 def assert_alive(client: Client) -> None:
+    """Assert that the service answers and serves only the level ``hills``."""
     assert client.get("/healthz").status_code == 200
     assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
 

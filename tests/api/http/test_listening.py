@@ -19,6 +19,7 @@ TIMEOUT_S = 20.0
 
 @pytest.fixture
 def open_sockets() -> Iterator[Callable[[Client, bytes], socket.socket]]:
+    """A function that connects to a service and sends it bytes. All sockets are closed after the test."""
     with ExitStack() as stack:
 
         def connect(client: Client, data: bytes = b"") -> socket.socket:
@@ -103,10 +104,12 @@ def test_unread_answers_close_their_connection(serve_with, open_sockets):
 
 
 def _connections(client: Client) -> int:
+    """Return the number of connections that the service holds open."""
     return len(client.server.server_state.connections)
 
 
 def _received_bytes(connection: socket.socket) -> int:
+    """Read a socket until the service closes it, and return the number of bytes."""
     connection.settimeout(TIMEOUT_S)
     count = 0
     with contextlib.suppress(ConnectionResetError):

@@ -27,6 +27,7 @@ TILE_BBOX = ",".join(f"{value!r}" for value in tms.get("WebMercatorQuad").xy_bou
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
+    """Return the picture of a successful response (rows, cols, channels)."""
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 

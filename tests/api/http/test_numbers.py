@@ -47,6 +47,7 @@ class Client:
 
 @pytest.fixture(scope="module")
 def client() -> Client:
+    """A client without a running service."""
     return Client()
 
 
@@ -73,6 +74,7 @@ def test_decimals_are_read(client, text, number):
 
 
 def parameters(dependant: Dependant) -> Iterator[Any]:
+    """Yield the path and query parameters of a route and of all that it depends on."""
     yield from (*dependant.path_params, *dependant.query_params)
     for dependency in dependant.dependencies:
         yield from parameters(dependency)

@@ -63,10 +63,12 @@ SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
 
 @pytest.fixture(scope="module")
 def document(client: Client) -> dict[str, Any]:
+    """The OpenAPI document of the service."""
     return client.get("/openapi.json").json()
 
 
 def parameters(operation: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the parameters of an operation of the OpenAPI document."""
     yield from operation.get("parameters", ())
 
 
@@ -194,11 +196,13 @@ def narrow_document(document: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def narrow_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+    """The OpenAPI schema with existing names and places only (``narrow_document``)."""
     return schemathesis.openapi.from_dict(narrow_document(document))
 
 
 @pytest.fixture(scope="module")
 def full_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+    """The complete OpenAPI schema."""
     return schemathesis.openapi.from_dict(document)
 
 

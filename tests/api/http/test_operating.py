@@ -58,6 +58,7 @@ def problems_table() -> str:
 
 
 def families() -> list[Metric]:
+    """Return all metrics of a service that has not served a request."""
     settings = Settings(workers=1)
     pool = Pool(settings)
     animations = Animations(settings, frame_renderer(pool, None), write_animation)  # type: ignore[arg-type]

@@ -41,6 +41,7 @@ def _fields(field) -> dict[str, type]:
 
 
 def profile(**changes) -> DeviceProfile:
+    """Return a calibration of the fake device. ``changes`` replace fields."""
     fields = {
         "renderer": fake_workers.RENDERER, "version": "1", "cpus": 2, "engine": "0", "measured": datetime(2026, 1, 1, tzinfo=UTC),
         "took_s": 1.0, "rates_ns": {"map": {"texels": 1.0}},
@@ -50,6 +51,7 @@ def profile(**changes) -> DeviceProfile:
 
 @pytest.fixture(scope="module")
 def facts(client: Client) -> dict:
+    """The level's descriptor, as the service returns it."""
     return client.get(FACTS).json()
 
 
@@ -299,6 +301,7 @@ def calibrated(pipe, config) -> None:
 
 
 def plan_etag(client: Client) -> str:
+    """Return the entity tag of a snapshot, which depends on the version of its plan."""
     client.post("/plan", content=b"{}")
     while not client.service.pool.is_ready:
         client.get("/readyz")

@@ -20,6 +20,7 @@ DAY_QUERY = f"{LON_LAT_QUERY}&time=2024-12-01T09:00:00%2B01:00"
 
 
 def centre_query(client: Client) -> str:
+    """Return the query parameters of the point in the middle of the level ``hills``."""
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     return f"lon={(west + east) / 2:.5f}&lat={(south + north) / 2:.5f}"
 

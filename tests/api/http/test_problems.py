@@ -23,6 +23,7 @@ TILEJSON = "levels/hills/WebMercatorQuad/tilejson.json"
 
 
 def check_problem(answer: httpx.Response, status: int, code: str, parameter: str | None) -> dict:
+    """Check a problem response (RFC 9457) and return its body. ``parameter`` is the refused parameter; ``None`` without one."""
     assert answer.status_code == status, answer.content[:300]
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["cache-control"] == "no-store"

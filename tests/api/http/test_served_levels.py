@@ -24,10 +24,12 @@ from tests.api.http.test_problems import check_problem
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
+    """File of the level ``hills``."""
     return write_level(tmp_path, "hills")
 
 
 def raise_ground(level: Path, metres: float) -> None:
+    """Raise the heights of a level's raster by metres, with a later modification time."""
     raster = level.with_suffix(".tif")
     with rasterio.open(raster, "r+") as dataset:
         dataset.write(dataset.read(1) + np.float32(metres), 1)
@@ -112,26 +114,31 @@ def test_unknown_level_error_lists_the_known_ones(path: Path):
 
 
 def level_of_wrong_version(folder: Path) -> Path:
+    """Return the file of a level whose format version is unknown."""
     path = folder / "wrong.yaml"
     path.write_text("version: 7", encoding="utf-8")
     return path
 
 
 def level_without_raster(folder: Path) -> Path:
+    """Return the file of a level whose raster is missing."""
     path = write_level(folder, "wrong")
     path.with_suffix(".tif").unlink()
     return path
 
 
 def level_with_remote_raster(folder: Path) -> Path:
+    """Return the file of a level whose raster is a URL."""
     return write_level(folder, "wrong", terrain={"source": "/vsicurl/https://example.org/wrong.tif"})
 
 
 def level_with_truth(folder: Path) -> Path:
+    """Return the file of a level that asks for ray-traced shadows."""
     return write_level(folder, "wrong", shadows={"algorithm": {"relief": "truth"}})
 
 
 def level_with_tight_fit(folder: Path) -> Path:
+    """Return the file of a level whose shadow maps depend on the view's extent."""
     return write_level(folder, "wrong", shadows={"fit": "tight"})
 
 

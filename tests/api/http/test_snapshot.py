@@ -20,6 +20,7 @@ SMALL = {"size": "96x64"}
 
 
 def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **parameters: str) -> np.ndarray:
+    """Return a snapshot as integers (rows, cols, 3). ``parameters`` are query parameters besides ``SMALL``."""
     answer = client.get(address, params={**SMALL, **parameters})
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)

@@ -25,6 +25,7 @@ WMTS = {
 
 
 def pixels(answer) -> np.ndarray:
+    """Return the picture of a successful response as RGBA (rows, cols, 4)."""
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 

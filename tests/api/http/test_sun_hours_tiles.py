@@ -21,12 +21,14 @@ ZOOM = 13
 
 
 def tile_of(client: Client, query: str = SUN_HOURS_QUERY, suffix: str = "png"):
+    """Return the tile in the middle of the level ``hills``, and the response to its request. ``suffix`` may be empty."""
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     tile = MERCATOR.tile((west + east) / 2, (south + north) / 2, ZOOM)
     return tile, client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{tile.x}/{tile.y}{suffix and '.' + suffix}?{query}")
 
 
 def picture(answer) -> np.ndarray:
+    """Return the picture of a successful response (rows, cols, channels)."""
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 
@@ -110,6 +112,7 @@ def test_color_scale_is_valid_in_polar_night(globe_at):
 
 @pytest.fixture
 def globe_at():
+    """A function of longitude and latitude that returns a world in degrees with this anchor."""
     from pyproj import CRS
 
     from skugga.terrain.geo.world import World

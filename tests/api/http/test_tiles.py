@@ -31,11 +31,13 @@ NIGHT = {"azimuth": 10, "altitude": -5}
 
 
 def picture(answer: httpx.Response) -> Image.Image:
+    """Return the image of a successful response."""
     assert answer.status_code == 200, answer.content[:300]
     return Image.open(io.BytesIO(answer.content))
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
+    """Return the picture of a successful response, RGBA (rows, cols, 4) if it has colours."""
     image = picture(answer)
     return np.asarray(image.convert("RGBA") if image.mode == "RGB" else image)  # opaque tiles have no alpha
 

@@ -20,6 +20,7 @@ LOWEST_HEIGHT_M = float(np.floor(hills().min()))
 
 
 def heights(client: Client, layer: str, place: str = f"{ZOOM}/{X}/{Y}", suffix: str = "png") -> np.ndarray:
+    """Return the heights (rows, cols) in metres of a tile. ``place`` is its zoom, column and row."""
     answer = client.get(f"{TILES}/{place}.{suffix}?layer={layer}")
     assert answer.status_code == 200, answer.text
     image = Image.open(io.BytesIO(answer.content))

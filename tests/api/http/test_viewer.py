@@ -14,6 +14,7 @@ from tests.api.workers import fake_workers
 
 @pytest.fixture
 def app(hills_level: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """A function that makes a service whose viewer is served from an empty folder."""
     monkeypatch.setattr(routes_viewer, "STATIC_FOLDER", tmp_path)
 
     def make() -> FastAPI:
@@ -23,6 +24,7 @@ def app(hills_level: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
 
 
 def check_page(client: Client, expected_text: str) -> None:
+    """Check that the start page is HTML and contains a text."""
     page = client.get("/")
     assert page.status_code == 200
     assert page.headers["content-type"].startswith("text/html")

@@ -27,6 +27,7 @@ def metric_series(client: Client) -> dict[tuple, float]:
 
 
 def request_count(client: Client, route: str, status: int) -> float:
+    """Return how many GET requests of a route had a status, by the metrics."""
     labels = {"route": route, "method": "GET", "status": str(status)}
     return metric_series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
 

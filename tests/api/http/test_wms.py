@@ -45,12 +45,14 @@ CHILD_ELEMENT_ORDER = {
 
 @pytest.fixture(scope="module")
 def root(client: Client) -> ElementTree.Element:
+    """Root element of the WMS capabilities."""
     answer = client.get("/wms?SERVICE=WMS&REQUEST=GetCapabilities")
     assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/xml")
     return ElementTree.fromstring(answer.content)
 
 
 def layers_of(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """Return the named layers of WMS capabilities by name."""
     return {
         layer.findtext("w:Name", "", NAMESPACES): layer
         for layer in root.iter(f"{{{NAMESPACES['w']}}}Layer")
@@ -59,6 +61,7 @@ def layers_of(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
+    """Return the picture of a successful response (rows, cols, channels)."""
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 

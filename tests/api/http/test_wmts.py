@@ -53,6 +53,7 @@ CHILD_ELEMENT_ORDER = {
 
 
 def local_name(tag: str) -> str:
+    """Return an element's tag without its namespace."""
     return tag.rpartition("}")[2]
 
 
@@ -70,18 +71,21 @@ def check_order(root: ElementTree.Element, order: dict[str, list[str]]) -> None:
 
 @pytest.fixture(scope="module")
 def root(client: Client) -> ElementTree.Element:
+    """Root element of the WMTS capabilities."""
     answer = client.get(ADDRESS)
     assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/xml")
     return ElementTree.fromstring(answer.content)
 
 
 def layer_of(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Return the element of a layer of WMTS capabilities."""
     return next(
         node for node in root.iterfind("w:Contents/w:Layer", NAMESPACES) if node.findtext("o:Identifier", "", NAMESPACES) == name
     )
 
 
 def pixels(answer: httpx.Response) -> np.ndarray:
+    """Return the picture of a successful response as RGBA (rows, cols, 4)."""
     assert answer.status_code == 200, answer.text
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 

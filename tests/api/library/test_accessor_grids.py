@@ -38,6 +38,7 @@ PRODUCTS: dict[str, Callable[[xarray.DataArray], xarray.DataArray]] = {
 
 
 def hills() -> np.ndarray:
+    """Return heights of hills in metres (90, 120) with a hole of NaN."""
     row, col = np.mgrid[:90, :120].astype(np.float32)
     height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
     height[20:30, 50:70] = np.nan
@@ -45,6 +46,7 @@ def hills() -> np.ndarray:
 
 
 def georeferenced_hills(crs: str) -> xarray.DataArray:
+    """Return the hills as a DataArray on the grid of ``GRIDS_BY_CRS``."""
     west, north, cell = GRIDS_BY_CRS[crs]
     y, x = north - cell * (np.arange(90) + 0.5), west + cell * (np.arange(120) + 0.5)
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # CF cannot say all of EPSG:2056
@@ -72,6 +74,7 @@ ROTATED_WEST, ROTATED_NORTH = -5.0, 1.0
 
 
 def hills_of_rotated_pole(y_dim: str = "y", x_dim: str = "x") -> xarray.DataArray:
+    """Return the hills as a DataArray in degrees of a rotated pole, without a CRS."""
     y, x = ROTATED_NORTH - (np.arange(90) + 0.5) / 3600, ROTATED_WEST + (np.arange(120) + 0.5) / 3600
     return xarray.DataArray(hills(), dims=(y_dim, x_dim), coords={y_dim: y, x_dim: x})
 

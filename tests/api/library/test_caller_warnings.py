@@ -38,11 +38,13 @@ def heights_with_undeclared_nodata() -> np.ndarray:
 
 
 def write_plain_raster(path: Path, values: np.ndarray) -> Path:
+    """Write values (rows, cols) as a GeoTIFF and return its path."""
     return write_geotiff(path, values.astype(np.float32), CRS, WEST, NORTH, CELL_M)
 
 
 @pytest.fixture
 def plain(tmp_path) -> Path:
+    """File of a raster of level ground."""
     return write_plain_raster(tmp_path / "plain.tif", np.zeros((SIDE_CELLS, SIDE_CELLS)))
 
 

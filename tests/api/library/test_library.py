@@ -29,6 +29,7 @@ LOW_SUN = {"azimuth": 250.0, "altitude": 12.0}
 
 @pytest.fixture(scope="module")
 def height_m() -> np.ndarray:
+    """Heights of hills (200, 300) with a hole of NaN."""
     row, col = np.mgrid[:200, :300].astype(np.float32)
     height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
     height[20:30, 50:70] = np.nan
@@ -37,6 +38,7 @@ def height_m() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def heights(height_m) -> xarray.DataArray:
+    """The same heights as a DataArray in UTM."""
     y, x = 5200e3 - CELL_M * (np.arange(200) + 0.5), 500e3 + CELL_M * (np.arange(300) + 0.5)
     return xarray.DataArray(height_m, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
 

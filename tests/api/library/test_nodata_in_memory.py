@@ -24,6 +24,7 @@ MASKED_CELLS = np.s_[20:30, 50:70]
 
 @pytest.fixture(scope="module")
 def height_m() -> np.ndarray:
+    """Heights of hills (90, 120) with NaN in ``MASKED_CELLS``."""
     row, col = np.mgrid[:90, :120].astype(np.float32)
     height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
     height[MASKED_CELLS] = np.nan
@@ -31,6 +32,7 @@ def height_m() -> np.ndarray:
 
 
 def masked(height_m: np.ndarray, fill_value: float) -> np.ma.MaskedArray:
+    """Return heights as a masked array whose masked cells hold ``fill_value`` instead of NaN."""
     return np.ma.masked_array(np.where(np.isnan(height_m), np.float32(fill_value), height_m), np.isnan(height_m))
 
 
@@ -71,6 +73,7 @@ def test_nodata_of_a_file_is_no_ground(height_m, dtype, options, tmp_path):
 
 
 def heights(values: np.ndarray) -> xarray.DataArray:
+    """Return values (rows, cols) as a DataArray on the grid ``TRANSFORM``."""
     rows, cols = values.shape
     y, x = TRANSFORM.f + TRANSFORM.e * (np.arange(rows) + 0.5), TRANSFORM.c + TRANSFORM.a * (np.arange(cols) + 0.5)
     return xarray.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")

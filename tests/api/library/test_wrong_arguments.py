@@ -52,6 +52,7 @@ def check_answers_or_refuses(call: Callable[[], Any]) -> None:
 
 @pytest.fixture(scope="module")
 def level() -> Iterator[skugga.OpenLevel]:
+    """An open level of the heights ``GROUND``."""
     with skugga.open_heights(GROUND, TRANSFORM, "EPSG:32633") as open_level:
         yield open_level
 

@@ -26,10 +26,12 @@ def point_horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
 
 
 def file_text(name: str) -> str:
+    """Return the text of a horizon file in the format ``name``."""
     return horizon_file(name, point_horizon(azimuths_of_format(name)), PLACE)
 
 
 def expected_horizon_deg(azimuth_deg: np.ndarray) -> np.ndarray:
+    """Return the horizon angles of ``point_horizon``, degrees, at azimuths."""
     return np.maximum(17.5 + 22.5 * np.sin(np.radians(azimuth_deg)), 0.0)
 
 

@@ -102,16 +102,19 @@ def rows() -> Comparison:
 
 @pytest.fixture(scope="module")
 def text(rows: Comparison) -> str:
+    """The report of the comparison as HTML."""
     return report_html(rows, BASE_PICTURE, REPORT_CONTEXT)
 
 
 def data_of(text: str) -> dict[str, Any]:
+    """Return the data that a report's page contains as JSON."""
     match = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
     assert match is not None
     return json.loads(match.group(1))
 
 
 def decoded(uri: str) -> np.ndarray:
+    """Return the WebP picture of a data URI as RGB (rows, cols, 3)."""
     return np.asarray(Image.open(BytesIO(b64decode(uri.removeprefix("data:image/webp;base64,")))).convert("RGB"))
 
 

@@ -150,6 +150,7 @@ def directory(raw: bytes) -> list[tuple[int, int, int, int]]:
 
 
 def _varints(raw: bytes) -> Iterator[int]:
+    """Yield the numbers of a sequence of protocol-buffer varints (seven bits a byte, lowest first)."""
     number = shift = 0
     for byte in raw:
         number |= (byte & 127) << shift

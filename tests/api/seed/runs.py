@@ -78,14 +78,17 @@ class Run:
 
     @property
     def store(self) -> FolderStore:
+        """The store of the run's shards."""
         return FolderStore(self.work / "shards")
 
     @property
     def work(self) -> Path:
+        """Folder of the run's tasks and shards."""
         return self.output.with_name(self.output.name + ".seed")
 
     @property
     def request(self) -> SeedRequest:
+        """The request that the run answers."""
         source = LevelSource(path=self.level.resolve())
         product_request = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
         return SeedRequest(source, ZoomRange(*self.zooms), self.suns, product_request, "png")

@@ -29,6 +29,7 @@ Shards = Sequence[Mapping[int, bytes]]
 
 
 def archive_metadata(first_zoom: int, last_zoom: int, **changed: Any) -> ArchiveMetadata:
+    """Return metadata of an archive. ``changed`` replaces fields."""
     facts = {"format": "png", "bounds": (7.0, 46.0, 8.0, 47.0), "metadata": {"name": "hills", "skugga": {"layer": "shadow"}}}
     return ArchiveMetadata(first_zoom=first_zoom, last_zoom=last_zoom, **(facts | changed))
 
@@ -39,6 +40,7 @@ def tile_of(number: int, size: int = 40) -> bytes:
 
 
 def write_shards(path: Path, shards: Shards, facts: ArchiveMetadata) -> ArchiveSize:
+    """Write an archive of shards (tiles by their ID), and return its size."""
     indexed_shards = [ShardIndex.from_tiles(shard) for shard in shards]
     return write_archive(path, [index for index, _ in indexed_shards], lambda number: indexed_shards[number][1], facts)
 
@@ -220,6 +222,7 @@ def test_an_archive_without_tiles_is_not_written(tmp_path):
 
 
 def _patched(path: Path, offset: int, struct_format: str, value: int) -> None:
+    """Write a value, packed by ``struct_format``, at a byte offset of a file."""
     content = bytearray(path.read_bytes())
     struct.pack_into(struct_format, content, offset, value)
     path.write_bytes(bytes(content))

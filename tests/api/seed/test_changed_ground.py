@@ -47,6 +47,7 @@ def swept_shadow(area: Polygon, azimuth_deg: float, length_m: float) -> Polygon:
 
 @pytest.fixture
 def heights() -> np.ndarray:
+    """Heights of rough ground, metres."""
     return rough_ground(CELLS)
 
 

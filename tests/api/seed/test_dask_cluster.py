@@ -48,6 +48,7 @@ class Cluster:
         self.workers: list[subprocess.Popen[bytes]] = []
 
     def _scheduler(self) -> subprocess.Popen[bytes]:
+        """Start a scheduler on the cluster's port."""
         return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
 
     def add_worker(self, before: str = "", **environment: str) -> subprocess.Popen[bytes]:
@@ -60,16 +61,19 @@ class Cluster:
         return self.workers[-1]
 
     def restart_scheduler(self) -> None:
+        """Kill the scheduler, and start another one at the same address."""
         self.scheduler.send_signal(signal.SIGKILL)
         self.scheduler.wait()
         self.scheduler = self._scheduler()
 
     def close(self) -> None:
+        """Kill all processes."""
         for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
 
     def _start(self, kind: str, *arguments: str, before: str = "", **environment: str) -> subprocess.Popen[bytes]:
+        """Start a process of Dask: a ``scheduler`` or a ``worker``. ``before`` is Python code that it runs first."""
         code = f"{before}\nimport sys\nfrom distributed.cli.dask_{kind} import main\nsys.argv[0] = 'dask'\nmain()"
         log = (self._folder / f"{kind}.log").open("ab")
         with log:
@@ -81,6 +85,7 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """A Dask cluster, which is closed after the test."""
     new_cluster = Cluster(tmp_path)
     yield new_cluster
     new_cluster.close()
@@ -88,6 +93,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
+    """A run over rough ground that has not started."""
     return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", ZOOMS)
 
 

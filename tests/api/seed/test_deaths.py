@@ -26,6 +26,7 @@ SEED_OPTIONS = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
 
 
 def command(folder: Path, output: str, *options: str) -> list[str]:
+    """Return the command that seeds into the file ``output`` of a folder, with further options."""
     run = "from skugga.api.cli.main import main; main()"
     return [sys.executable, "-c", run, "seed", str(folder / "dem.tif"), *SEED_OPTIONS, "-o", str(folder / output), *options]
 
@@ -44,6 +45,7 @@ def render_processes(parent: int) -> list[int]:
 
 
 def done_tasks(folder: Path, output: str) -> int:
+    """Return the number of finished tasks that ``--dry-run`` reports."""
     dry_run_output = subprocess.run(command(folder, output, "--dry-run"), capture_output=True, text=True, check=True).stdout
     match = re.search(r"Done: (\d+)", dry_run_output)
     assert match
@@ -52,6 +54,7 @@ def done_tasks(folder: Path, output: str) -> int:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
+    """A folder with a raster of rough ground."""
     write_ground(tmp_path / "dem.tif", rough_ground(300))
     return tmp_path
 

@@ -26,6 +26,7 @@ TASK_TIME_LIMIT_S = 15.0
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
+    """A run over rough ground that has not started."""
     return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", (11, 14))
 
 

@@ -32,6 +32,7 @@ ZOOMS = 11, 14
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
+    """A run over rough ground that has not started."""
     level = write_ground(tmp_path / "dem.tif", rough_ground(120))
     return Run(level, tmp_path / "out.pmtiles", ZOOMS)
 
@@ -45,6 +46,7 @@ def tiles_of(archive: Path) -> dict[tuple[int, int, int], bytes]:
 
 
 def task_table_of(seed_run: Run) -> TaskTable:
+    """Return the open table of a run's tasks."""
     return TaskTable(seed_run.work / "tasks.sqlite")
 
 

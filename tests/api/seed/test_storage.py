@@ -40,6 +40,7 @@ def object_store() -> Iterator[str]:
 
 @pytest.fixture(params=["folder", "object store"])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Address of an empty store of shards: a folder, or a prefix of an object store."""
     if request.param == "folder":
         return str(tmp_path / "shards")
     return f"{request.getfixturevalue('object_store')}/{tmp_path.name}"

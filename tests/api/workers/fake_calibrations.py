@@ -63,5 +63,6 @@ def return_other_device(start_log: Path) -> DeviceProfile:
 
 
 def _append(path: Path, text: str) -> None:
+    """Append a line of text to a file."""
     with path.open("a") as file:
         file.write(f"{text}\n")

@@ -10,6 +10,7 @@ from skugga.terrain.errors import RenderError
 
 
 def observation(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Observation:
+    """Return an observation of a choice of algorithms. ``error`` is a share in [0, 1]."""
     return Observation(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
 
 

@@ -211,6 +211,10 @@ def leaking_errors(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def _answer(command: str) -> BlockTiles | PlanResult | Failure:
+    """Return the answer of a render process to a command.
+
+    A command is ``draw``, ``refuse``, ``fail``, ``break_opengl``, or the name of a view to plan.
+    """
     if command == "refuse":
         return Failure.from_error(InputError("view", command, "another command"))
     if command == "fail":

@@ -30,6 +30,7 @@ def exit_with_status(pipe: Connection, status: int) -> None:
 
 
 def is_alive(pid: int) -> bool:
+    """Return whether a process exists."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -13,6 +13,7 @@ LEVEL = LevelKey(path=Path("hills.yaml"), version="1")
 
 
 def map_job(side: int, **fields: object) -> MapJob:
+    """Return the job of a map with ``side`` x ``side`` pixels."""
     return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), format="png", **fields)
 
 

@@ -24,10 +24,12 @@ SCREENFUL_TILES = SETTINGS.queue_length
 
 
 def snapshot_job(number: int) -> SnapshotJob:
+    """Return the job of a snapshot. Jobs with another number differ in their size."""
     return SnapshotJob(level=LEVEL, view="map", format="png", size=(640 + number, 480))
 
 
 def make_pending_job(job: Job, client: str, arrived_s: float = 0.0) -> PendingJob:
+    """Return a job that a client requested at the time ``arrived_s``."""
     return PendingJob(job, None, arrived_s, clients=Counter([client]))  # type: ignore[arg-type]
 
 
@@ -48,6 +50,10 @@ class Crowd:
     waited_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
     def run(self, clients: dict[str, tuple[int, list[Job]]], end_s: float = 1e9) -> Crowd:
+        """Simulate clients up to the time ``end_s``.
+
+        ``clients`` has each client's number of simultaneous requests, and its jobs.
+        """
         remaining_jobs = {client: list(jobs) for client, (_, jobs) in clients.items()}
         events: list[tuple[float, int, str, Any]] = []
         running: PendingJob | None = None

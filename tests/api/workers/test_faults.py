@@ -21,6 +21,7 @@ TIMEOUT_S = 30.0
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait until a condition holds. Fail after ``TIMEOUT_S`` seconds."""
     end = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < end
@@ -28,6 +29,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 
 def tile(x: int = X, y: int = Y) -> str:
+    """Return the URL path of a tile of the level ``hills``."""
     return f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png"
 
 

@@ -40,10 +40,12 @@ SPAN = FilmSpan(10, 60.0)
 
 
 def frame_job(number: int = 0, previous_plans: FilmPlanState | None = None) -> FrameJob:
+    """Return the job of a frame of a film."""
     return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), frame_number=number, previous_plan_state=previous_plans)
 
 
 def make_pending_job(job: Any, arrived_s: float) -> PendingJob:
+    """Return a job that arrived at the time ``arrived_s``; frames of films run in the background."""
     return PendingJob(job, None, arrived_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
 
 
@@ -101,9 +103,11 @@ class FilmGate:
         )
 
     async def job_started(self) -> None:
+        """Wait until the render process has started another job."""
         assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
+        """Let a number of jobs finish."""
         for _ in range(times):
             self._may_finish.release()
 

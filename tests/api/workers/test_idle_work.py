@@ -57,6 +57,7 @@ def test_plan_versions_depend_on_profile_and_probes():
 
 
 def plan_version_of(answer: object) -> str:
+    """Return the plan version of a block's tiles. Fake tiles contain it."""
     assert isinstance(answer, BlockTiles)
     assert set(answer.tiles.values()) == {answer.plan_version.encode()}
     return answer.plan_version

@@ -24,10 +24,12 @@ TIMEOUT_S = 30.0
 
 
 def plan_job(view: str) -> PlanJob:
+    """Return the job that plans a view."""
     return PlanJob(level=LEVEL, view=view)
 
 
 def block(x: int) -> BlockJob:
+    """Return the job of a block of tiles in a column of blocks."""
     return BlockJob(level=LEVEL, matrix_set="WebMercatorQuad", zoom=12, block_x=x, block_y=0)
 
 
@@ -49,6 +51,7 @@ def run_with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_worke
 
 
 def is_running(pid: int) -> bool:
+    """Return whether a process exists."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -71,9 +74,11 @@ class Gate:
         self.target = functools.partial(fake_workers.scripted, job_started=self._job_started, may_finish=self._may_finish)
 
     async def job_started(self) -> None:
+        """Wait until the render process has started another job."""
         assert await asyncio.to_thread(self._job_started.acquire, True, TIMEOUT_S)
 
     def open(self, times: int = 1) -> None:
+        """Let a number of jobs finish."""
         for _ in range(times):
             self._may_finish.release()
 

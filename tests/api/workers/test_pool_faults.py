@@ -28,6 +28,7 @@ OTHER_LEVEL = LevelKey(path=LEVEL.path.with_name("other.yaml"), version="1")
 
 
 def snapshot_job(size: tuple[int, int] = (640, 480), **settings) -> SnapshotJob:
+    """Return the job of a snapshot with overrides of the level's ``shadows``."""
     request = ProductRequest(overrides=RequestedSettings.of(settings))
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
@@ -184,6 +185,7 @@ def test_a_job_that_crashes_its_process_is_tried_twice():
 
 
 def make_pending_job(job, arrived_s: float) -> PendingJob:
+    """Return a job that arrived at the time ``arrived_s``."""
     return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
@@ -301,6 +303,7 @@ def test_a_process_ends_with_its_killed_parent(stops_child: bool):
 
 
 def _is_alive(pid: int) -> bool:
+    """Return whether a process exists and is no zombie."""
     try:
         with open(f"/proc/{pid}/stat", encoding="ascii") as file:
             return file.read().rpartition(")")[2].split()[0] != "Z"

@@ -84,6 +84,7 @@ def make_fit_case(descriptor: Descriptor, step: Step, error: float | None = None
 
 
 def shadow_map_step(kind: CasterKind, texel_m: float) -> Step:
+    """Return a step that draws shadows of a kind of casters with one shadow map. ``texel_m`` is the side of its texels."""
     cascades = (Cascade(far_m=None, texel_m=(texel_m, texel_m), depth_step_m=0.01),)
     return Step(SUN, (kind,), "shadow_map", ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=cascades))
 

@@ -28,6 +28,7 @@ THREE_PERCENT = Goal("3 %", 0.03)
 
 
 def row(ms: float, error: float, interior: float = 0.0, algorithms: str = "shadow_map") -> Figures:
+    """Return a measured plan. ``error`` and ``interior`` are shares in [0, 1]. ``algorithms`` are joined by "+"."""
     return {"ms": ms, "wrong_cast": error, "interior": interior, "algorithms": algorithms.split("+")}
 
 
@@ -38,6 +39,7 @@ def view_record(rows: Figures, choices: dict[str, str] | None = None, name: str 
 
 
 def goal_instance(view: Figures, max_error: float, max_ms: float | None = None) -> GoalInstance:
+    """Return a view with a goal: its largest error, and its limit of time in milliseconds."""
     return GoalInstance(view, Goal(f"{max_error:g}", max_error), max_ms)
 
 
@@ -174,6 +176,7 @@ NOTHING_IS_RIGHT = view_record({"quick": row(10.0, 0.4), "slow": row(20.0, 0.2),
 
 
 def choices_of(*names: str) -> dict[tuple[str, str], str]:
+    """Return a policy's choices: the names of rows in the three views of this module, for the goal of 3 %."""
     return {
         (view["name"], THREE_PERCENT.name): name
         for view, name in zip((QUICK_IS_RIGHT, SLOW_IS_RIGHT, NOTHING_IS_RIGHT), names, strict=False)
@@ -275,6 +278,7 @@ goals = st.sampled_from(GOALS)
 
 
 def best_of(instance: GoalInstance) -> str:
+    """Return the name of the row with the least loss."""
     losses = instance.losses()
     return min(losses, key=losses.__getitem__)
 

@@ -35,8 +35,10 @@ def test_the_constants_are_fitted_to_the_measured_table():
 
 
 def _fitted(views, device) -> ErrorModel:
+    """Return the error model that fits the views without those that are held out."""
     return fit_model([case for view in views if not view.get("unseen") for case in cases_of(view)], device)
 
 
 def _numbers(value) -> list[float]:
+    """Return all values in nested dictionaries."""
     return [number for entry in value.values() for number in _numbers(entry)] if isinstance(value, dict) else [value]

@@ -38,6 +38,7 @@ def descriptor_with_digits() -> Descriptor:
 
 
 def view_record(name: str = "a map", count: int = 3) -> dict[str, Any]:
+    """Return the record of a view with ``count`` measured plans."""
     rows = {
         f"shadow_map-{number}": dict(zip(ROW_COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
         for number in range(count)

@@ -12,6 +12,7 @@ from tests.hard_cases.mutants.mutant import Mutant, cases, edited, wrapped
 
 
 def _without_patches(occluder_patches: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a mutant of ``occluder_patches`` that finds no patches."""
     return lambda scene, buffer: ((), occluder_patches(scene, buffer)[1])
 
 
@@ -27,6 +28,8 @@ def _with_raised_patches(caster_sheets: Callable[..., Any]) -> Callable[..., Any
 
 
 def _with_raised_rim(heights_with_rim: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a mutant of ``heights_with_rim`` whose rim is 10 m higher than all ground."""
+
     def raised(*args: Any) -> tuple[np.ndarray, ...]:
         height_m, valid, rim = heights_with_rim(*args)
         return np.pad(height_m[1:-1, 1:-1], 1, constant_values=np.float32(np.nanmax(height_m) + 10.0)), valid, rim

@@ -119,6 +119,10 @@ def _find(target: str) -> tuple[Any, str, Any]:
 
 
 def _replaced(source: str, old: str, new: str, target: str) -> str:
+    """Return a source with ``old`` replaced by ``new``.
+
+    Raises ``DefectError``, which names ``target``, unless ``old`` occurs exactly once.
+    """
     if source.count(old) != 1:
         raise DefectError(f"{target} has {source.count(old)} times: {old}")
     return source.replace(old, new)

@@ -40,6 +40,7 @@ def records_of_module(module: str) -> dict[str, list[dict[str, Any]] | None]:
 
 
 def case_of(name: CaseName) -> Case:
+    """Return the hard case with a name: module, test and algorithm."""
     module, test, _ = name
     case: Case = getattr(import_module(f"tests.hard_cases.{module}"), test).case
     return case

@@ -11,6 +11,7 @@ from tests.hard_cases.mutants.mutant import Mutant, set_existing
 
 
 def _no_snapping() -> None:
+    """Place shadow maps off the lattice of their texels."""
     from skugga.shadows.maps import windows as map_windows
 
     window = map_windows._map_window
@@ -18,6 +19,7 @@ def _no_snapping() -> None:
 
 
 def _float32_world() -> None:
+    """Round map coordinates to float32."""
     from skugga.terrain.geo.world import World
 
     ground = World.points_at_zero_height
@@ -27,16 +29,19 @@ def _float32_world() -> None:
 
 
 def _round_to_float32(values: Any) -> np.ndarray:
+    """Return values as float64 after rounding to float32."""
     return np.asarray(values, np.float32).astype(np.float64)
 
 
 def _z_pass_always() -> None:
+    """Count shadow volumes by z-pass, even with the eye in shadow."""
     from skugga.shadows.volumes import drawing as volume_drawing
 
     set_existing(volume_drawing, "may_shade_near_plane", lambda low, high, rectangle, light: np.zeros(len(low), bool))
 
 
 def _constant_bias() -> None:
+    """Look up shadow maps without a bias for the slope of the surface."""
     from skugga.shadows.maps import filling
 
     look_up = filling.look_up
@@ -50,6 +55,7 @@ def _constant_bias() -> None:
 
 
 def _near_plane() -> None:
+    """Use the camera's own perspective, with its near plane almost at the eye, for perspective shadow maps."""
     from skugga.shadows.maps import post_perspective
 
     matrix, rank = post_perspective.camera_matrix, count()
@@ -80,6 +86,7 @@ def _flat_earth() -> None:
 
 
 def _mirrored_azimuth() -> None:
+    """Mirror the sun from east to west."""
     from skugga.terrain import scene
 
     sun_of = scene.sun_of
@@ -93,6 +100,7 @@ def _mirrored_azimuth() -> None:
 
 
 def _one_diagonal() -> None:
+    """Cut all quads along the same diagonal."""
     from skugga.terrain.ground import sheet
 
     set_existing(sheet, "diagonal_cuts", lambda height: np.zeros((height.shape[0] - 1, height.shape[1] - 1), bool))
@@ -117,18 +125,21 @@ def _first_facet() -> None:
 
 
 def _facets_at_the_terminator() -> None:
+    """Decide by flat facets whether ground faces the light."""
     from skugga.terrain.gbuffer import light_facing
 
     set_existing(light_facing, "_write_smooth_normals", lambda *_: None)
 
 
 def _chords_shade_the_bulge() -> None:
+    """Trace shadows from the facets instead of the smooth ground."""
     from skugga.shadows import visibility
 
     set_existing(visibility, "move_to_smooth_ground", lambda buffer, light: buffer)
 
 
 def _own_points() -> None:
+    """Sample coarse pixels at one point."""
     from skugga.shadows import render
 
     set_existing(render, "supersampling", lambda scene, view, plan: None)

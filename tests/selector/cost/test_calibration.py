@@ -23,11 +23,13 @@ RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
 
 @pytest.fixture(autouse=True)
 def _no_calibration(tmp_path, monkeypatch) -> None:
+    """Hide the machine's calibration."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 @pytest.fixture
 def profile() -> DeviceProfile:
+    """A calibration with the rates of ``planar`` alone."""
     return DeviceProfile(
         renderer=RENDERER, version=VERSION, cpus=2, engine="0.1", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=60.0,
         rates_ns={"planar": {"blocks": 1e6, "pixels": 12.5}}, residuals={"planar": {"rows": 4, "median": 0.05, "p90": 0.1}},

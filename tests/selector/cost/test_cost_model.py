@@ -47,10 +47,12 @@ def make_descriptor(**changes) -> Descriptor:
 
 
 def make_map_descriptor(**changes) -> Descriptor:
+    """Return the descriptor of a map of 256 x 256 pixels. ``changes`` replace fields."""
     return make_descriptor(view_kind="map", pixel=None, rows=256, cols=256, pixel_m=4.0, bands=(), **changes)
 
 
 def profile(rates_ns: dict[str, dict[str, float]]) -> DeviceProfile:
+    """Return a calibration with rates in nanoseconds by part and unit of work."""
     return DeviceProfile(
         renderer="a device",
         version="1",
@@ -69,6 +71,7 @@ def uniform_profile(rate_ns: float, descriptor: Descriptor, *step) -> DeviceProf
 
 
 def map_settings(size: int, texel_m: float, count: int = 1, **other_settings) -> ShadowMapSettings:
+    """Return settings of a shadow map with ``size`` texels a side, sides of texels of ``texel_m``, and 1 or 2 cascades."""
     ends_m = [64.0, None] if count == 2 else [None]
     cascades = tuple(Cascade(far_m=end_m, texel_m=(texel_m, texel_m), depth_step_m=0.01) for end_m in ends_m)
     return ShadowMapSettings(

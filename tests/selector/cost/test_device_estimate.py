@@ -24,6 +24,7 @@ RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
 
 @pytest.fixture(autouse=True)
 def _no_profile(tmp_path, monkeypatch) -> None:
+    """Hide the machine's calibration and its cached estimate."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     estimated_profile.cache.clear()
 

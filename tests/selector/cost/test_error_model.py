@@ -60,6 +60,7 @@ MODEL = ErrorModel(
 
 
 def band(near_m: float = 32.0, share: float = 1.0, pixel_m: float = 0.1, light_m: float | None = None, **other_fields) -> CastBand:
+    """Return a band of distances from ``near_m`` to twice that. ``share`` is its share of the points."""
     differs = other_fields.pop("differs", PROPORTIONAL_SHARES)
     return CastBand(
         near_m=near_m, far_m=2.0 * near_m, share=share, cast=0.2, pixel_m=pixel_m, light_m=light_m, differs=differs
@@ -85,20 +86,24 @@ def lamp_descriptor(kind: str, **lamp) -> Descriptor:
 
 
 def cascades(*texels_m: tuple[float, float], far_m: float = 64.0) -> ShadowMapSettings:
+    """Return settings of cascades with these texels (sides in metres). The first ends at ``far_m``, each further at twice that."""
     ends = [*(far_m * 2**k for k in range(len(texels_m) - 1)), None]
     splits = tuple(Cascade(far_m=end, texel_m=texel_m, depth_step_m=0.01) for end, texel_m in zip(ends, texels_m, strict=True))
     return ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=splits)
 
 
 def lamp_map_settings(size: int) -> LampMapSettings:
+    """Return settings of a lamp's shadow map of ``size`` texels a side."""
     return LampMapSettings(map_size=size, depth_bits=32, filter=3)
 
 
 def perspective_map_settings(size: int) -> PerspectiveMapSettings:
+    """Return settings of a perspective shadow map of ``size`` texels a side."""
     return PerspectiveMapSettings(map_size=size, depth_bits=24, filter=3)
 
 
 def step(name: str, settings=None, light: str = SUN, kinds=("meshes",)) -> Step:
+    """Return a step of a plan with the algorithm ``name``."""
     return Step(light, kinds, name, settings)
 
 
@@ -310,6 +315,7 @@ def test_expected_errors_never_fall_with_larger_texels(texel_m, factor):
 
 
 def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> ExpectedErrors:
+    """Return expected errors: shares of the cast shadow and of the picture."""
     return ExpectedErrors(0.2 * wrong_cast, wrong_cast, interior, spread, 0.4)
 
 

@@ -36,6 +36,7 @@ numbers = st.floats(-2.0, 2.0)
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Scene:
+    """Scene of tetrahedra on a level floor."""
     path = tmp_path_factory.mktemp("comparison") / "figure.yaml"
     keys = {
         "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
@@ -47,6 +48,7 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def comparison(scene) -> Comparison:
+    """The comparison of all algorithms in the scene's view ``eye``."""
     return compare(scene, scene.view("eye"), "eye", time_limit_s=600.0)  # compilation must not use up the time limit
 
 

@@ -31,6 +31,7 @@ PLAIN_LEVEL = {
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Scene:
+    """Scene of the level ``PLAIN_LEVEL``."""
     path = tmp_path_factory.mktemp("points") / "level.yaml"
     path.write_text(json.dumps(PLAIN_LEVEL), encoding="utf-8")
     return build_scene(load_level(path))
@@ -38,10 +39,12 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def wooded() -> Scene:
+    """Scene of a bundled level with trees."""
     return build_scene(load_level(find_level("spatialace")))
 
 
 def picture_truth(scene: Scene, view) -> PictureTruth:
+    """Return the truth of a view at sample points, under the sun."""
     picture = geometry_buffer(scene, view)
     return PictureTruth(scene, picture, find_casters(scene, picture), SUN)
 

@@ -101,6 +101,10 @@ def options_of(candidates: list[Candidate]) -> LightOptions:
 def probe(
     candidates: list[Candidate], max_error: float, max_ms: float | None = None, budget_s: float | None = None, **prober_fields
 ):
+    """Probe fake candidates. Return the index of the preferred one, the result of the probe, and the fake prober.
+
+    ``max_error`` and ``max_ms`` are the target, and ``budget_s`` is the time limit of the probe; ``None`` is no limit.
+    """
     prober = FakeProber(candidates, **prober_fields)
     outcome = probe_options(options_of(candidates), prober, max_error, max_ms, budget_s)
     return leader_of(outcome.options, max_error, max_ms), outcome, prober

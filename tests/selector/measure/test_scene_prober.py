@@ -22,6 +22,7 @@ def test_only_quick_drawings_are_repeated_once_an_algorithm_has_drawn():
 
 @pytest.fixture
 def street_prober() -> SceneProber:
+    """A prober of a bundled level's view."""
     scene = build_scene(load_level(find_level("thesis_street_sun")))
     view = scene.view("main", size=(64, 48))
     options = plan_options(planner_of(describe(scene, view, "main", "points"), scene.loaded.level), typical_device())

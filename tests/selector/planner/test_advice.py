@@ -48,6 +48,7 @@ LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
 
 
 def band(near_m: float, far_m: float, share: float = 0.5) -> dict[str, Any]:
+    """Return the keys of a band of distances. ``share`` is its share of the points."""
     return {"near_m": near_m, "far_m": far_m, "share": share, "low_light_m": (-1.0, -1.0, -1.0), "high_light_m": (1.0, 1.0, 1.0)}
 
 
@@ -63,14 +64,17 @@ def sun_descriptor(*casters: str, **keys: Any) -> Descriptor:
 
 
 def map_descriptor(*casters: str, **keys: Any) -> Descriptor:
+    """Return the descriptor of a map under the sun with these kinds of casters."""
     return sun_descriptor(*casters, view_kind="map", pixel=None, bands=[], **keys)
 
 
 def sun_facts(**facts: Any) -> dict[str, LightFacts]:
+    """Return the facts of the sun in a descriptor."""
     return {"sun": LightFacts(**facts)}
 
 
 def make_caster_facts(kind: str = "meshes", triangles: int = 50_000, **facts: Any) -> CasterFacts:
+    """Return the facts of one kind of casters in a descriptor."""
     return CasterFacts(kind=kind, triangles=triangles, **facts)
 
 
@@ -85,6 +89,7 @@ def rule_choices(descriptor: Descriptor, **settings: Any) -> dict[str, Choice]:
 
 
 def chosen_algorithm(descriptor: Descriptor, kind: str = "meshes", light_name: str = "sun", **settings: Any) -> str:
+    """Return the algorithm that the fixed rules choose for a kind of casters under a light."""
     return rule_choices(descriptor, **settings)[light_name].algorithm[kind]
 
 
@@ -263,6 +268,7 @@ def test_rules_take_a_perspective_map_for_a_small_visible_part():
 
 
 def cast_band(near_m: float, far_m: float) -> dict[str, Any]:
+    """Return the keys of a band of distances of the cast shadow."""
     return {"near_m": near_m, "far_m": far_m, "share": 0.4, "cast": 0.1, "pixel_m": 0.1, "light_m": 40.0, "differs": (0.1,) * 8}
 
 

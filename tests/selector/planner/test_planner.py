@@ -20,15 +20,18 @@ from tests.render import block_at, plan_of, render
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
+    """Scene of a bundled level of terrain only."""
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 
 @pytest.fixture(scope="module")
 def wooded_scene() -> Scene:
+    """Scene of a bundled level with trees."""
     return build_scene(load_level("configs/spatialace.yaml"))
 
 
 def reasons_of(plan: Plan) -> dict[str, str]:
+    """Return the reasons of a plan's choices and rejections, by name of the choice."""
     return {item.name: item.reason for item in (*plan.reasons, *plan.rejected)}
 
 

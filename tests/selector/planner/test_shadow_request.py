@@ -27,12 +27,14 @@ LEVEL = {
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
+    """Scene of the level ``LEVEL``."""
     path = tmp_path_factory.mktemp("pins") / "mine.yaml"
     path.write_text(json.dumps(LEVEL))
     return build_scene(load_level(path))
 
 
 def plan_and_reasons(scene, view, altitude=12.0, **overrides):
+    """Return the plan of the view ``view`` under a sun of an altitude, and the reasons of its choices by name."""
     sunlit_scene = scene.with_sun(SunSpec(azimuth=200, altitude=altitude))
     plan = make_plan(describe(sunlit_scene, sunlit_scene.view(view), view), sunlit_scene.loaded.level, overrides)
     return plan, {reasoned.name: reasoned.reason for reasoned in plan.reasons}

@@ -38,6 +38,7 @@ MAX_MARKED = 0.3
 
 
 def stencil_record(log: PassLog) -> PassRecord:
+    """Return the record of the stencil pass."""
     return next(record for name, record in log.records.items() if name.endswith(": stencil"))
 
 

@@ -58,6 +58,7 @@ def mountains(tmp_path_factory) -> Scene:
 
 
 def plan_for(scene: Scene, **overrides) -> Plan:
+    """Return a plan of the view ``main`` with shadow maps."""
     view = scene.view("main")
     return make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **overrides})
 
@@ -93,6 +94,7 @@ def band(octave: int, share: float) -> Band:
 
 
 def descriptor(shares: list[float]) -> Descriptor:
+    """Return the descriptor of a view whose bands of distances have these shares of the points."""
     bands = tuple(band(5 + number, share) for number, share in enumerate(shares))
     return Descriptor(
         view="main", view_kind="perspective", flat_world=True, pixel_m=0.1, pixel=0.0015, node_m=10.0, casters=("relief",),
@@ -105,6 +107,7 @@ LEVEL = Level.model_validate({"version": 1, "terrain": {"flat": {"size": [10, 10
 
 
 def cascade_ends(shares: list[float], **overrides) -> list[float | None]:
+    """Return the ends of a plan's cascades, metres from the eye; ``None`` for the last."""
     plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **overrides})
     return [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]
 

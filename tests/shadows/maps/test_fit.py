@@ -33,6 +33,7 @@ VIEW_PX = 250
 
 @pytest.fixture(scope="module")
 def jacksboro() -> Scene:
+    """Scene of a bundled level of terrain only, under a low sun."""
     return build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=8))
 
 
@@ -45,6 +46,7 @@ def ridge(jacksboro) -> PerspectiveView:
 
 
 def plan_for(scene: Scene, view: MapView | PerspectiveView, **overrides) -> Plan:
+    """Return a plan with one shadow map and one filter tap."""
     plan_overrides = {"algorithm": "shadow_map", "filter": 1, "cascades": 1, **overrides}
     level = scene.loaded.level.model_copy(update={"effects": {"cast_shadows": "on"}})  # also where no ground is steep enough
     return make_plan(describe(scene, view), level, plan_overrides)
@@ -121,6 +123,7 @@ def test_auto_fit_is_stable_with_a_reason(jacksboro, ridge):
 
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:
+    """Return the shadow maps of a plan for the visible points."""
     return sun_maps(buffer, scene, plan.settings["sun"]["relief"], None)
 
 

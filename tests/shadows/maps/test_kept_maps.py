@@ -58,11 +58,13 @@ def build(tmp_path_factory) -> SceneBuilder:
 
 
 def plan_eye(scene: Scene, **overrides: Any) -> Plan:
+    """Return a plan of the view ``eye`` with one shadow map."""
     plan_overrides = {"algorithm": "shadow_map", "map_size": 256, "cascades": 1, **overrides}
     return make_plan(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, plan_overrides)
 
 
 def render_eye(scene: Scene, plan: Plan | None = None, **overrides: Any) -> Frame:
+    """Render the view ``eye`` by a plan, or with overrides of the usual plan."""
     return render_frame(scene, scene.view("eye"), plan or plan_eye(scene, **overrides))
 
 

@@ -26,6 +26,7 @@ VIEW_PX = 170
 
 @pytest.fixture
 def floor(write_raster) -> Path:
+    """File of a raster of level ground."""
     return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
 
 

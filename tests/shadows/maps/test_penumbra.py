@@ -42,6 +42,7 @@ def disc_visibility(scene: Scene, view: View) -> np.ndarray:
 
 
 def mean_difference(rendered: np.ndarray, expected: np.ndarray) -> float:
+    """Return the mean absolute difference of visibilities, without NaN."""
     return float(np.nanmean(np.abs(rendered - expected)))
 
 

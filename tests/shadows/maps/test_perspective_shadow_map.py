@@ -108,6 +108,7 @@ def tower_scene(folder: Path, azimuth: float, altitude: float, **keys) -> Scene:
 
 
 def check_against_truth(scene: Scene, light: str) -> None:
+    """Check the errors of the perspective shadow map of a light in the view ``eye``."""
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
     rendered, log = render_visibility(buffer, scene, light, map_size=2048)
@@ -247,6 +248,7 @@ def wide_view(tmp_path: Path, **view: Any) -> Scene:
 
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspective_shadow_map.FittedMap]:
+    """Return the perspective shadow maps of the sun for the visible points. ``map_size`` is in texels a side."""
     settings = PerspectiveMapSettings(map_size=map_size, depth_bits=24, filter=1)
     return perspective_shadow_map.perspective_maps(
         buffer, buffer.valid & ~attached_shadow_mask(buffer, scene), scene, "sun", settings, None

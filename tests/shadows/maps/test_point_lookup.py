@@ -29,6 +29,7 @@ SUN = SunSpec(azimuth=199, altitude=21)
 
 @pytest.fixture(scope="module")
 def landscape() -> Scene:
+    """Scene of a bundled level with trees, under the sun ``SUN``."""
     return build_scene(load_level(find_level("spatialace"))).with_sun(SUN)
 
 

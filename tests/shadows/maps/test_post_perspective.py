@@ -43,6 +43,7 @@ def make_camera(eye: np.ndarray, turn_deg: float, tilt_deg: float) -> Camera:
 
 
 def make_sun_light(direction: np.ndarray) -> Light:
+    """Return a directional light. ``direction`` (3,) leads to the sun and may have any length."""
     return Light(np.array([*(direction / np.linalg.norm(direction)), 0.0]), np.zeros(3))
 
 

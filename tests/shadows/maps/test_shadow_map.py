@@ -15,6 +15,7 @@ from tests.render import block_at, render, shadow
 
 @pytest.fixture(scope="module")
 def jacksboro() -> Scene:
+    """Scene of a bundled level of terrain only."""
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 

@@ -35,6 +35,7 @@ def casting(thrown_m: float | None, *cast: float) -> Casting:
 
 
 def cascade(texel_m: float, far_m: float | None = None) -> Cascade:
+    """Return a cascade with square texels that ends at ``far_m`` metres; ``None`` for no end."""
     return Cascade(far_m=far_m, texel_m=(texel_m, texel_m), depth_step_m=0.01)
 
 

@@ -19,6 +19,7 @@ AZIMUTHS_DEG = np.arange(720) * 0.5
 
 
 def elevation_deg(scene, place, azimuth_deg=AZIMUTHS_DEG) -> np.ndarray:
+    """Return the horizon angles of the ground at a place, degrees, towards azimuths."""
     return np.degrees(np.arctan(relief_horizon(scene, place, azimuth_deg).tangent))
 
 
@@ -140,6 +141,7 @@ def test_horizon_is_no_lower_than_any_node(tmp_path, make_scene, rough_heights):
 
 @pytest.fixture
 def rough_heights() -> np.ndarray:
+    """Random heights in metres (321, 321) with fine and coarse features."""
     rng = np.random.default_rng(5)
     fine_noise = rng.random((321, 321)) * 5.0
     coarse_noise = np.kron(rng.random((21, 21)) * 60.0, np.ones((16, 16)))[:321, :321]

@@ -21,6 +21,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 
 
 def write_geojson(path, kind, coordinates, **properties):
+    """Write one feature with a geometry of a kind as a GeoJSON file."""
     feature = {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8")
 

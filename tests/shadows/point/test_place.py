@@ -14,6 +14,7 @@ SIDE, CELL_M = 20, 10.0
 
 @pytest.fixture
 def scene(write_raster, make_scene):
+    """Scene of level ground with a hole of one cell."""
     heights = np.full((SIDE, SIDE), 7.0, np.float32)
     heights[10, 10] = -9999.0
     return make_scene(write_raster(heights, ENGINEERING, 0, CELL_M * SIDE, CELL_M, nodata=-9999.0))

@@ -34,6 +34,7 @@ def surroundings_at(write_raster, make_scene):
 
 
 def ridge_heights(seed: int = 1) -> np.ndarray:
+    """Return heights in metres (121, 121) of a basin with rough ridges around its middle."""
     rng = np.random.default_rng(seed)
     rows, cols = np.mgrid[0:121, 0:121]
     distance = np.hypot(rows - 60, cols - 60)

@@ -28,6 +28,10 @@ NO_LOWER_BOUND = -100.0
 
 @pytest.fixture
 def open_scene(tmp_path: Path):
+    """A function that returns the scene of heights (rows, cols). ``cell`` is the side of a cell in metres.
+
+    Scenes are closed after the test.
+    """
     scenes: list[Scene] = []
 
     def make(heights: np.ndarray, cell: float = CELL_M) -> Scene:
@@ -49,6 +53,7 @@ def ground_and_origin(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[Wa
 def tangent_towards(
     ground: WalkedGround, row: int, col: int, azimuth_deg: float, eye_height_m: float = 0.0, min_tangent: float = NO_LOWER_BOUND
 ) -> float:
+    """Return the tangent of the horizon angle of a node towards an azimuth, or ``min_tangent`` if that is larger."""
     down, right = -np.cos(np.radians(azimuth_deg)) / CELL_M, np.sin(np.radians(azimuth_deg)) / CELL_M
     return float(horizon_tangent(ground, row, col, eye_height_m, down, right, min_tangent))
 

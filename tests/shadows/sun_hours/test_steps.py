@@ -19,6 +19,7 @@ from tests.shadows.sun_hours.test_sun_hours import SPRING, forbid_plan, window_o
 
 
 def sunlit_series(text: str) -> np.ndarray:
+    """Return whether the sun is visible at each time (1, n), from a text in which "#" is sun."""
     return np.array([[character == "#" for character in text]])
 
 
@@ -46,6 +47,10 @@ def test_missed_minutes_cancel_opposite_errors():
 
 @pytest.fixture
 def open_scene(tmp_path: Path):
+    """A function that returns the scene of heights (rows, cols). ``cell`` is the side of a cell in metres.
+
+    Scenes are closed after the test.
+    """
     scenes: list[Scene] = []
 
     def make(heights: np.ndarray, cell: float) -> Scene:
@@ -59,12 +64,14 @@ def open_scene(tmp_path: Path):
 
 
 def sampling_step_of(scene: Scene) -> float:
+    """Return the automatic step of sun hours in a scene, minutes."""
     view = raster_view(scene).view.with_pixels_as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
     return sampling_step_minutes(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
 
 
 def dome() -> np.ndarray:
+    """Return heights in metres (121, 121) of a round hill."""
     row, col = np.mgrid[-60:61, -60:61]
     return 400.0 * np.exp(-(row**2 + col**2) / 800.0)
 

@@ -32,6 +32,10 @@ SceneOpener = Callable[..., Scene]
 
 @pytest.fixture
 def open_scene(tmp_path: Path):
+    """A function that returns the scene of heights (rows, cols), whose north-west corner is (x, y).
+
+    Scenes are closed after the test.
+    """
     scenes = []
 
     def make(heights: np.ndarray, crs: str = "EPSG:32632", x: float = EAST, y: float = NORTH, cell: float = CELL_M) -> Scene:
@@ -45,20 +49,24 @@ def open_scene(tmp_path: Path):
 
 
 def raster_cell_view(scene: Scene) -> MapView:
+    """Return the map of a raster with one pixel per cell."""
     elevation = scene.elevation
     (x0, x1), (y0, _) = elevation.xy(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
     return MapView(Grid(elevation.crs, float(x0), float(y0), float(x1 - x0)), 0.0, 0.0, 1.0, 1.0, elevation.rows, elevation.cols)
 
 
 def window_of(scene: Scene, day: date, clock: Clock = UTC, first: float = 0.0, last: float = 1440.0) -> DailyWindow:
+    """Return a window of a day from minute ``first`` to minute ``last`` of a clock."""
     return daily_window(day, first, last, clock, scene.world)
 
 
 def forbid_plan(scene: Scene):
+    """Fail, because sun hours of bare ground must not ask for a plan."""
     raise AssertionError("bare ground needs no plan")
 
 
 def compute_sun_hours(scene: Scene, *windows: DailyWindow, **rules: float) -> SunHours:
+    """Return the sun hours of all cells in the windows, with steps of five minutes. ``rules`` are fields of ``SunRules``."""
     return sun_hours(
         scene, raster_cell_view(scene), window_suns(scene.world, windows), SunRules(**{"step_minutes": 5.0, **rules}), forbid_plan
     )

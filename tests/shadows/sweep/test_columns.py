@@ -31,6 +31,7 @@ def city_heights(cells: int, cell_m: float) -> np.ndarray:
 
 
 def sweep_visibility(buffer: Any, scene: Any, log: PassLog | None = None, kinds: Any = ("relief",), **settings: Any) -> np.ndarray:
+    """Return the sun's visibility (rows, cols) by the sweep."""
     casters = find_casters(scene, buffer)
     return fill_visibility(buffer, scene, "sun", kinds, casters, SweepSettings(**settings), log or PassLog())
 

@@ -45,11 +45,16 @@ def mountains(side: int, seed: int = 1, roughness: float = 2.0) -> np.ndarray:
 
 
 def sun_direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    """Return the unit vector (3,) to the sun: east, north, up."""
     azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
 def _node_positions(height_m: np.ndarray, down_m: float, right_m: float, first: int = 0) -> np.ndarray:
+    """Return the positions (rows, cols, 3) of a grid's nodes, metres east, north and up.
+
+    ``down_m`` and ``right_m`` are the sides of cells. ``first`` is the index of the first row and of the first column.
+    """
     row, col = np.indices(height_m.shape) + first
     return np.stack([col * right_m, -row * down_m, height_m.astype(float)], axis=-1)
 
@@ -161,6 +166,11 @@ def test_sunlit_is_independent_of_strips_and_cores(azimuth, monkeypatch):
 def sun_aligned_grid(
     heights: np.ndarray, azimuth: float, altitude: float, is_cut_nw_se: np.ndarray | None = None
 ) -> SunAlignedGrid:
+    """Return the sweep's grid of heights (rows, cols) under a sun, whose angles are in degrees.
+
+    ``is_cut_nw_se`` tells for each quad whether its diagonal runs from north-west to south-east; ``None`` takes the higher
+    diagonal.
+    """
     orientation, row_m, col_m, column_of_t, t_of_column = flat_world_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
     ray_height = sun_aligned_linear_values(

@@ -39,15 +39,18 @@ SUNS = [(22.0, 10.0), (67.0, 3.0), (113.0, 10.0), (158.0, 20.0), (202.0, 15.0), 
 
 @pytest.fixture(scope="module")
 def jacksboro() -> Scene:
+    """Scene of a bundled level of terrain only."""
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 
 @pytest.fixture(scope="module")
 def tile() -> MapView:
+    """Map of a tile over mountains."""
     return block_at(-84.25, 36.2933, 12).part(273, 300, 256, 256)
 
 
 def with_sun_at(scene: Scene, azimuth: float, altitude: float) -> Scene:
+    """Return a scene under a sun, angles in degrees."""
     return scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
 
 

@@ -58,6 +58,7 @@ def _slanted_rectangle(x0: float, y0: float, wide: float, long: float, turn_deg:
 
 
 def _disc(x0: float, y0: float, radius: float) -> ShadowShape:
+    """Return a disc with its centre at (x0, y0) and a radius in pixels."""
     return lambda x, y: np.hypot(x - x0, y - y0) < radius
 
 
@@ -112,6 +113,7 @@ def _rendered_visibility(
 
 
 def _with_acne(seed: int) -> np.ndarray:
+    """Return the visibility of the scene with random dark pixels."""
     acne = np.random.default_rng(seed).random((SIDE_PX, SIDE_PX)) < 0.02
     return np.where(acne, 0.0, _rendered_visibility(*CAST_SHAPES.values()))
 
@@ -122,6 +124,7 @@ def _with_visibility(shape: ShadowShape, visibility: float) -> np.ndarray:
 
 
 def _without_casters(*names: str) -> np.ndarray:
+    """Return the visibility of the scene without some of ``CAST_SHAPES``."""
     return _rendered_visibility(*(shape for name, shape in CAST_SHAPES.items() if name not in names))
 
 
@@ -178,10 +181,12 @@ def table() -> str:
 
 
 def _format_metric(name: str, value: float) -> str:
+    """Format a metric: shares in per cent, others in pixels or as counts."""
     return f"{100.0 * value:.2f}" if name in SHARE_METRICS else f"{value:.0f}" if name == "interior_parts" else f"{value:.2f}"
 
 
 def main() -> None:
+    """Print the table of faults, or write it into a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--into", metavar="FILE", type=Path, help="put the table into a Markdown file, between its marks")
     file = parser.parse_args().into

@@ -29,6 +29,7 @@ from tests.shadows.truth import faults
 
 
 def truth(lit, attached=None, decidable=None, valid=None) -> Truth:
+    """Return truth from masks (rows, cols). By default no pixel has attached shadow, and all are decidable and valid."""
     lit = np.asarray(lit, bool)
     all_pixels = np.ones(lit.shape, bool)
     return Truth(

@@ -40,29 +40,38 @@ ALTITUDE = 10.0
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
+    """Scene of a bundled level of terrain only, under the altitude ``ALTITUDE``."""
     return build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
 
 
 @pytest.fixture(scope="module")
 def view() -> MapView:
+    """Map of a part of a block of tiles."""
     return block_at(-84.25, 36.2933, 12).part(313, 300, 256, 256)
 
 
 def geometry(scene: Scene, view: MapView) -> tuple[GeometryBuffer, Casters]:
+    """Return the visible points of a map and the objects that can cast shadow on them."""
     buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
     return buffer, find_casters(scene, buffer)
 
 
 @pytest.fixture(scope="module")
 def reference(scene, view) -> Truth:
+    """Ray-traced truth of the map."""
     return trace_truth(*_trace_arguments(scene, geometry(scene, view)))
 
 
 def _trace_arguments(scene: Scene, buffer_and_casters: tuple[GeometryBuffer, Casters]) -> tuple[GeometryBuffer, Scene, Casters]:
+    """Return the arguments of ``trace_truth``."""
     return buffer_and_casters[0], scene, buffer_and_casters[1]
 
 
 def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bool = True) -> np.ndarray:
+    """Return the sun's visibility (rows, cols) by a shadow map, with attached shadow.
+
+    Without ``patches`` only the view's own ground casts.
+    """
     buffer, casters = geometry(scene, view)
     if not patches:
         casters = Casters((), casters.reach)
@@ -75,6 +84,7 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
 
 @pytest.fixture(scope="module")
 def baseline(scene, view, reference) -> ErrorMetrics:
+    """Errors of a shadow map with the usual settings."""
     return error_metrics(visibility(scene, view), reference, 30.0)
 
 

@@ -19,6 +19,7 @@ def triangle_soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
 
 
 def row_of_boxes(count: int) -> Mesh:
+    """Return a mesh of ``count`` separate boxes in a row."""
     box = trimesh.creation.box()
     vertices = np.concatenate([box.vertices + [2.0 * n, 0.0, 0.0] for n in range(count)])
     return vertices, np.concatenate([box.faces + 8 * n for n in range(count)])

@@ -31,11 +31,13 @@ LIGHTS = [
 
 
 def translated_copies(vertices: np.ndarray, triangles: np.ndarray, offsets: np.ndarray) -> Mesh:
+    """Return a mesh with a copy of vertices and triangles at each offset (n, 3)."""
     numbers = np.arange(len(offsets))[:, None, None] * len(vertices) + triangles
     return (vertices + np.asarray(offsets)[:, None]).reshape(-1, 3), numbers.reshape(-1, 3)
 
 
 def boxes(size: float, offsets: np.ndarray) -> Mesh:
+    """Return a mesh of cubes with sides of ``size`` at offsets (n, 3)."""
     box = trimesh.creation.box(extents=(size, size, size))
     return translated_copies(np.asarray(box.vertices), np.asarray(box.faces), offsets)
 
@@ -56,6 +58,7 @@ def folded_strip(count: int) -> Mesh:
 
 
 def caster_silhouette(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
+    """Return the silhouette of a mesh seen from a light. ``rule`` selects the triangles that cast."""
     vertices, triangles = mesh
     return silhouette(triangles, find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))  # type: ignore
 

@@ -91,6 +91,7 @@ class ShadowCase:
         return self.with_attached_shadow(visibility)
 
     def with_attached_shadow(self, visibility: np.ndarray) -> np.ndarray:
+        """Return a visibility (rows, cols) with attached shadow added, and NaN without a surface."""
         with_attached = np.where(attached_shadow_mask(self.buffer, self.scene, self.light), np.float32(0.0), visibility)
         return np.where(self.buffer.valid, with_attached, np.nan)
 
@@ -100,10 +101,12 @@ class ShadowCase:
         return self.with_attached_shadow(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
     def truth(self) -> Truth:
+        """Return ray-traced truth of the view."""
         return trace_truth(self.buffer, self.scene, self.casters, light=self.light)
 
 
 def shadow_case(scene: Scene, view: View | None = None) -> ShadowCase:
+    """Return a view, by default ``eye``, with its casters and its first light."""
     buffer = geometry_buffer(scene, view or scene.view("eye"))
     return ShadowCase(scene, buffer, find_casters(scene, buffer), scene.light_names[0])
 
@@ -119,6 +122,7 @@ SHADOW_SIDE_VIEWS = eye_views((12, 25, 6), (0, 3, 0.5))
 
 
 def top_view(scene: Scene, half_m: float = 15.0, px: int = 120) -> View:
+    """Return a map of a square with sides of 2 ``half_m`` metres and ``px`` pixels."""
     return scene.view(bounds=(-half_m, -half_m, half_m, half_m), size=(px, px))
 
 
@@ -348,6 +352,7 @@ RIDGES = {"generate": {"kind": "ridges", "size": [1400, 1400], "cell": 20, "reli
 
 
 def by_sweep(case: ShadowCase) -> np.ndarray:
+    """Return the sun's visibility (rows, cols) by the sweep."""
     return case.with_attached_shadow(
         sweep.fill_visibility(
             receivers_of(case.buffer, case.scene, "sun"), case.scene, "sun", ("relief",), case.casters, SweepSettings(), PassLog()

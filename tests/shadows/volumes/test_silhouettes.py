@@ -33,6 +33,7 @@ RULES: list[FacingRule] = ["facing", "turned_away", "all"]
 
 
 def triangle_soup(rng: np.random.Generator) -> Mesh:
+    """Return a mesh of 30 random triangles without common vertices."""
     return rng.uniform(-1, 1, (90, 3)), np.arange(90).reshape(-1, 3)
 
 
@@ -55,11 +56,13 @@ def rough_ground(rng: np.random.Generator, side: int = 9) -> np.ndarray:
 
 
 def sheet_mesh(rng: np.random.Generator) -> Mesh:
+    """Return the mesh of a rough heightfield."""
     position = rough_ground(rng)
     return position.reshape(-1, 3), sheet_of(position).triangles
 
 
 def holed_sheet(rng: np.random.Generator) -> Mesh:
+    """Return the mesh of a rough heightfield with holes."""
     position = rough_ground(rng)
     position[rng.random(position.shape[:2]) < 0.15] = np.nan
     return position.reshape(-1, 3), sheet_of(position).triangles
@@ -148,6 +151,7 @@ def signed_count(
 
 
 def silhouette_of(mesh: Mesh, light: np.ndarray, rule: FacingRule | np.ndarray) -> Silhouette:
+    """Return the silhouette of a mesh seen from a light. ``rule`` selects the triangles that cast."""
     vertices, triangles = mesh
     return silhouette(triangles, find_edges(vertices, triangles), orientations_of(faces_light(vertices, triangles, light), rule))
 
@@ -327,6 +331,7 @@ def test_sheet_silhouette_of_a_large_sheet_equals_silhouette(rule: FacingRule):
 
 
 def check_sheet(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> None:
+    """Check that the fast silhouette of a heightfield (rows, cols, 3) equals the general one."""
     grid_sheet = sheet_of(position)
     sheet_outline, general_outline = (
         sheet_silhouette(grid_sheet, light, rule),

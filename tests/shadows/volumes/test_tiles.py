@@ -147,6 +147,10 @@ def all_faces(
 
 
 def stencil_counts(case: ShadowCase, pixel_mask: np.ndarray, is_marked: bool, counting: Any = "auto") -> np.ndarray:
+    """Return the number of shadow volumes that contain each point of ``pixel_mask`` (rows, cols).
+
+    ``is_marked`` restricts counting to the mask by a bit of the stencil.
+    """
     light = np.array(case.scene.light_position(case.light, case.buffer.frame))
     volumes = volumes_of(case.buffer, case.scene, light, case.scene.objects.caster_kinds, case.casters, PassRecord("volumes"))
     return count_volumes(

@@ -18,11 +18,13 @@ EYE_VIEW = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "
 
 @pytest.fixture(scope="module")
 def flat_scene(tmp_path_factory) -> Scene:
+    """Scene of a box in a flat world."""
     return build_mesh_scene(tmp_path_factory.mktemp("flat"), [box((8, 6, 5))], 200, 35, views={"eye": EYE_VIEW})
 
 
 @pytest.fixture(scope="module")
 def globe_scene() -> Scene:
+    """Scene of a bundled level on the round earth."""
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 

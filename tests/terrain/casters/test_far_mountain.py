@@ -36,6 +36,7 @@ TMS = matrix_sets.get("WebMercatorQuad")
 
 
 def plateau_heights() -> np.ndarray:
+    """Return heights (``ROWS``, ``COLS``) of a plain with a high plateau in the east."""
     x = WEST_M + (np.arange(COLS) + 0.5) * CELL_M
     y = NORTH_M - (np.arange(ROWS) + 0.5) * CELL_M
     top = (x >= RIM_M)[None, :] & (x <= RIM_M + 5000.0)[None, :] & (np.abs(y - MIDDLE_NORTHING_M) <= HALF_WIDTH_M)[:, None]
@@ -68,6 +69,7 @@ def expected_shadow_at_positions(margin_m: float) -> dict[tuple[float, float], b
 
 @pytest.fixture(params=["a raster", "a big one with overviews"])
 def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
+    """Scene of the plateau, from a raster with or without overviews."""
     raster = write_raster(plateau_heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
     if request.param != "a raster":
         monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", 10_000)

@@ -15,6 +15,7 @@ WEST_M, NORTH_M = 500_000.0, 5_200_000.0
 
 
 def relief_heights() -> np.ndarray:
+    """Return heights of hills in metres (``SIDE``, ``SIDE``)."""
     row, col = np.mgrid[:SIDE, :SIDE]
     hills = 400.0 * np.sin(col / 17.0) * np.cos(row / 23.0) + 250.0 * np.sin((row + 2 * col) / 7.0)
     return (1500.0 + hills).astype(np.float32)

@@ -37,12 +37,14 @@ def project_along_sun(points: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 
 def box(centre, half) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (8, 3) and triangles (12, 3) of a box with half sides ``half``."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * half + centre
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
 
 
 def cone_mesh(apex: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of a closed cone with an apex (3,) and a base ring (n, 3)."""
     n = len(ring)
     index = np.arange(n)
     sides = np.stack([np.zeros(n, int), 1 + index, 1 + (index + 1) % n], 1)
@@ -51,6 +53,7 @@ def cone_mesh(apex: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def sphere(centre: np.ndarray, radius: float, rings: int = 700) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of a sphere."""
     latitude, longitude = np.meshgrid(
         np.linspace(-np.pi / 2, np.pi / 2, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij"
     )

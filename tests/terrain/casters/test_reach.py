@@ -14,11 +14,13 @@ from tests.render import render
 
 
 def casters(scene: Scene, view):
+    """Return the visible points of a map and the objects that can cast shadow on them."""
     geometry = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
     return geometry, find_casters(scene, geometry)
 
 
 def hills(rows: int, cols: int, relief: float, seed: int = 4) -> np.ndarray:
+    """Return random heights (rows, cols) between 0 and ``relief`` metres."""
     rough = np.random.default_rng(seed).normal(size=(rows, cols)).cumsum(0).cumsum(1)
     return ((rough - rough.min()) / np.ptp(rough) * relief).astype(np.float32)
 

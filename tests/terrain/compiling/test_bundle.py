@@ -13,6 +13,7 @@ from skugga.terrain.compiling.bundle import NUMBA_TARGET, VERSIONS_FILE, X86_64_
 
 @pytest.fixture
 def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder like that of compiled loops in a wheel, on a fake processor that can run them."""
     for name in NUMBA_TARGET:
         monkeypatch.setenv(name, "")  # so that it is restored
         monkeypatch.delenv(name)

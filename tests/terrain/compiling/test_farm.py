@@ -60,6 +60,10 @@ print("missing:", *missing)
 
 
 def run(folder: Path, processes: int, deadly: bool = False) -> tuple[list[str], str]:
+    """Compile the test's loops in ``processes`` processes. Return the lines of the output, and the errors.
+
+    If ``deadly``, the process that compiles the loop ``middle`` is killed.
+    """
     (folder / "loops.py").write_text(LOOPS_MODULE_SOURCE, encoding="utf-8")
     environment = {"PYTHONPATH": f"{folder}:{ROOT}", "NUMBA_CACHE_DIR": str(folder / "store"), "PATH": os.environ["PATH"]}
     code = FARM_SCRIPT.format(processes=processes, deadly=deadly)
@@ -95,6 +99,7 @@ def test_queue_takes_first_products_then_longest_chains() -> None:
 
 @pytest.fixture
 def no_needed_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget the products that a process needs and has compiled."""
     monkeypatch.setattr(hooks, "_needed_products", [])
     monkeypatch.setattr(hooks, "_compiled_products", set())
 

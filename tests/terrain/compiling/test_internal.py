@@ -17,17 +17,20 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @internal
 def _double_all(values, out):  # type: ignore[no-untyped-def]
+    """Write doubled values to ``out``."""
     for n in range(values.size):
         out[n] = 2.0 * _element_at(values, n)
 
 
 @internal
 def _element_at(values, n):  # type: ignore[no-untyped-def]
+    """Return one value."""
     return values[n]
 
 
 @compiled
 def _quadruple_all(values):  # type: ignore[no-untyped-def]
+    """Return values times four."""
     doubled, quadrupled = np.empty(values.size), np.empty(values.size)
     _double_all(values, doubled)
     _double_all(doubled, quadrupled)
@@ -73,6 +76,7 @@ def _internal_loops_named_in_python(module: ast.Module) -> Iterator[str]:
 
 @cache
 def _internal_loops_of(name: str) -> set[str]:
+    """Return the names of a module's loops that only other loops call; empty if the module has no file."""
     path = ROOT / f"{name.replace('.', '/')}.py"
     if not path.is_file():
         return set()

@@ -65,9 +65,11 @@ class ModulePair:
         self.write("b", CALLEE_SOURCE)
 
     def write(self, name: str, text: str) -> None:
+        """Write the text of the module ``name``."""
         (self.folder / f"{name}.py").write_text(text, encoding="utf-8")
 
     def run(self, *, code: str = "", **environment: str) -> str:
+        """Run the first module, or Python code instead, in a new process with further environment variables. Return its output."""
         # Python takes a .pyc for fresh if the source has the same size and the same second of change.
         python_environment = {"PYTHONPATH": f"{self.folder}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
         base_environment = {**python_environment, "NUMBA_CACHE_DIR": str(self.folder / "store"), "PATH": os.environ["PATH"]}
@@ -79,6 +81,7 @@ class ModulePair:
 
 @pytest.fixture
 def modules(tmp_path: Path) -> ModulePair:
+    """Two modules of loops that share a store."""
     return ModulePair(tmp_path)
 
 

@@ -17,6 +17,7 @@ from skugga.terrain.compiling.store import ENTRY_SUFFIX, LoopStore, default_stor
 
 @pytest.fixture
 def store(tmp_path: Path) -> LoopStore:
+    """An empty store of compiled loops."""
     return LoopStore(tmp_path / "loops")
 
 

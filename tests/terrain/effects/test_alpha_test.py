@@ -31,6 +31,7 @@ def make_tree_scene(write_raster, make_scene, tmp_path: Path):
 
 
 def eye_view(north_m: float, height_m: float) -> dict:
+    """Return the keys of a view to the north from a height above the ground, metres."""
     return {"kind": "perspective", "eye": [0.0, north_m, height_m], "target": [0.0, north_m + 1.0, 0.0], "size": [64, 48]}
 
 

@@ -50,6 +50,7 @@ def make_cloudy_scene(make_scene: Callable[..., Scene], write_raster) -> Callabl
 
 
 def sample_densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarray:
+    """Return densities of clouds at points of a lattice with steps of ``step_m`` metres and ``side`` points a side."""
     threshold = noise_threshold_of(cover)
     return np.array([density_at(x * step_m, y * step_m, threshold) for x in range(side) for y in range(side)])
 
@@ -64,6 +65,7 @@ def cloud_transmittance(scene: Scene, view=None) -> np.ndarray:
 
 
 def plan_of(scene: Scene, view, effect_switch: str = "auto") -> Plan:
+    """Return a plan with the effect of clouds "on", "off" or "auto"."""
     level = scene.loaded.level.model_copy(update={"effects": {"clouds": effect_switch}})
     return make_plan(describe(scene, view), level, {})
 

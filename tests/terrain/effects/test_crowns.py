@@ -90,6 +90,7 @@ def test_no_light_comes_through_a_house(make_wall_scene, tmp_path):
 
 
 def verdict(scene: Scene, name: str):
+    """Return whether the view ``name`` requires the effect, and why."""
     return EFFECT.judge(describe(scene, scene.view(name), name))
 
 

@@ -32,6 +32,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture
 def scene(tmp_path) -> Scene:
+    """Scene of low hills with views from near, from far and to the sky."""
     views = {
         "eye": {"kind": "perspective", "eye": [0, -20, 1.7], "target": [0, 0, 1.5], "fov": 50, "size": [96, 64]},
         "far": {"kind": "perspective", "eye": [0, 0, 150000], "target": [0, 1, 0], "fov": 20, "size": [96, 64]},

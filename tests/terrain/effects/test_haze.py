@@ -64,6 +64,7 @@ def make_floor_scene(tmp_path):
 
 
 def hiding_distance_of_view_m(scene: Scene) -> float:
+    """Return the distance from which haze hides shadows in the view ``v``."""
     return shadow_hiding_distance_m(scene, scene.view("v"))
 
 
@@ -107,6 +108,7 @@ def render_picture(scene: Scene, haze: str, name: str = "v", **view_options) -> 
 
 
 def verdict(scene: Scene, name: str = "v"):
+    """Return whether the view ``name`` requires the effect, and why."""
     return EFFECT.judge(describe(scene, scene.view(name), name))
 
 

@@ -20,6 +20,7 @@ NODE_OFFSETS = np.arange(129) - 64.0
 
 
 def occluded_share(height_m: np.ndarray, across_m: float = 1.0, down_m: float = 1.0, curvature: float = 0.0) -> np.ndarray:
+    """Return the occluded share of the sky at each node (rows, cols). ``across_m`` and ``down_m`` are the sides of cells."""
     rows = len(height_m)
     return sky_occlusion(height_m, np.full(rows, across_m), np.full(rows, down_m), curvature)
 

@@ -68,12 +68,14 @@ def make_lake(write_raster, make_scene, bowl_m):
 
 
 def render_lake(scene, name: str, water_on: bool):
+    """Return the colours (rows, cols, 3) of a view with or without water, as integers."""
     view = scene.view(name)
     level = scene.loaded.level.model_copy(update={"effects": {"haze": "off", "water": "on" if water_on else "off"}})
     return render_frame(scene, view, make_plan(describe(scene, view, name), level, {})).color.astype(int)
 
 
 def verdict(scene, name: str):
+    """Return whether the view ``name`` requires the effect, and why."""
     return water.judge(describe(scene, scene.view(name), name))
 
 

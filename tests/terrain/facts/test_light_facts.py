@@ -38,6 +38,7 @@ def scene_with_body(folder: Path, body: trimesh.Trimesh | None = None, size: flo
 
 
 def plate(side: float, x: float, y: float, z: float) -> trimesh.Trimesh:
+    """Return a horizontal square mesh around (x, y, z)."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * side / 2 + [x, y, z]
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
@@ -49,6 +50,7 @@ def keep_body_height(body: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def box_on_ground(size: tuple[float, float, float]) -> trimesh.Trimesh:
+    """Return a box mesh that stands on the origin."""
     body = trimesh.creation.box(extents=size)
     body.apply_translation([0.0, 0.0, size[2] / 2])
     return body
@@ -59,6 +61,7 @@ DOWN_VIEW = {"kind": "perspective", "eye": [0, -1, 250], "target": [0, 0, 0], "f
 
 
 def describe_map(scene: Scene) -> Descriptor:
+    """Return the descriptor of the scene's map."""
     return describe(scene, scene.view("map", size=(300, 300)))
 
 

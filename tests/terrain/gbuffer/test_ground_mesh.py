@@ -23,24 +23,28 @@ ROWS, COLS = 60, 80
 
 
 def rolling_heights(rows: int = ROWS, cols: int = COLS) -> np.ndarray:
+    """Return heights of smooth hills in metres (rows, cols)."""
     y, x = np.mgrid[0:rows, 0:cols] / 20.0
     return (200 + 25 * np.sin(1.7 * x + y) + 15 * np.cos(2.3 * y - 0.5 * x)).astype(np.float32)
 
 
 @pytest.fixture
 def hills(write_raster) -> Path:
+    """File of a raster of smooth hills."""
     return write_raster(rolling_heights(), UTM, X0, Y0, 25.0)
 
 
 def eye_views(
     east: float = 300.0, south: float = 1300.0, target: tuple[float, float] = (1000.0, 600.0), height: float = 30.0
 ) -> dict:
+    """Return the keys of a perspective view. Eye and ``target`` are metres east and south of the raster's corner."""
     lon_lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform
     positions = [lon_lat(X0 + e, Y0 - s) for e, s in ((east, south), target)]
     return {"eye": {"kind": "perspective", "eye": [*positions[0], height], "target": [*positions[1], 0], "size": [80, 60]}}
 
 
 def view_of(scene: Scene) -> PerspectiveView:
+    """Return the view ``eye``."""
     return scene.view("eye")
 
 

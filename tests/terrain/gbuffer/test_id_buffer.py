@@ -17,10 +17,12 @@ from skugga.terrain.scene import Scene, build_scene
 
 @pytest.fixture(scope="module")
 def landscape() -> Scene:
+    """Scene of a bundled level with trees."""
     return build_scene(load_level(find_level("spatialace")))
 
 
 def view_part(scene: Scene, name: str) -> PerspectiveView:
+    """Return a part of 300 x 400 pixels of the perspective view ``name``."""
     view = scene.view(name)
     assert isinstance(view, PerspectiveView)
     return view.part(150, 200, 300, 400)

@@ -45,6 +45,7 @@ def make_ground(write_raster, make_scene) -> GroundFactory:
 
 
 def geometry(scene: Scene, view: MapView) -> GeometryBuffer:
+    """Return the visible points of a map."""
     return map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
 
 
@@ -148,6 +149,7 @@ AZIMUTHS, ALTITUDES = st.floats(0, 360), st.floats(1, 89)
 
 
 def with_few_examples(test):
+    """Decorate a test to run with at most 20 random examples."""
     return settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])(test)
 
 

@@ -26,11 +26,13 @@ X0, Y0 = 450_000.0, 6_000_000.0
 
 @pytest.fixture
 def floor(write_raster) -> Path:
+    """File of a raster of level ground."""
     return write_raster(np.full((41, 41), 5.0, np.float32), ENGINEERING, -205.0, 205.0, 10.0)
 
 
 @pytest.fixture
 def rolling(write_raster) -> Path:
+    """File of a raster of smooth hills."""
     y, x = np.mgrid[0:61, 0:61] / 60.0
     heights = 200 + 12 * np.sin(8 * x + 3 * y) + 9 * np.cos(7 * y)
     return write_raster(heights.astype(np.float32), UTM, X0, Y0, 10.0)
@@ -52,6 +54,7 @@ def pixel_centres(view) -> tuple[np.ndarray, np.ndarray]:
 
 
 def buffer_and_coordinates(scene: Scene, bounds, size) -> tuple[GeometryBuffer, np.ndarray, np.ndarray]:
+    """Return the visible points of a map, and the coordinates of its pixels' centres."""
     view = scene.view(bounds=bounds, size=size)
     return geometry_buffer(scene, view), *pixel_centres(view)
 

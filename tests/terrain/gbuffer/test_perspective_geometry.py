@@ -38,6 +38,7 @@ X0, Y0 = 400_000.0, 6_400_000.0
 
 @pytest.fixture
 def floor(write_raster) -> Path:
+    """File of a raster of level ground."""
     return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
 
 
@@ -50,6 +51,7 @@ def hills(write_raster) -> Path:
 
 
 def eye_view(eye, target, size=(64, 48), fov=50.0) -> dict:
+    """Return the keys of the perspective view ``eye``."""
     return {"eye": {"kind": "perspective", "eye": list(eye), "target": list(target), "fov": fov, "size": list(size)}}
 
 

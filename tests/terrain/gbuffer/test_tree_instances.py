@@ -59,6 +59,7 @@ def camera_at(scene: Scene, eye, target, fov: float = 50.0, size=(64, 64)) -> Pe
 
 
 def instances_of(scene: Scene, view: PerspectiveView) -> TreeInstances:
+    """Return the trees that a view draws."""
     instances = tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     assert instances is not None
     return instances

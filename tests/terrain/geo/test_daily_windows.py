@@ -22,6 +22,7 @@ LON, LAT = 10.75, 59.9
 
 @pytest.fixture
 def world() -> World:
+    """World in degrees with its anchor at ``LON``, ``LAT``."""
     return World(CRS.from_epsg(4326), False, LON, LAT, LON, LAT, 1.0)
 
 

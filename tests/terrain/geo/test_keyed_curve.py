@@ -14,6 +14,7 @@ SEEDS = st.integers(0, 10_000)
 
 
 def random_curve(seed: int, loop: bool = False, count: int = 7, size: int = 2) -> KeyedCurve:
+    """Return a random curve with ``count`` keys and values (size,). It rests between the third and the fourth key."""
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(count, size)) * 10.0
     values[2] = values[3]  # it rests between these
@@ -135,4 +136,5 @@ def test_short_parts_late_on_the_clock_keep_their_direction(first_s):
 
 
 def normalized(vector: np.ndarray) -> np.ndarray:
+    """Return a vector scaled to length 1."""
     return vector / np.linalg.norm(vector)

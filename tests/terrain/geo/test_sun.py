@@ -18,6 +18,7 @@ from skugga.terrain.level.parts import SunSpec
 
 
 def world_at(lon: float, lat: float) -> World:
+    """Return a world in degrees with its anchor at a longitude and latitude."""
     return World(CRS.from_epsg(4326), False, lon, lat, lon, lat)
 
 

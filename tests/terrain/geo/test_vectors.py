@@ -29,6 +29,8 @@ BOW_TIE = [[9.0, 47.0], [9.01, 47.01], [9.01, 47.0], [9.0, 47.01], [9.0, 47.0]]
 
 @pytest.fixture
 def geojson(tmp_path: Path):
+    """A function that writes geometries with properties as a GeoJSON file and returns its path."""
+
     def write(geometries: list, properties: list[dict] | None = None) -> str:
         rows = zip(geometries, properties or [{}] * len(geometries), strict=True)
         features = [{"type": "Feature", "properties": values, "geometry": geometry} for geometry, values in rows]
@@ -40,6 +42,7 @@ def geojson(tmp_path: Path):
 
 
 def point(x: float, y: float) -> dict:
+    """Return a GeoJSON point."""
     return {"type": "Point", "coordinates": [x, y]}
 
 

@@ -25,10 +25,12 @@ def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
 
 
 def draw_grid_mesh(gl, program: moderngl.Program, position: np.ndarray) -> int:
+    """Draw a heightfield of positions (rows, cols, 3), and return the number of triangles."""
     return gl.draw_grid_mesh(program, position, sheet_of(position).triangles)
 
 
 def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
+    """Return the depths (size, size) of heightfields. ``bits`` is the number of bits of a depth."""
     target = gl.depth_target(size, size, bits)
     program = gl.program(VERTEX_SHADER, FRAGMENT_SHADER)
     with gl.depth_pass(target):

@@ -44,6 +44,7 @@ def tried_device_numbers(setting: str, kinds: list[ProbedDevice], process_number
 
 
 def fail_on_probe(index: int) -> ProbedDevice:
+    """Fail, because the device with this index must not be probed."""
     raise AssertionError("only the selected device may be probed: a probe is slow")
 
 

@@ -25,6 +25,7 @@ def square(depth: float, facing: int = TOWARDS, left: float = -1.0, right: float
 
 
 def draw(gl, squares: Iterable[np.ndarray]) -> None:
+    """Draw squares, each as vertices of triangles."""
     points = np.concatenate(list(squares)).astype(np.float32)
     gl.draw_triangles(gl.program(VERTEX_SHADER, FRAGMENT_SHADER), points, np.arange(len(points), dtype=np.int32).reshape(-1, 3))
 

@@ -18,12 +18,14 @@ FILES_WITH_COLLAR = ("lisbon_1arcsec_4326.tif",)
 
 
 def hills(rows: int, cols: int, low_m: float = 300.0, high_m: float = 900.0) -> np.ndarray:
+    """Return heights (rows, cols) between ``low_m`` and ``high_m`` metres."""
     row, col = np.mgrid[:rows, :cols].astype(np.float32)
     wave = np.sin(col / 37) * np.cos(row / 53) + 0.1 * np.sin(col / 5) * np.sin(row / 7)
     return (low_m + (high_m - low_m) * (wave - wave.min()) / np.ptp(wave)).astype(np.float32)
 
 
 def collar_of_raster(path: Path, heights: np.ndarray, **options) -> Collar | None:
+    """Return the collar that is detected in a raster of heights; ``None`` without one."""
     elevation = Elevation(str(write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)))
     try:
         return detect_collar(elevation)

@@ -119,6 +119,7 @@ def hypotenuse(row: int, col: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def distance_m(height: np.ndarray, eye: tuple[float, float, float], min_distance_m: float = 1.0) -> np.ndarray:
+    """Return the distances (rows, cols) of nodes from an eye: row, column and height in metres."""
     row, col = np.mgrid[: height.shape[0], : height.shape[1]]
     plan_distance_m = np.hypot(row - eye[0], col - eye[1]) * SPACING_M
     return np.maximum(np.hypot(plan_distance_m, np.nan_to_num(height - eye[2])), min_distance_m)
@@ -250,6 +251,7 @@ def test_hole_in_a_plane_keeps_only_its_corners():
 
 @pytest.fixture(scope="module")
 def mountains() -> NodeErrors:
+    """Node errors of fractal mountains with holes."""
     height = fractal(150, 211, seed=5)
     height[fractal(150, 211, seed=6) > 650.0] = np.nan
     return node_errors(height, SPACING_M, True)

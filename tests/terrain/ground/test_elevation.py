@@ -17,6 +17,7 @@ UTM = "EPSG:32633"
 
 
 def heights_at(elevation: Elevation, row, col, level: int = 0):
+    """Return heights and validity at fractional rows and columns of an overview level (0: the raster itself)."""
     row, col = np.broadcast_arrays(np.atleast_2d(row).astype(float), np.atleast_2d(col).astype(float))
     return elevation.heights_at(level, row, col)
 

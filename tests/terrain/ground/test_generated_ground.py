@@ -20,11 +20,13 @@ NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
 
 
 def read_generated_ground(**terrain) -> tuple[np.ndarray, tuple[float, ...], CRS]:
+    """Return heights (rows, cols), geotransform and CRS of generated terrain."""
     with generated_ground(Terrain.model_validate(terrain)).open() as dataset:
         return dataset.read(1), tuple(dataset.transform)[:6], CRS.from_user_input(dataset.crs.to_wkt())
 
 
 def generated_heights(kind: str, size=(2000, 2000), cell=20, relief=500, seed=1) -> np.ndarray:
+    """Return the heights (rows, cols) of generated terrain of a kind; lengths in metres."""
     return read_generated_ground(generate={"kind": kind, "size": size, "cell": cell, "relief": relief, "seed": seed})[0]
 
 

@@ -20,6 +20,7 @@ UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
 
 
 def checked_crs_of_raster(folder, crs, place, **options):
+    """Return the CRS that is read from a raster file. ``place`` is its west, its north and the side of its cells."""
     path = write_geotiff(folder / "dem.tif", np.ones((40, 50), np.float32), crs, *place, **options)
     with rasterio.open(path) as dataset:
         return checked_crs("dem.tif", dataset)

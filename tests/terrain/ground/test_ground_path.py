@@ -31,6 +31,7 @@ def ridge(write_raster) -> Path:
 
 
 def path_in(scene: Scene, *keys: tuple, loop: bool = False, above: HeightReference = "ground") -> GroundPath:
+    """Return a path with keys (seconds, position). Positions are two or three coordinates."""
     timed_positions = [(seconds, (*place, 0.0) if len(place) == 2 else place) for seconds, place in keys]
     return path_over_ground(timed_positions, loop, above, Geolocator(scene.world, scene.elevation), "level.yaml: path", "position")
 

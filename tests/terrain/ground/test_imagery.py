@@ -28,12 +28,14 @@ SIDE, CELL = 16, 25.0
 
 @pytest.fixture
 def hill(write_raster):
+    """File of a raster of a round hill."""
     y, x = np.mgrid[0:41, 0:41] / 40.0
     heights = 100 + 30 * np.exp(-8 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
     return write_raster(heights.astype(np.float32), UTM, X0, Y0, 10.0)
 
 
 def random_colors(seed: int = 1) -> np.ndarray:
+    """Return a random picture, uint8 (3, ``SIDE``, ``SIDE``)."""
     return np.random.default_rng(seed).integers(0, 256, (3, SIDE, SIDE)).astype(np.uint8)
 
 
@@ -51,6 +53,7 @@ def make_draped_scene(write_raster, make_scene, dem, data: np.ndarray, crs: str 
 
 
 def pixel_xy(view) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coordinates (rows, cols) of a map's pixels."""
     col, row = np.meshgrid(np.arange(view.cols), np.arange(view.rows))
     return view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
 
@@ -69,10 +72,12 @@ def test_map_shows_imagery_at_its_coordinates(gl, hill, write_raster, make_scene
 
 
 def near_view(scene: Scene, size=(120, 90)) -> PerspectiveView:
+    """Return the view ``eye``."""
     return scene.view("eye", size=size)
 
 
 def eye_view(fov: float = 50.0, height: float = 40.0) -> dict:
+    """Return the keys of the perspective view ``eye``, whose eye is ``height`` metres above the ground."""
     lon_lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform
     eye, target = lon_lat(X0 + 200, Y0 - 390), lon_lat(X0 + 200, Y0 - 200)
     return {"eye": {"kind": "perspective", "eye": [*eye, height], "target": [*target, 0], "fov": fov, "size": [120, 90]}}

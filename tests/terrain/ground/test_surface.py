@@ -29,6 +29,7 @@ def test_tile_ranges_contain_every_node_once(first, count):
 
 @pytest.fixture
 def scene(write_raster, make_scene):
+    """Scene of hills with a hole."""
     row, col = np.mgrid[:300, :300]
     heights = (600.0 + 200.0 * np.sin(row / 9.0) * np.cos(col / 11.0)).astype(np.float32)
     heights[100:140, 200:230] = np.nan
@@ -175,6 +176,7 @@ def test_rim_nodes_are_neighbours_of_valid_nodes(cell_scene, row, col, step):
 
 @pytest.fixture(scope="module")
 def cell_scene(tmp_path_factory):
+    """Scene of random heights in a flat world."""
     folder = tmp_path_factory.mktemp("cells")
     heights = np.random.default_rng(1).normal(size=(40, 40)).astype(np.float32)
     raster = write_geotiff(folder / "dem.tif", heights, ENGINEERING, 0.0, 400.0, 10.0)

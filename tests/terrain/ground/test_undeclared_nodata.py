@@ -18,6 +18,7 @@ SIDE_CELLS = 200
 
 
 def warnings_of(path: Path, heights: np.ndarray, scale: float = 1.0, crs: str = "EPSG:32633", **options) -> tuple[str, ...]:
+    """Return the warnings about a raster of heights with a scale factor."""
     write_geotiff(path / "dem.tif", heights, crs, 500e3, 5200e3, 30.0)
     with rasterio.open(path / "dem.tif", "r+") as dataset:
         dataset.scales = (scale,)

@@ -35,6 +35,7 @@ EXAMPLE_WORDS_OF_UNIT = {
 
 
 def write_with_unit(path: Path, heights: np.ndarray, word: str, crs: str = UTM, **options) -> Path:
+    """Write heights as a raster whose unit is ``word``, and return its path."""
     write_geotiff(path, heights, crs, *ORIGIN_AND_CELL_M, **options)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = (word,)
@@ -42,6 +43,7 @@ def write_with_unit(path: Path, heights: np.ndarray, word: str, crs: str = UTM, 
 
 
 def write_with_depth(path: Path, depths: np.ndarray, crs: str, **options) -> Path:
+    """Write depths as a raster, and return its path."""
     return write_geotiff(path, depths, crs, *ORIGIN_AND_CELL_M, **options)
 
 

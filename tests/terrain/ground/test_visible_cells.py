@@ -17,6 +17,7 @@ from skugga.terrain.ground.visible_cells import block_slices, full_cell_range, i
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
+    """Scene of heights that differ in every cell, in degrees of longitude and latitude."""
     from skugga.terrain.level.level import load_level
     from skugga.terrain.scene import build_scene
     from tests.rasters import write_geotiff

@@ -14,6 +14,7 @@ CAMERA_KEY_YAML = "{at: 0s, eye: [0, 0, 5], target: [9, 9, 0]}"
 
 
 def load_camera_text(tmp_path, text: str):
+    """Return the camera path of a file with a text."""
     path = tmp_path / "camera.yaml"
     path.write_text(text, encoding="utf-8")
     return load_camera_path(path)

@@ -33,6 +33,10 @@ READERS = {
 
 
 def vrt_text(source: str, band: str = "", inside: str = "", relative: int = 1) -> str:
+    """Return the text of a virtual raster over the file ``source``.
+
+    ``band`` are attributes of its band, and ``inside`` is text before the band's source. ``relative`` is 1 for a relative path.
+    """
     return (
         f'<VRTDataset rasterXSize="8" rasterYSize="6"><SRS>{UTM}</SRS><GeoTransform>500000, 10, 0, 5200000, 0, -10</GeoTransform>'
         f'<VRTRasterBand dataType="Float32" band="1" {band}>{inside}<SimpleSource>'
@@ -43,6 +47,7 @@ def vrt_text(source: str, band: str = "", inside: str = "", relative: int = 1) -
 
 @pytest.fixture
 def folder(tmp_path):
+    """A folder with a raster, a virtual raster over it, and one over that."""
     write_geotiff(tmp_path / "dem.tif", np.arange(48, dtype=np.float32).reshape(6, 8), UTM, 500e3, 5200e3, 10.0)
     (tmp_path / "good.vrt").write_text(vrt_text("dem.tif"))
     (tmp_path / "twice.vrt").write_text(vrt_text(str(tmp_path / "good.vrt"), relative=0))

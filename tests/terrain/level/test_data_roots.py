@@ -37,10 +37,12 @@ DatasetHeader End
 
 
 def write_raster(path: Path, cells: int = 64) -> Path:
+    """Write a raster of equal heights with ``cells`` cells a side, and return its path."""
     return write_geotiff(path, np.full((cells, cells), 7.0, np.float32), "EPSG:32633", 500_000, 5_000_000, 30 * 64 / cells)
 
 
 def write_level(path: Path, source: str, **keys) -> Path:
+    """Write a level over the raster ``source``, and return its path."""
     path.write_text(json.dumps({"version": 1, "terrain": {"source": source}, **keys}), encoding="utf-8")
     return path
 
@@ -56,42 +58,51 @@ def level_folder(tmp_path: Path) -> Path:
 
 
 def secret_raster(level_folder: Path) -> Path:
+    """Return the path of a raster outside the level's folder."""
     return level_folder.parent / "outside" / "secret.tif"
 
 
 def escape_by_path(level_folder: Path) -> None:
+    """Write a level whose raster is outside, by a relative path."""
     write_level(level_folder / "level.yaml", "../outside/secret.tif")
 
 
 def escape_by_absolute_path(level_folder: Path) -> None:
+    """Write a level whose raster is outside, by an absolute path."""
     write_level(level_folder / "level.yaml", str(secret_raster(level_folder)))
 
 
 def escape_by_link(level_folder: Path) -> None:
+    """Write a level whose raster is a symbolic link to a file outside."""
     (level_folder / "linked.tif").symlink_to(secret_raster(level_folder))
     write_level(level_folder / "level.yaml", "linked.tif")
 
 
 def escape_by_linked_folder(level_folder: Path) -> None:
+    """Write a level whose raster lies in a symbolic link to a folder outside."""
     (level_folder / "folder").symlink_to(secret_raster(level_folder).parent)
     write_level(level_folder / "level.yaml", "folder/secret.tif")
 
 
 def escape_by_linked_level(level_folder: Path) -> None:
+    """Write a level that is a symbolic link to a file outside."""
     write_level(level_folder.parent / "outside" / "level.yaml", "secret.tif")
     (level_folder / "level.yaml").symlink_to(level_folder.parent / "outside" / "level.yaml")
 
 
 def escape_by_linked_overview(level_folder: Path) -> None:
+    """Write a level whose raster has overviews outside."""
     (level_folder / "dem.tif.ovr").symlink_to(secret_raster(level_folder))
     write_level(level_folder / "level.yaml", "dem.tif")
 
 
 def escape_by_imagery(level_folder: Path) -> None:
+    """Write a level whose imagery is outside."""
     write_level(level_folder / "level.yaml", "dem.tif", terrain={"source": "dem.tif", "imagery": str(secret_raster(level_folder))})
 
 
 def escape_by_virtual_raster(level_folder: Path) -> None:
+    """Write a level whose virtual raster has a source outside."""
     (level_folder / "parts.vrt").write_text(VRT.format(relative=1, name="../outside/secret.tif"), encoding="utf-8")
     write_level(level_folder / "level.yaml", "parts.vrt")
 
@@ -105,6 +116,7 @@ def escape_by_working_folder(level_folder: Path) -> None:
 
 
 def escape_by_part_of_a_file(level_folder: Path) -> None:
+    """Write a level whose virtual raster has a directory of a TIFF file outside as a source."""
     (level_folder / "parts.vrt").write_text(
         VRT.format(relative=0, name=f"GTIFF_DIR:1:{secret_raster(level_folder)}"), encoding="utf-8"
     )
@@ -126,6 +138,7 @@ def escape_by_header(level_folder: Path) -> None:
 
 
 def escape_by_query(level_folder: Path) -> None:
+    """Write a level whose virtual vector file queries a file outside."""
     query = f"SELECT * FROM '{level_folder.parent / 'outside' / 'houses.shp'}'.houses"
     source = f"<SrcDataSource relativeToVRT='1'>own.geojson</SrcDataSource><SrcSQL>{query}</SrcSQL>"
     layer = f"<OGRVRTDataSource><OGRVRTLayer name='x'>{source}</OGRVRTLayer></OGRVRTDataSource>"
@@ -134,14 +147,17 @@ def escape_by_query(level_folder: Path) -> None:
 
 
 def escape_by_archive(level_folder: Path) -> None:
+    """Write a level whose raster lies in an archive outside."""
     write_level(level_folder / "level.yaml", f"/vsizip/{level_folder.parent / 'outside' / 'all.zip'}/dem.tif")
 
 
 def escape_by_url(level_folder: Path) -> None:
+    """Write a level whose raster is a ``file`` URL."""
     write_level(level_folder / "level.yaml", f"file://{secret_raster(level_folder)}")
 
 
 def escape_by_url_of_another(level_folder: Path) -> None:
+    """Write a level whose raster is a ``file`` URL that GDAL would read by curl."""
     write_level(level_folder / "level.yaml", f"/vsicurl/file://{secret_raster(level_folder)}")
 
 

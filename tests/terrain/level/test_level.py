@@ -19,6 +19,7 @@ VALID_LEVEL = "version: 1\nterrain: {source: jacksboro}\n"
 
 
 def level(tmp_path: Path, text: str) -> Path:
+    """Write a text as a level file, and return its path."""
     path = tmp_path / "my.yaml"
     path.write_text(text, encoding="utf-8")
     return path

@@ -23,6 +23,8 @@ ALIAS_CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in ra
 
 @pytest.fixture
 def level(tmp_path):
+    """A function that writes a text as a level file and returns its path."""
+
     def write(text: str, name: str = "my.yaml"):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")

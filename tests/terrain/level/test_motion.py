@@ -18,17 +18,20 @@ PATH_MOTION = {"path": [START_KEY, END_KEY]}
 
 
 def load_floor_level(folder: Path, **parts: Any) -> Level:
+    """Return the level ``FLOOR_LEVEL`` with further keys."""
     path = folder / "level.yaml"
     path.write_text(json.dumps(FLOOR_LEVEL | parts), encoding="utf-8")
     return load_level(path).level
 
 
 def moving_mesh(*path: dict, **keys: Any) -> dict:
+    """Return the keys of a moving mesh with a path of keys."""
     mesh_keys = {name: keys.pop(name) for name in ("at",) if name in keys}
     return {"meshes": [{"generate": "rocks", **mesh_keys, "motion": {"path": list(path), **keys}}]}
 
 
 def moving_lamp(*path: dict, kind: str = "omni", lamp_keys: dict | None = None, **keys: Any) -> dict:
+    """Return the keys of a moving lamp with a path of keys."""
     return {"lights": {"lamp": {"kind": kind, **(lamp_keys or {}), "motion": {"path": list(path), **keys}}}}
 
 

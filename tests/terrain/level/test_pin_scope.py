@@ -21,6 +21,7 @@ SWEEP_PIN = {"algorithm": "sweep"}
 
 
 def load_pinned_shadows(path, *pins, **keys):
+    """Return the ``shadows`` of a level with pins."""
     path.write_text(json.dumps({**BASE_LEVEL, **keys, "shadows": {"pins": pins}}))
     return load_level(path).level.shadows
 

@@ -41,10 +41,12 @@ def scene_of(tmp_path):
 
 
 def lon_lat_of(x: float, y: float) -> tuple[float, float]:
+    """Return longitude and latitude of a position in UTM."""
     return transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, y)
 
 
 def assemble_solids(scene, seconds: float = 0.0):
+    """Return the solids of a scene at a time, seconds."""
     return solids(place_meshes(scene.loaded, scene.world, scene.elevation), seconds)
 
 
@@ -92,6 +94,7 @@ def test_spinning_model_rotates_around_its_up_axis(scene_of):
 
 
 def make_path_scene(scene_of, **motion):
+    """Return a scene of an arrow that moves for eight seconds."""
     keys = [{"seconds": 0, "position": [-40, -30]}, {"seconds": 8, "position": [40, 30, 5]}]
     return scene_of(FLOOR_TERRAIN, {"source": "arrow.ply", "turn": -90, "motion": {"path": keys, **motion}})
 

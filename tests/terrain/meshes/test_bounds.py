@@ -83,6 +83,8 @@ def test_duplicate_faces_are_merged(tmp_path):
 
 @pytest.fixture
 def geojson(tmp_path):
+    """A function that writes geometries as a GeoJSON file and returns its path."""
+
     def write(*geometries: shapely.Geometry, crs: str = "EPSG::32633"):
         features = [
             {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(geometry)} for geometry in geometries

@@ -42,6 +42,7 @@ def write_footprints(path: Path, geometry, crs: str = UTM, **attributes) -> Path
 
 
 def load_world(tmp_path: Path, terrain: dict, **mesh):
+    """Return the loaded level, world and elevation of a level with one mesh entry."""
     path = tmp_path / "level.yaml"
     path.write_text(json.dumps({"version": 1, "terrain": terrain, "meshes": [mesh]}, default=str), encoding="utf-8")
     scene = build_scene(load_level(path))
@@ -55,11 +56,13 @@ def place_footprints(tmp_path: Path, dem: Path, **mesh):
 
 
 def heights(body, world, elevation) -> np.ndarray:
+    """Return the heights (n,) of a body's vertices in the raster's CRS."""
     return world.map_position(elevation.crs, body.origin_earth_m + body.body.vertices_m @ body.earth_from_body.T)[2]
 
 
 @pytest.fixture
 def level_ground(write_raster):
+    """File of a raster of level ground at 50 m."""
     return write_raster(np.full((40, 40), 50.0, np.float32), UTM, 500000, 5000400, 10)
 
 

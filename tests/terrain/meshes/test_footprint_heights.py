@@ -30,6 +30,7 @@ def place_on_floor(tmp_path, geometry, mesh=None, **attributes):
 
 
 def place_source(tmp_path, source, **mesh):
+    """Return the placed bodies of a source, and the lowest and highest point of each (n, 2)."""
     scene = scene_of(tmp_path, source, **mesh)
     placement = place_meshes(scene.loaded, scene.world, scene.elevation)
     up = [body.origin_earth_m[2] + body.body.vertices_m[:, 2] for body in placement.visible_bodies]
@@ -37,6 +38,7 @@ def place_source(tmp_path, source, **mesh):
 
 
 def scene_of(tmp_path, source, **mesh):
+    """Return the scene of a mesh source on a level floor."""
     path = tmp_path / "level.yaml"
     terrain = {"flat": {"size": [400, 400], "cells": [40, 40]}}
     sun = {"azimuth": 180, "altitude": 45}

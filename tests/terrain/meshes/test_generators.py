@@ -24,6 +24,7 @@ LEVELS = sorted(LEVELS_FOLDER.glob("thesis_*.yaml"))
 
 @pytest.fixture(scope="module")
 def scenes():
+    """Meshes of all generators, by name."""
     return {name: generate() for name, generate in GENERATORS.items()}
 
 

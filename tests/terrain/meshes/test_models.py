@@ -115,18 +115,22 @@ def test_changed_file_is_read_again(tmp_path):
 
 
 def write_points_only(path):
+    """Write a model without triangles."""
     trimesh.PointCloud(np.eye(3)).export(path)
 
 
 def write_nan_vertex(path):
+    """Write a model with a vertex that is not a number."""
     path.write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
 def write_degenerate_triangle(path):
+    """Write a model whose triangle has no area."""
     path.write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
 
 
 def write_truncated_glb(path):
+    """Write a binary glTF file without content."""
     path.write_bytes(b"glTF\x02\x00\x00\x00\xff\xff\xff\xffrubbish")
 
 

@@ -53,6 +53,7 @@ def rectangle(width=WIDTH_M, length=LENGTH_M, turn=0.0):
 
 
 def roof_rise_m(width=WIDTH_M, height=HEIGHT_M) -> float:
+    """Return the height of a roof's ridge above its eaves, for a house of a width and a height, metres."""
     return min(ROOF_SLOPE * width / 2.0, MAX_RISE_SHARE * height)
 
 
@@ -95,6 +96,7 @@ def test_low_sheds_keep_walls(house):
 
 
 def outline_corners(outline) -> np.ndarray:
+    """Return the corners (n, 3) of a footprint relative to the first, anticlockwise."""
     xy = np.array(shapely.orient_polygons(outline).exterior.coords)[:-1]
     return np.column_stack([xy - xy[0], np.zeros(len(xy))])
 

@@ -28,6 +28,7 @@ class Painter:
 
 @pytest.fixture
 def source(tmp_path) -> Path:
+    """File of a program that paints a picture."""
     path = tmp_path / "paint.py"
     path.write_text("green = 1", encoding="utf-8")
     return path

@@ -35,6 +35,7 @@ def gaussian_crowns(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray
 
 
 def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
+    """Return positions x and y and heights in metres of the trees of a canopy raster, each (n,)."""
     window = canopy.window(crs, None)
     pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, TREETOP_WINDOW_RADIUS_LINES[species], 0))
     x, y = (np.concatenate([getattr(p.positions, axis) for p in pieces]) for axis in "xy")

@@ -25,16 +25,19 @@ def bilinear_matrix(n: int, points: int = 4) -> np.ndarray:
 
 
 def coverage(rgba: np.ndarray, threshold: float = ALPHA_THRESHOLD) -> float:
+    """Return the share of a picture (rows, cols, 4) whose interpolated alpha is at least ``threshold``."""
     alpha = rgba[..., 3] / 255.0
     return float((bilinear_matrix(alpha.shape[0]) @ alpha @ bilinear_matrix(alpha.shape[1]).T >= threshold).mean())
 
 
 def linear_from_srgb(srgb: np.ndarray) -> np.ndarray:
+    """Return linear colours in [0, 1] of sRGB values from 0 to 255."""
     value = srgb / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def opaque_mask(rgba: np.ndarray) -> np.ndarray:
+    """Return the mask of texels that the alpha test keeps (rows, cols)."""
     return rgba[..., 3] >= 255 * ALPHA_THRESHOLD
 
 
@@ -55,12 +58,14 @@ def pattern(kind: str, size: int = 64) -> np.ndarray:
 
 
 def cut_out_picture(field: np.ndarray, share: float) -> np.ndarray:
+    """Return a picture (rows, cols, 4) that is opaque where ``field`` is among its smallest values; ``share`` is their share."""
     alpha = np.where(field <= np.quantile(field, share), 255, 0).astype(np.uint8)
     return np.dstack([np.full(alpha.shape, 80, np.uint8)] * 3 + [alpha])
 
 
 @pytest.fixture(scope="module")
 def pictures() -> Foliage:
+    """Pictures of the leaves."""
     return foliage()
 
 

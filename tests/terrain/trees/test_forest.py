@@ -30,6 +30,7 @@ CONIFERS = [n for n, variant in enumerate(TREE_VARIANTS) if variant.species == "
 
 
 def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the heights of a tilted plane in metres at positions."""
     return 300.0 + 0.1 * (x - X0) + 0.05 * (y - Y0)
 
 
@@ -56,6 +57,7 @@ def vectors(tmp_path: Path):
 
 
 def planted_trees(scene) -> Trees | None:
+    """Return the trees of a scene; ``None`` without any."""
     return plant_trees(scene.loaded, scene.world, scene.elevation).trees
 
 
