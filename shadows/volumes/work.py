@@ -18,6 +18,13 @@ MARKED_LAYER_COST_RATIO = 50.0
 A layer over the whole picture covers many rectangles, where it is not drawn. Few layers cover a rectangle of marked pixels.
 """
 
+FACES_THAT_HALVE_LAYERS = 30_000.0
+"""Number of faces at which a layer takes half of the time that it takes with very many.
+
+Few faces are large. They cover whole rectangles, where they are counted without being drawn: the thesis's street with 800 faces
+takes the same time at 0.4 layers as at 4.6.
+"""
+
 GROUND_SIDES_PER_TRIANGLE = 0.6
 """Number of sides of volumes for each casting triangle of the ground, one for each edge of its silhouette.
 
@@ -82,7 +89,7 @@ def stencil_counts(workload: Workload, settings: StencilSettings, marked_share: 
         counts |= {
             "faces drawn": sides * faces_drawn,
             "facing": workload.facing_pixel_count,
-            "layers": workload.facing_pixel_count * np.sqrt(np.log1p(layers)),
+            "layers": workload.facing_pixel_count * np.sqrt(np.log1p(layers)) * faces / (faces + FACES_THAT_HALVE_LAYERS),
         }
     else:
         layer_cost = np.log1p(MARKED_LAYER_COST_RATIO * layers * marked_share)
