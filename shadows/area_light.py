@@ -19,7 +19,7 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work
 from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG, azimuth_and_altitude
 from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.scene import Scene
 
@@ -74,7 +74,9 @@ def point_light_scenes(scene: Scene, light: str, sample_count: int) -> Iterator[
     if light == SUN:
         assert scene.sun is not None
         for direction in sun_disc_directions(scene.sun.to_sun_earth, sample_count):
-            yield replace(scene, sun=replace(scene.sun, to_sun_earth=direction))
+            azimuth_deg, altitude_deg = azimuth_and_altitude(direction, scene.world.earth_from_anchor)
+            sun = replace(scene.sun, azimuth_deg=azimuth_deg, altitude_deg=altitude_deg, to_sun_earth=direction)
+            yield replace(scene, sun=sun)
         return
     lamp = scene.lamps[light]
     for place_m in lamp.radius_m * ball_points(sample_count):
@@ -95,19 +97,21 @@ def mean_visibility_of_area_light(
     casters: Casters,
     settings: AreaLightSettings,
     log: PassLog,
+    masks_attached_shadow: bool = True,
     **changes: Any,
 ) -> np.ndarray:
     """Return the mean visibility (rows, cols) float32 over the points of an area light.
 
     ``settings.light_points`` is the number of points. For each of them ``fill`` (a ``FillVisibility``) runs with the settings
-    updated by ``changes``. A surface that faces away from a point of the light gets 0 from that point. Intermediate pictures are
-    kept for the first point alone.
+    updated by ``changes``. With ``masks_attached_shadow``, a surface that faces away from a point of the light gets 0 from that
+    point; without, ``fill`` finds this itself. Intermediate pictures are kept for the first point alone.
     """
     passes = log.pass_names(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)
     for point_scene in point_light_scenes(scene, light, settings.light_points):
         point_visibility = fill(buffer, point_scene, light, kinds, casters, of_point, log)
-        point_visibility[attached_shadow_mask(buffer, point_scene, light)] = 0.0
+        if masks_attached_shadow:
+            point_visibility[attached_shadow_mask(buffer, point_scene, light)] = 0.0
         visibility += point_visibility
         log = replace(log, requested_layers=frozenset())
     for record in log.records.values():

@@ -26,7 +26,7 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     - ``soft_edges`` ran if the sun's maps were sampled by more than one tap, or if the visibility is the mean over points of its
       disc.
 
-    Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of ``soft_edges`` in the record.
+    ``truth``, which draws nothing, leaves no trace of ``soft_edges`` in the record.
     """
     ran: set[EffectName] = set()
     for record in passes:

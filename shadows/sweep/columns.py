@@ -101,10 +101,6 @@ class ColumnGround:
         Rows and columns before turning.
     columns
         The sun-aligned columns.
-    sunward_at_zero
-        (n + 1, 4), metres: cubics in t of the distance towards the sun, at height 0.
-    sunward_per_metre
-        (n + 1, 4): cubics in t of the change of this distance per metre of height.
     """
 
     lod: int
@@ -112,16 +108,6 @@ class ColumnGround:
     col0: int
     shape: tuple[int, int]
     columns: SunAlignedColumns
-    sunward_at_zero: np.ndarray
-    sunward_per_metre: np.ndarray
-
-    def with_raised_sun(self, angle_rad: float) -> SunAlignedColumns:
-        """Return the columns with the ray heights for a sun that is higher by ``angle_rad``."""
-        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-        return self.columns._replace(
-            ray_height_at_zero=cosine * self.columns.ray_height_at_zero - sine * self.sunward_at_zero,
-            ray_height_per_metre=cosine * self.columns.ray_height_per_metre - sine * self.sunward_per_metre,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +132,6 @@ class ColumnSweep:
         (n,), metres: heights of the points.
     ray_height_m
         (n,), metres: ray heights of the points; NaN for tops of columns, which are computed from the ground.
-    sunward_m
-        (n,), metres: distances of the points towards the sun.
     """
 
     rays: SunRays
@@ -157,31 +141,32 @@ class ColumnSweep:
     t: np.ndarray
     height_m: np.ndarray
     ray_height_m: np.ndarray
-    sunward_m: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """Size in bytes."""
-        return sum(ground.columns.height.nbytes for ground in self.grounds) + 40 * self.row.size
+        return sum(ground.columns.height.nbytes for ground in self.grounds) + 32 * self.row.size
 
-    def obstruction_height_m(self, angle_rad: float, needs_height: bool, cores: int) -> np.ndarray:
+    def obstruction_height_m(self, needs_height: bool, cores: int) -> np.ndarray:
         """Return by how many metres columns rise above the rays from a buffer's pixels (rows, cols) to the sun.
 
-        The sun is higher than the scene's sun by ``angle_rad``. A value over 0 means that a column blocks the ray. If
-        ``needs_height``, the value is the largest height of a column above the ray, in metres. Otherwise only its sign is
-        meaningful, and the search is faster. ``cores`` is the number of threads.
+        A value over 0 means that a column blocks the ray. If ``needs_height``, the value is the largest height of a column above
+        the ray, in metres. Otherwise only its sign is meaningful, and the search is faster. ``cores`` is the number of threads.
         """
-        grounds = [ground.with_raised_sun(angle_rad) for ground in self.grounds]
-        ray_heights = np.cos(angle_rad) * self.ray_height_m - np.sin(angle_rad) * self.sunward_m
+        ray_heights = self.ray_height_m.copy()
         on_columns = np.flatnonzero(np.isnan(ray_heights))
-        ray_heights[on_columns] = _ray_heights(grounds[0], self.row[on_columns], self.t[on_columns], self.height_m[on_columns])
+        ray_heights[on_columns] = _ray_heights(
+            self.grounds[0].columns, self.row[on_columns], self.t[on_columns], self.height_m[on_columns]
+        )
         above = np.zeros(len(self.row))
 
         def sweep_chunk(first: int) -> None:
             part = slice(first, first + POINTS_PER_CHUNK)
-            for ground, sun_aligned in zip(self.grounds, grounds, strict=True):
+            for ground in self.grounds:
                 row = self._sun_aligned_rows_on(ground, self.row[part])
-                _follow_rays(sun_aligned, row, self.t[part] / sun_aligned.cell_size, ray_heights[part], needs_height, above[part])
+                _follow_rays(
+                    ground.columns, row, self.t[part] / ground.columns.cell_size, ray_heights[part], needs_height, above[part]
+                )
 
         map_on_cores(sweep_chunk, range(0, len(above), POINTS_PER_CHUNK), cores)
         return np.append(above, 0.0)[self.point_index]
@@ -216,14 +201,14 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
         windows.setdefault(patch.lod, []).append((row0, col0, height_m))
     grounds = [_column_ground(rays, window.columns, lod, windows[lod]) for lod in sorted(windows)]
     point_index, pixel = _number_points(buffer, placed, window.height_m.size)
-    t, ray_height_m, sunward_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
+    t, ray_height_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.surface_kind.ravel()[pixel] == RELIEF
     ray_height_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
     sun_aligned_row, _ = rays.orientation.to_sun_aligned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
-    return ColumnSweep(rays, grounds, point_index, sun_aligned_row, t, height_m, ray_height_m, sunward_m)
+    return ColumnSweep(rays, grounds, point_index, sun_aligned_row, t, height_m, ray_height_m)
 
 
 def _number_points(buffer: GeometryBuffer, column_indices: ColumnIndices, column_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -272,11 +257,10 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
             upwards[..., 0] / (rays.right_m_per_cell * side),
         )
         return np.stack([
-            t + rays.mean_height_m * t_rise, t_rise, light[..., 1] - rays.up_origin_m, upwards[..., 1], -light[..., 2],
-            -upwards[..., 2],
+            t + rays.mean_height_m * t_rise, t_rise, light[..., 1] - rays.up_origin_m, upwards[..., 1],
         ])  # fmt: skip
 
-    column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre, sunward_at_zero, sunward_per_metre = _border_cubics(
+    column_of_t, column_per_metre, ray_height_at_zero, ray_height_per_metre = _border_cubics(
         along_rays, sun_aligned.shape[0], sun_aligned.shape[1], grid.crs.name
     )
     padded = np.pad(sun_aligned, [(0, -size % BAND_CELLS) for size in sun_aligned.shape], constant_values=NO_COLUMN)
@@ -293,16 +277,16 @@ def _column_ground(rays: SunRays, columns: Columns, lod: int, windows: list[tupl
         rays.mean_height_m,
         side,
     )
-    return ColumnGround(lod, row0, col0, (rows, cols), sun_aligned_columns, sunward_at_zero, sunward_per_metre)
+    return ColumnGround(lod, row0, col0, (rows, cols), sun_aligned_columns)
 
 
 def _border_cubics(
     along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> Iterator[np.ndarray]:
-    """Fit cubics in t along each border between rows of a sun-aligned grid: (rows + 1, 4) for each of six quantities.
+    """Fit cubics in t along each border between rows of a sun-aligned grid: (rows + 1, 4) for each of four quantities.
 
     t is the position across the sun's rays, in cells. At sun-aligned rows and columns, ``along_rays`` returns t, its change per
-    metre of height, and four more values. The six quantities are the column, its shift per metre of height, and the four values.
+    metre of height, and two more values. The four quantities are the column, its shift per metre of height, and the two values.
     Raises ``UnsupportedError`` if cubics cannot approximate the column. The message names the CRS ``crs_name``.
     """
     from scipy.interpolate import make_interp_spline

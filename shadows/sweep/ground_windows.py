@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, NO_RAY_HEIGHTS, allocate_bordered_grid, close_border
+from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, allocate_bordered_grid, close_border
 from skugga.shadows.sweep.lines import SunAlignedGrid
 from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.cache import MIB, cached
@@ -39,8 +39,6 @@ class GroundWindow:
         Rows and columns of the window before turning.
     sun_aligned_grid
         The ray heights on the sun-aligned grid, and the positions of its lines.
-    sunward_m
-        float32, sun-aligned and with borders: distances of the nodes towards the sun, metres; empty unless the sun is a disc.
     first_ground_row
         First sun-aligned row that may hold ground.
     """
@@ -50,26 +48,15 @@ class GroundWindow:
     col0: int
     shape: tuple[int, int]
     sun_aligned_grid: SunAlignedGrid
-    sunward_m: np.ndarray
     first_ground_row: int = 0
-
-    def with_raised_sun(self, angle_rad: float) -> SunAlignedGrid:
-        """Return the sun-aligned grid for a sun that is higher by ``angle_rad``. Angles other than 0 need ``sunward_m``."""
-        if angle_rad == 0.0:
-            return self.sun_aligned_grid
-        ray_height = (
-            np.float32(np.cos(angle_rad)) * self.sun_aligned_grid.ray_height - np.float32(np.sin(angle_rad)) * self.sunward_m
-        )
-        return self.sun_aligned_grid._replace(ray_height=ray_height)
 
 
 def grounds_of_block(
-    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], needs_sunward: bool, culled: Collection[Patch] = ()
+    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], culled: Collection[Patch] = ()
 ) -> list[GroundWindow]:
     """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
 
-    ``needs_sunward`` tells whether to compute ``GroundWindow.sunward_m``. The heights of ``culled`` patches are not read, since
-    they cast no shadow on the block.
+    The heights of ``culled`` patches are not read, since they cast no shadow on the block.
     """
     patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
@@ -80,7 +67,7 @@ def grounds_of_block(
         windows = [surface.height_window(*window, includes_rim=True) for window in patch_windows(casting)]
         if lod and not windows and not grounds:
             continue  # no ray heights to pass on
-        grounds.append(_ground_window(rays, lod, windows if lod else [block, *windows], needs_sunward, patches_of_lod))
+        grounds.append(_ground_window(rays, lod, windows if lod else [block, *windows], patches_of_lod))
     return grounds
 
 
@@ -126,7 +113,7 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
 
 
 @cached("light", 1024 * MIB)
-def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, needs_sunward: bool) -> tuple[SunRays, GroundWindow]:
+def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame) -> tuple[SunRays, GroundWindow]:
     """Return the sun's rays over the ground of a perspective view, and this ground as a sun-aligned grid.
 
     The last result is cached.
@@ -138,37 +125,26 @@ def ground_of_view(scene: Scene, ground_mesh: GroundMesh, frame: LocalFrame, nee
     rows, cols = nodes.height_m.shape
     rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
     if nodes.decimation_errors is None:
-        return rays, _ground_window(
-            rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], needs_sunward
-        )
+        return rays, _ground_window(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))])
     row, col = (
         np.rint((ground_mesh.grid.y0 - ground_mesh.y) / ground_mesh.grid.step),
         np.rint((ground_mesh.x - ground_mesh.grid.x0) / ground_mesh.grid.step),
     )
     corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-    _, ray_height_m, sunward_m = rays.ray_coordinates(
-        ground_mesh.position_frame_m, frame, np.arange(len(ground_mesh.position_frame_m))
-    )
+    _, ray_height_m = rays.ray_coordinates(ground_mesh.position_frame_m, frame, np.arange(len(ground_mesh.position_frame_m)))
     ray_heights = rays.bordered_sun_aligned_copy(_interpolate_on_triangles(corner, ray_height_m, ground_mesh.triangles, rows, cols))
-    towards = (
-        rays.bordered_sun_aligned_copy(_interpolate_on_triangles(corner, sunward_m, ground_mesh.triangles, rows, cols))
-        if needs_sunward
-        else NO_RAY_HEIGHTS
-    )
     is_cut_nw_se = np.pad(
         rays.orientation.sun_aligned_cuts(_falling_quads(corner, ground_mesh.triangles, rows, cols)), ((0, 0), (1, 1))
     )
     sun_aligned_grid = SunAlignedGrid(ray_heights, *rays.window_cubics(0, nodes.row0, nodes.col0, rows, cols), is_cut_nw_se)
-    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sun_aligned_grid, towards)
+    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sun_aligned_grid)
 
 
-def _ground_window(
-    rays: SunRays, lod: int, windows: list[NodeHeights], needs_sunward: bool, patches: Iterable[Patch] = ()
-) -> GroundWindow:
+def _ground_window(rays: SunRays, lod: int, windows: list[NodeHeights], patches: Iterable[Patch] = ()) -> GroundWindow:
     """Return the ground of windows of heights as one sun-aligned grid.
 
     The grid also covers ``patches`` without heights, because the fitted positions of its lines depend on its size. Outside of the
-    windows it holds no ground. ``needs_sunward`` tells whether to compute ``GroundWindow.sunward_m``.
+    windows it holds no ground.
     """
     starts = [(w.row0, w.col0) for w in windows] + [(p.row * PATCH_QUADS, p.col * PATCH_QUADS) for p in patches]
     ends = [(w.row0 + w.shape[0], w.col0 + w.shape[1]) for w in windows]
@@ -179,22 +155,19 @@ def _ground_window(
     spans = [rays.sun_aligned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
     first_ground_row = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
     # no row beside ``filled_rows`` is read
-    filled_rows = (0, None) if needs_sunward or lod else (first_ground_row, max(end for (_, end), _ in spans))
+    filled_rows = (0, None) if lod else (first_ground_row, max(end for (_, end), _ in spans))
 
-    def sun_aligned_ground(write: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = allocate_bordered_grid(
-            *((cols, rows) if rays.orientation.axes_swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
-        )
-        grid_view = rays.orientation.grid_order_view(inside)
-        if windows:
-            write(lod, windows, [grid_view[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
-        return close_border(with_border, slice(*filled_rows))
-
-    sun_aligned_grid = SunAlignedGrid(
-        sun_aligned_ground(rays.write_ray_heights), *rays.window_cubics(lod, row0, col0, rows, cols), HIGHER_DIAGONALS
+    with_border, inside = allocate_bordered_grid(
+        *((cols, rows) if rays.orientation.axes_swapped else (rows, cols)), slice(*filled_rows), *spans[:1]
     )
-    sunward_m = sun_aligned_ground(rays.write_sunward_distances) if needs_sunward else NO_RAY_HEIGHTS
-    return GroundWindow(lod, row0, col0, (rows, cols), sun_aligned_grid, sunward_m, first_ground_row)
+    grid_view = rays.orientation.grid_order_view(inside)
+    if windows:
+        views = [grid_view[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows]
+        rays.write_ray_heights(lod, windows, views)
+    sun_aligned_grid = SunAlignedGrid(
+        close_border(with_border, slice(*filled_rows)), *rays.window_cubics(lod, row0, col0, rows, cols), HIGHER_DIAGONALS
+    )
+    return GroundWindow(lod, row0, col0, (rows, cols), sun_aligned_grid, first_ground_row)
 
 
 @compiled

@@ -70,17 +70,17 @@ class SunRays:
 
     def ray_coordinates(
         self, point_frame_m: np.ndarray, frame: LocalFrame, point_indices: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return t, ray heights and metres towards the sun of some points of a frame, (n,) each.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return t and ray heights of some points of a frame, (n,) each.
 
         ``point_frame_m`` is (..., 3) metres, and ``point_indices`` (n,) holds flat indices of the points.
         """
-        out = np.empty((3, len(point_indices)))
+        out = np.empty((2, len(point_indices)))
         run_in_chunks(
             len(point_indices), _write_ray_coordinates, point_frame_m.reshape(-1, 3), point_indices,
             *self.light.transform_from_frame(frame), self.right_origin_m, self.right_m_per_cell, self.up_origin_m, out,
         )  # fmt: skip
-        return out[0], out[1], out[2]
+        return out[0], out[1]
 
     def rows_and_columns(
         self, point_frame_m: np.ndarray, frame: LocalFrame, point_indices: np.ndarray
@@ -145,11 +145,6 @@ class SunRays:
         self.scene.surface(self.grid.coarser(lod)).write_axis_coordinates(
             up, self.light.origin_earth_m + self.up_origin_m * up, windows, out
         )
-
-    def write_sunward_distances(self, lod: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Write the metres towards the sun of windows of nodes to ``out``: one array (rows, cols) float32 for each window."""
-        towards = -self.light.light_from_earth[2]
-        self.scene.surface(self.grid.coarser(lod)).write_axis_coordinates(towards, self.light.origin_earth_m, windows, out)
 
 
 def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
@@ -234,7 +229,7 @@ def _sum_of_terms(first, last, points, point_indices, middle, scale, factors, ou
 
 @compiled
 def _write_ray_coordinates(first, last, points, point_indices, rotation, translation, right0_m, cell_m, up0_m, out):
-    """Write t, ray height and metres towards the sun of some points to ``out`` (3, n), for the indices n in [``first``, ``last``).
+    """Write t and ray height of some points to ``out`` (2, n), for the indices n in [``first``, ``last``).
 
     The points are those of ``points`` (m, 3) with the indices ``point_indices`` (n,). ``rotation`` (3, 3) and ``translation`` (3,)
     transform them to light space: right, up and away from the sun, metres. ``right0_m`` and ``up0_m`` are the coordinates there of
@@ -244,5 +239,4 @@ def _write_ray_coordinates(first, last, points, point_indices, rotation, transla
         p = points[point_indices[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
         up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
-        away_from_sun = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
-        out[0, n], out[1, n], out[2, n] = (right - right0_m) / cell_m, up - up0_m, -away_from_sun
+        out[0, n], out[1, n] = (right - right0_m) / cell_m, up - up0_m

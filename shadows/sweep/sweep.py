@@ -15,9 +15,8 @@ positions on a grid are computed for ground of mean height. On the round earth t
 degree per kilometre. So high ground far from the reference position is shifted sideways from the line that was computed for it. The
 shift is some metres at the far corners of a wide block.
 
-**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area. One sweep treats the centre of a strip as the sun.
-Suns of one azimuth share lines and points, and only the ray heights change. The horizon is assumed level over the half degree of
-the disc.
+**The sun's disc** (``filter`` sun) is a set of points, each a sun with an azimuth and an altitude of its own
+(``skugga.shadows.area_light``). Each point has its own lines: suns of other azimuths cross other nodes.
 
 **Points.** A map's nodes are evaluated at their positions. Other points are sorted by the pair of grid rows between which they lie.
 Points of the ground take their ray height from the triangles that cast shadows. In a perspective view these are the triangles of
@@ -35,6 +34,7 @@ import numpy as np
 
 from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.algorithm_settings import AlgorithmSettings
+from skugga.shadows.area_light import mean_visibility_of_area_light, scale_work
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.requirements import Requirement
 from skugga.shadows.sweep.columns import column_sweep
@@ -53,7 +53,6 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
@@ -62,9 +61,6 @@ PASSES = ("sweep",)
 
 RAY_HEIGHT_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 """float32 rounding of a ray height, as a share of the largest one. Ground that exceeds a ray by less casts no shadow."""
-
-SUN_DISC_STRIPS = 16
-"""Number of horizontal strips into which the sun's disc is cut for penumbrae."""
 
 MIN_LINES_PER_COLUMN = 2
 """Minimum number of lines per column of a supersampled grid, in which the columns of one pixel share the pixel's lines."""
@@ -94,7 +90,7 @@ def fill_visibility(
     casters
         The ground that can cast shadows on the points.
     settings
-        The sweep lines per column of the grid, and the filter.
+        The sweep lines per column of the grid, the filter, and the number of points of the sun's disc.
     log
         The record of passes. It also stores the layer ``shadow-height`` if that is requested.
 
@@ -108,45 +104,36 @@ def fill_visibility(
     UnsupportedError
         The sun's rays bend too much across the view.
     """
+    if settings.filter == "sun":
+        return mean_visibility_of_area_light(
+            fill_visibility, buffer, scene, light, kinds, casters, settings, log, masks_attached_shadow=False, filter=1
+        )
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         if not buffer.valid.any():
             return np.ones(buffer.valid.shape, np.float32)
-        soft_edges = settings.filter == "sun"
         if buffer.columns is not None:
-            return _visibility_over_columns(
-                buffer, scene, light, casters, sun_strip_angles_rad(SUN_DISC_STRIPS) if soft_edges else np.zeros(1), log, record
-            )
-        rays, grounds = _grounds_of_view(buffer, scene, casters, soft_edges)
+            return _visibility_over_columns(buffer, scene, light, casters, log, record)
+        rays, grounds = _grounds_of_view(buffer, scene, casters)
         targets = targets_of_buffer(rays, grounds[-1], buffer)
         log.keep_layer("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
-        record.bytes = max(record.bytes, _byte_size(grounds, targets, soft_edges))
-        if not soft_edges:
-            return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
-        visibility = np.zeros(buffer.valid.shape, np.float32)
-        for angle in sun_strip_angles_rad(SUN_DISC_STRIPS):
-            visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
-        return visibility / np.float32(SUN_DISC_STRIPS)
+        record.bytes = max(record.bytes, _byte_size(grounds, targets))
+        return _lit_mask(rays, grounds, targets, settings.lines).astype(np.float32)
 
 
 def _visibility_over_columns(
-    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles_rad: np.ndarray, log: PassLog, record: PassRecord
+    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, log: PassLog, record: PassRecord
 ) -> np.ndarray:
-    """Return the visibility as ``fill_visibility`` does, for a map whose ground is upright columns with flat tops.
-
-    The result is the mean over several suns. Each is higher than the scene's sun by one of ``angles_rad``, radians.
-    """
+    """Return the visibility as ``fill_visibility`` does, for a map whose ground is upright columns with flat tops."""
     sweep = column_sweep(buffer, scene, casters)
-    visibility = np.zeros(buffer.valid.shape, np.float32)
-    for angle in angles_rad:
-        visibility += sweep.obstruction_height_m(angle, False, CORES) <= 0.0
+    sunlit = sweep.obstruction_height_m(False, CORES) <= 0.0
 
     def shadow_height_m() -> np.ndarray:
-        return buffer.height_m + sweep.obstruction_height_m(0.0, True, CORES).astype(np.float32)
+        return buffer.height_m + sweep.obstruction_height_m(True, CORES).astype(np.float32)
 
     log.keep_layer("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, sweep.nbytes)
-    return visibility / np.float32(len(angles_rad))
+    return sunlit.astype(np.float32)
 
 
 def find_lit_nodes(
@@ -167,12 +154,12 @@ def find_lit_nodes(
     (sweep_pass,) = log.pass_names(light, kinds, PASSES)
     with log.record_pass(sweep_pass) as record:
         rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, needs_sunward=False, culled=casters.culled_patches)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, casters.culled_patches)
         targets = targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.nodes_per_pixel, MIN_LINES_PER_COLUMN)
-        lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_RAY_HEIGHTS)
+        lit, _, _ = _sweep_grounds(grounds, targets, lines, NO_RAY_HEIGHTS)
         log.keep_layer("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
-        record.bytes = max(record.bytes, _byte_size(grounds, targets, has_soft_edges=False))
+        record.bytes = max(record.bytes, _byte_size(grounds, targets))
         return rays.orientation.grid_order_copy(lit, targets.grid_window)
 
 
@@ -210,7 +197,7 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches, needs_sunward=False)
+    grounds = grounds_of_block(rays, nodes.surface, patches)
     ground = grounds[-1]
     targets = targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range
@@ -219,46 +206,27 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
         ground.sun_aligned_grid.ray_height.shape, np.float32
     )  # only the window is written: the rest takes no memory
     shadow_ray_heights[window] = NO_GROUND_RAY_HEIGHT
-    _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    _sweep_grounds(grounds, targets, lines, shadow_ray_heights)
     return NodeClearance(
         rays.orientation, ground.sun_aligned_grid.ray_height[window], shadow_ray_heights[window], rays.ray_height_per_metre
     )
 
 
-def _byte_size(grounds: list[GroundWindow], targets: SweepTargets, has_soft_edges: bool) -> int:
-    """Return the approximate size, bytes, of the arrays that a sweep holds.
-
-    ``has_soft_edges`` is true if the sun is a disc.
-    """
-    sheets = sum((1 + has_soft_edges) * ground.sun_aligned_grid.ray_height.nbytes + ground.sunward_m.nbytes for ground in grounds)
+def _byte_size(grounds: list[GroundWindow], targets: SweepTargets) -> int:
+    """Return the approximate size, bytes, of the arrays that a sweep holds."""
+    sheets = sum(ground.sun_aligned_grid.ray_height.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].sun_aligned_grid.ray_height.size
 
 
-def sun_strip_angles_rad(count: int) -> np.ndarray:
-    """Return the angles of horizontal strips of the sun's disc above the disc's centre: (count,) radians.
-
-    The strips have equal areas. Each angle leads to the height that halves the area of its strip. The share of the disc below a
-    height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
-    """
-    x = np.linspace(-1.0, 1.0, 2001)
-    share = 0.5 + (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) / np.pi
-    return np.radians(SUN_RADIUS_DEG) * np.interp((np.arange(count) + 0.5) / count, share, x)
-
-
-def _grounds_of_view(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, has_soft_edges: bool
-) -> tuple[SunRays, list[GroundWindow]]:
-    """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first.
-
-    ``has_soft_edges`` is true if the sun is a disc; the ground then has ``GroundWindow.sunward_m``.
-    """
+def _grounds_of_view(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> tuple[SunRays, list[GroundWindow]]:
+    """Return the sun's rays over a view, and the ground that may shade it, by level of detail, the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *_reference_node(scene, view, buffer.valid))
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, has_soft_edges, casters.culled_patches)
+        return rays, grounds_of_block(rays, buffer.surface.with_rim, casters.patches, casters.culled_patches)
     assert buffer.ground is not None
-    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame, has_soft_edges)
+    rays, ground = ground_of_view(scene, buffer.ground, buffer.frame)
     return rays, [ground]
 
 
@@ -279,32 +247,26 @@ def _reference_node(scene: Scene, view: MapView, valid: np.ndarray) -> tuple[flo
 
 
 def _sweep_grounds(
-    grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float, shadow_ray_heights: np.ndarray
+    grounds: list[GroundWindow], targets: SweepTargets, lines: int, shadow_ray_heights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep the ground of all levels of detail, and return what ``sweep_nodes`` returns for the finest one.
 
-    The sun is higher than the scene's sun by ``angle_rad``, radians. ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
-    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
+    ``shadow_ray_heights`` is the output array of ``sweep_nodes``.
     """
     *coarser, ground = grounds
     entry, lod = None, 0
     for coarse in coarser:
         level_t_range = targets.t_range[0] / 2**coarse.lod, targets.t_range[1] / 2**coarse.lod
         entry = sweep_to_state(
-            coarse.with_raised_sun(angle_rad), lines, level_t_range, entry, 2.0 ** (lod - coarse.lod), coarse.first_ground_row
+            coarse.sun_aligned_grid, lines, level_t_range, entry, 2.0 ** (lod - coarse.lod), coarse.first_ground_row
         )
         lod = coarse.lod
-    sun_aligned_grid = ground.with_raised_sun(angle_rad)
-    points_ray_height_m = (
-        targets.ray_height_m
-        if angle_rad == 0.0
-        else np.cos(angle_rad) * targets.ray_height_m - np.sin(angle_rad) * targets.sunward_m
-    )
+    sun_aligned_grid = ground.sun_aligned_grid
     points = SweepPoints(
         targets.row,
         targets.col,
         targets.t,
-        points_ray_height_m,
+        targets.ray_height_m,
         RAY_HEIGHT_ROUNDING * max_abs_ray_height_m(sun_aligned_grid.ray_height, targets),
     )
     return sweep_nodes(
@@ -313,12 +275,9 @@ def _sweep_grounds(
     )  # fmt: skip
 
 
-def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int, angle_rad: float) -> np.ndarray:
-    """Return which of a buffer's points see a sun that is ``angle_rad`` radians above the scene's sun: bool (rows, cols).
-
-    ``lines`` is the number of sweep lines per column. ``grounds`` are the ground by level of detail, the coarsest first.
-    """
-    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, angle_rad, NO_RAY_HEIGHTS)
+def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: SweepTargets, lines: int) -> np.ndarray:
+    """Return which of a buffer's points see the sun, a point: bool (rows, cols)."""
+    lit_nodes, lit_points, _ = _sweep_grounds(grounds, targets, lines, NO_RAY_HEIGHTS)
     sunlit = np.ones(targets.on_node_mask.shape, np.bool_)
     if targets.on_node_mask.any():
         sunlit[:] = rays.orientation.grid_order_view(lit_nodes)[targets.grid_window]
@@ -336,7 +295,7 @@ def _shadow_height_m(
     """
     ray_height = grounds[-1].sun_aligned_grid.ray_height
     shadow_ray_heights = np.full(ray_height.shape if targets.on_node_mask.any() else (0, 0), NO_GROUND_RAY_HEIGHT, np.float32)
-    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shadow_ray_heights)
+    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, shadow_ray_heights)
     above_m = np.zeros(targets.on_node_mask.shape, np.float32)
     if targets.on_node_mask.any():
         shadow_height, node_height = (
@@ -352,14 +311,14 @@ def _shadow_height_m(
 def _work(workload: Workload, settings: SweepSettings) -> Work:
     """Return the counts of work of a sweep by name, under the name of the algorithm's part (``CostInputs``)."""
     nodes = workload.node_count + workload.outside_triangle_count / 2.0 if workload.is_map_view else _ground_nodes(workload)
-    strips = SUN_DISC_STRIPS if settings.filter == "sun" else 1
     rasterised = workload.triangle_count("relief") * workload.has_decimated_ground
     counts = {
-        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": workload.pixel_count,
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines, "pixels": workload.pixel_count,
         "points": workload.visible_pixel_count,
-        "answers": workload.visible_pixel_count * strips, "decimated": rasterised, "outside": workload.outside_triangle_count / 2.0,
+        "answers": workload.visible_pixel_count, "decimated": rasterised, "outside": workload.outside_triangle_count / 2.0,
     }  # fmt: skip
-    return {workload.part_name_in_view("sweep"): counts}
+    work = {workload.part_name_in_view("sweep"): counts}
+    return scale_work(work, settings.light_points) if settings.filter == "sun" else work
 
 
 def _ground_nodes(workload: Workload) -> float:

@@ -40,8 +40,6 @@ class SweepTargets:
         (n,): positions of the points of ``off_node_mask`` on the sun-aligned grid, and across the lines.
     ray_height_m
         (n,), metres: ray heights of the points of ``off_node_mask``; NaN for points of the ground.
-    sunward_m
-        (n,), metres: coordinates of the points of ``off_node_mask`` along the axis towards the sun.
     """
 
     t_range: tuple[float, float]
@@ -54,7 +52,6 @@ class SweepTargets:
     col: np.ndarray
     t: np.ndarray
     ray_height_m: np.ndarray
-    sunward_m: np.ndarray
 
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
@@ -83,7 +80,7 @@ def targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> S
     none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
     all_nodes, no_pixels = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
     return SweepTargets(
-        _t_range(rays, nodes), all_nodes, *_node_windows(rays, ground, nodes.view), no_pixels, none, none, none, none, none
+        _t_range(rays, nodes), all_nodes, *_node_windows(rays, ground, nodes.view), no_pixels, none, none, none, none
     )
 
 
@@ -98,7 +95,7 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
     off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     pixels = np.flatnonzero(off_nodes)
-    t, ray_height_m, sunward_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
+    t, ray_height_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
     if isinstance(view, MapView):
         if nodes.any():
             rows, cols, window = _node_windows(rays, ground, view)
@@ -111,7 +108,7 @@ def targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffe
     sun_aligned_row, sun_aligned_col = rays.orientation.to_sun_aligned_in_place(row, col, *ground.shape)
     run_in_chunks(len(pixels), _set_nan, ray_height_m, on_triangles.reshape(-1), pixels)
     return SweepTargets(
-        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, sun_aligned_row, sun_aligned_col, t, ray_height_m, sunward_m
+        _t_range(rays, buffer), nodes, rows, cols, window, off_nodes, sun_aligned_row, sun_aligned_col, t, ray_height_m
     )
 
 

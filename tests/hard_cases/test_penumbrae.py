@@ -10,7 +10,6 @@ from skugga.shadows.area_light import ball_points, disc_points
 from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import DISC_EDGE_STEPS, DISC_SAMPLES
 from skugga.shadows.plan import Step
-from skugga.shadows.sweep.sweep import SUN_DISC_STRIPS
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from tests.hard_cases.bodies import eye, with_ground_pebble
@@ -46,19 +45,14 @@ class PointsError:
     width: float
 
 
-def strip_heights(count: int) -> np.ndarray:
-    """Return the heights (count,), in radii, that halve the areas of ``count`` horizontal strips of a disc, of equal areas."""
-    return np.interp((np.arange(count) + 0.5) / count, 1.0 - disc_share_beyond_chord(CHORDS), CHORDS)
-
-
 def error_of_points(points: np.ndarray) -> PointsError:
-    """Return the errors of points (n, 1 to 3) within the unit disc or ball, each of the same weight.
+    """Return the errors of points (n, 2 or 3) within the unit disc or ball, each of the same weight.
 
-    With one coordinate they are heights, and the chord is level. Else it may have any direction.
+    The chord may have any direction.
     """
     n, dimensions = points.shape
     angles = np.linspace(0.0, np.pi, 61)
-    directions = np.ones((1, 1)) if dimensions == 1 else np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     if dimensions == 3:
         up = np.linspace(-1.0, 1.0, 21)
         flat = np.sqrt(1.0 - up**2)
@@ -87,9 +81,6 @@ def allowance(step: Step, radius_m: float, texel_m: float, pixel_m: float, point
         points = disc_points(DISC_SAMPLES)
         cell_m = np.ceil(2.0 * (radius_m + texel_m) / (MAX_CELLS_ACROSS_DISC * texel_m)) * texel_m
         off_m = 0.5 * cell_m + GRID_TEXELS * texel_m + radius_m / DISC_EDGE_STEPS
-    elif step.algorithm == "sweep":
-        points = strip_heights(SUN_DISC_STRIPS)[:, None]
-        off_m = STENCIL_PX * pixel_m
     else:
         count = settings.light_points  # type: ignore[union-attr]
         points = disc_points(count) if step.light == "sun" else ball_points(count)
@@ -174,10 +165,10 @@ def test_half_shadow_of_the_sun(trial: Trial) -> dict[str, float]:
     {"share of light": 1.0, "width": 1.0},
 )
 def test_half_shadow_of_an_edge_aslant(trial: Trial) -> dict[str, float]:
-    """The sweep takes the horizon as level over the disc, so its penumbrae are too wide: by 1 / cos(t) for a chord that is
-    tilted by t.
+    """Points of the disc need an azimuth and an altitude each.
 
-    For a sun at the altitude a, turned by d from the edge's square, tan t = tan d sin a: 5 % at 30 degrees and 15 % at 45.
+    Of points that differ in altitude alone, penumbrae are too wide by 1 / cos(t) for a chord that is tilted by t. For a sun at the
+    altitude a, turned by d from the edge's square, tan t = tan d sin a: 5 % at 30 degrees and 15 % at 45.
     """
     return _worst_half_shadow(trial, [(35.0, 30.0)] + ([(35.0, -45.0)] if trial.thorough else []))
 

@@ -7,7 +7,6 @@ from tests.hard_cases.mutants.mutant import Mutant, cases, edited, edited_shader
 
 def _wide_sun() -> None:
     edited("shadows.area_light:sun_disc_directions", ("np.tan(np.radians(radius_deg))", "1.5 * np.tan(np.radians(radius_deg))"))()
-    edited("shadows.sweep.sweep:sun_strip_angles_rad", ("np.radians(SUN_RADIUS_DEG)", "1.5 * np.radians(SUN_RADIUS_DEG)"))()
     edited_shader("shadows/maps/sun_disc.frag", ("vec2(ahead_m * disc_tangent)", "vec2(1.5 * ahead_m * disc_tangent)"))()
 
 
@@ -37,7 +36,7 @@ MUTANTS = {
         "the sun's disc is half as wide again",
         _wide_sun,
         cases("test_penumbrae", "test_half_shadow_of_the_sun", "shadow_map", "perspective_shadow_map", "shadow_volume", "sweep")
-        + cases("test_penumbrae", "test_half_shadow_of_an_edge_aslant", "shadow_map", "shadow_volume"),
+        + cases("test_penumbrae", "test_half_shadow_of_an_edge_aslant", "shadow_map", "shadow_volume", "sweep"),
     ),
     "wide_lamp": Mutant(
         "the ball of a lamp is half as wide again",

@@ -186,7 +186,7 @@ def test_step_work_of_a_hybrid_counts_undecided_pixels():
     assert "shadow_map, perspective" in original and "mask" not in original
 
 
-def test_step_work_of_a_sweep_counts_nodes_lines_and_sun_strips():
+def test_step_work_of_a_sweep_counts_nodes_lines_and_points():
     default_counts, sixteen_lines, disc_counts = (
         step_work(make_descriptor(), SUN, ("relief",), "sweep", settings)["sweep, perspective"]
         for settings in (SweepSettings(), SweepSettings(lines=16), SweepSettings(filter="sun"))
@@ -195,7 +195,7 @@ def test_step_work_of_a_sweep_counts_nodes_lines_and_sun_strips():
         default_counts["nodes"] == 10_000
         and default_counts["steps"] == 80_000
         and sixteen_lines["steps"] == 160_000
-        and disc_counts["steps"] == 16 * 80_000
+        and disc_counts["steps"] == SweepSettings().light_points * 80_000
     )
     block = step_work(make_map_descriptor(), SUN, ("relief",), "sweep", SweepSettings())["sweep, map"]
     assert block["nodes"] == 256 * 256 * 4

@@ -25,7 +25,6 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -223,16 +222,6 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
         assert in_penumbra.sum() > 200
         assert soft_error(visibility, reference) < 0.002
         assert np.abs(visibility - reference)[in_penumbra].mean() < 0.1
-
-
-def test_strips_of_sun_have_equal_areas():
-    angles = sweep.sun_strip_angles_rad(16)
-    assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
-    rng = np.random.default_rng(0)
-    disc = rng.uniform(-1.0, 1.0, (200_000, 2))
-    height = np.radians(SUN_RADIUS_DEG) * disc[np.hypot(*disc.T) < 1.0, 1]
-    share_below = [(height < angle).mean() for angle in angles]
-    assert np.allclose(share_below, (np.arange(16) + 0.5) / 16, atol=0.005)
 
 
 def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
