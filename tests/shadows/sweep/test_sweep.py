@@ -25,6 +25,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -222,6 +223,19 @@ def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
         assert in_penumbra.sum() > 200
         assert soft_error(visibility, reference) < 0.002
         assert np.abs(visibility - reference)[in_penumbra].mean() < 0.1
+
+
+def test_edges_along_the_azimuth_have_penumbrae(write_raster, make_scene):
+    """The side of a wall runs along the sun's azimuth, 100 m away. The penumbra of its side is as wide as the disc is there."""
+    heights = np.zeros((200, 60), np.float32)
+    heights[150:, 20:40] = 60.0
+    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 400.0, 2.0), azimuth=180.0, altitude=20.0)
+    buffer, _, visibility = sweep_view(scene, scene.view(bounds=(77.0, 200.0, 83.0, 200.3), size=(200, 10)), filter="sun")
+    row = visibility[5]
+    assert buffer.valid.all() and row[0] == 0.0 and row[-1] == 1.0
+    assert (np.diff(row) >= 0.0).all() and len(np.unique(row)) > 10
+    disc_m = 2.0 * np.tan(np.radians(SUN_RADIUS_DEG)) * 100.0 / np.cos(np.radians(20.0))
+    assert ((row > 0.0) & (row < 1.0)).sum() * 0.03 == pytest.approx(disc_m, rel=0.15)
 
 
 def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
