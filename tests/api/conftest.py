@@ -149,7 +149,7 @@ def serve_with(hills_level: Path) -> Iterator[Callable[..., Client]]:
     with ExitStack() as stack:
 
         def make(target: WorkerTarget, **settings) -> Client:
-            app = create_app(Settings(workers=1, **settings), [hills_level], target)
+            app = create_app(Settings(**{"workers": 1} | settings), [hills_level], target)
             return stack.enter_context(running(app))
 
         yield make

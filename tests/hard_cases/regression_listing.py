@@ -33,10 +33,6 @@ REASONS: Reasons = {
         "26 boxes of half a metre have much outline for their area, and a face's 512 texels are 3 cm wide on a wall 8 m away. "
         "Every wrong pixel lies within one texel of an outline, as the case's figure proves."
     ),
-    ("X1", "shadow_map"): (
-        "the worst of 100 random pictures has 272 pixels of cast shadow, on rough ground under a sun 3.9 degrees high. 21 of them "
-        "are wrong, each within reach of a texel where truth agrees with the map."
-    ),
     ("X2", "shadow_map"): (
         "the worst picture has 243 pixels of cast shadow, of a saw's teeth one cell wide. Five of them are wrong, each within "
         "reach of a texel where truth agrees with the map."

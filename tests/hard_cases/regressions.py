@@ -30,6 +30,9 @@ Without them a record of 0 would fail by one pixel at an edge, which another com
 GROWTH_FACTOR = 1.5
 """How many times its record ``wrong_cast`` may be."""
 
+RANDOM_CASES = frozenset({"X1"})
+"""Cases whose situations are drawn anew with each change of their source, so that a record would say nothing of the next run."""
+
 Records = dict[str, dict[str, dict[str, dict[str, float]]]]
 
 
@@ -50,7 +53,12 @@ def wrong_cast_values(record: Mapping[str, Any]) -> dict[str, float]:
 
 
 def regressions(record: Mapping[str, Any], records: Records) -> str:
-    """Describe where ``wrong_cast`` of a trial has no record or exceeds ``GROWTH_FACTOR`` times its record; empty if nowhere."""
+    """Describe where ``wrong_cast`` of a trial has no record or exceeds ``GROWTH_FACTOR`` times its record; empty if nowhere.
+
+    ``RANDOM_CASES`` have no records.
+    """
+    if record["id"] in RANDOM_CASES:
+        return ""
     recorded = records.get(record["id"], {}).get(record["algorithm"], {}).get(size_name(record), {})
     problems = []
     for name, value in wrong_cast_values(record).items():
@@ -65,6 +73,8 @@ def updated_records(records: Records, trials: Iterable[Mapping[str, Any]]) -> Re
     """Return records with those of some trials replaced."""
     result: Records = json.loads(json.dumps(records))
     for trial in trials:
+        if trial["id"] in RANDOM_CASES:
+            continue
         values = {name: float(f"{value:.4g}") for name, value in wrong_cast_values(trial).items()}
         if values:
             result.setdefault(trial["id"], {}).setdefault(trial["algorithm"], {})[size_name(trial)] = values

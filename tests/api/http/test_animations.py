@@ -238,10 +238,12 @@ def test_results_expire_after_their_maximum_age(serve_with):
 
 
 def test_full_queue_is_503_with_retry_after(gated_service):
-    service = gated_service(animations_waiting=1)
+    service = gated_service(animations_waiting=1, workers=2)  # while a frame blocks one, the other plans the next requests
     client = service.client
     for fps in (1, 2):
         assert client.post(ADDRESS, json=REQUEST_BODY | {"fps": fps}).status_code == 202
+        if fps == 1:
+            service.job_started()
     refusal = client.post(ADDRESS, json=REQUEST_BODY | {"fps": 3})
     check_problem(refusal, 503, "busy", None)
     assert int(refusal.headers["retry-after"]) >= 1
