@@ -10,7 +10,7 @@ from math import log2
 from typing import TYPE_CHECKING, Any
 
 from skugga.selector.map_probes import MapClass, MapProbes, ProbedClass, map_class
-from skugga.selector.measure.probe import DEFAULT_BUDGET_S, ProbedView, probed_plan
+from skugga.selector.measure.probe import ProbedView, probed_plan
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.ground.surface import map_pixel_m
@@ -28,6 +28,9 @@ level's longer side has ``MIN_LEVEL_SIDE_PX`` pixels."""
 PROBE_CENTERS = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
 """Centres of probed blocks, as fractions of the level's sides. One block alone predicts other blocks poorly
 (``benchmarks/selection/blocks.py``)."""
+
+SCALE_BUDGET_S = 3.0
+"""Default time limit in seconds of the probes of one scale. A block is smaller than most views, and a level has many scales."""
 
 MIN_BLOCKS_FOR_SEVERAL_PROBES = 2.0
 """Length of a level, in blocks, above which several blocks are probed."""
@@ -61,7 +64,7 @@ def probe_blocks(
     pixel_m: float,
     device: DeviceProfile | None,
     overrides: dict[str, Any] | None = None,
-    budget_s: float = DEFAULT_BUDGET_S,
+    budget_s: float = SCALE_BUDGET_S,
 ) -> ProbedView:
     """Probe some blocks of a level's map with pixels whose sides are ``pixel_m`` metres long.
 
@@ -97,7 +100,7 @@ def probe_maps(
     scene: Scene,
     device: DeviceProfile | None,
     overrides: dict[str, Any] | None = None,
-    budget_s: float = DEFAULT_BUDGET_S,
+    budget_s: float = SCALE_BUDGET_S,
     on_scale: Callable[[int, ProbedView], None] = lambda scale, probed: None,
 ) -> MapProbes:
     """Probe a level's maps at all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.

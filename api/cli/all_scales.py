@@ -16,9 +16,9 @@ from skugga.api.cli.tables import table_with_names
 from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import file_stamps, level_version, watched_files
-from skugga.api.map_probing import probe_maps
+from skugga.api.map_probing import SCALE_BUDGET_S, probe_maps
 from skugga.selector.map_probes import PROBE_SETTINGS, MapProbes
-from skugga.selector.measure.probe import DEFAULT_BUDGET_S, ProbedView
+from skugga.selector.measure.probe import ProbedView
 from skugga.selector.probe_store import save_probes
 from skugga.shadows.plan import Plan
 from skugga.terrain.errors import InputError, LevelError, Problem
@@ -45,7 +45,7 @@ def probe_all_scales(
             raise InputError.conflict(
                 f"--{name.replace('_', '-')}", "--all-scales", "Leave it out: tiles use the value of the level file"
             )
-    budget_s = DEFAULT_BUDGET_S if budget is None else read_duration("--budget", budget).total_seconds()
+    budget_s = SCALE_BUDGET_S if budget is None else read_duration("--budget", budget).total_seconds()
     loaded = load_level(level)
     stamps = file_stamps(watched_files(loaded))  # before the files are read, as a service does
     scene = build_scene(loaded).with_sun(sun)

@@ -25,8 +25,12 @@ from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
 
-DEFAULT_BUDGET_S = 3.0
-"""Default time limit of a probe in seconds."""
+DEFAULT_BUDGET_S = 10.0
+"""Default time limit of a probe of one view in seconds.
+
+A probe ends as soon as no other candidate is expected to be better, in half of the views within a second. In a wooded view of more
+than a million pixels geometry, truth, and the first drawing alone take three seconds, so a shorter limit would end with one drawing.
+"""
 
 UNCALIBRATED_PROBE_REASON = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
 """Reason in the plan of a probe on a device without a calibration or an estimate of its rates."""

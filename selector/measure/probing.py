@@ -27,7 +27,7 @@ from skugga.selector.ranking import relative_overshoot
 from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 
-MIN_SAVING = 0.03
+MIN_SAVING = 0.01
 """Minimum expected gain of a candidate that is drawn next.
 
 It is a share of the leader's time, or of the leader's error if the leader misses the target.
