@@ -27,7 +27,7 @@ BLOCK_SIDE_NODES, MIN_BLOCK_SIDE_NODES = 2048, 128
 NEAR_NODES = 1024
 """Distance from a block up to which the ground has the nodes of the block's grid; as many coarser nodes follow each time."""
 
-MAX_CONVERGENCE_DEG = 0.25
+MAX_CONVERGENCE_DEG = 0.15
 """Maximum angle between the grid's axes against true north in a block's middle and in its corners."""
 
 MAX_NEAR_M = 40e3
