@@ -9,7 +9,7 @@ import numpy as np
 
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.march import (
-    BLOCK_ROWS,
+    BLOCK_COLS, BLOCK_ROWS,
     NO_EYE_M,
     NO_GROUND_M,
     RUN,
@@ -124,7 +124,7 @@ def turned_ground(height_m: np.ndarray, level_m: np.float32, orientation: GridOr
     nodes = padded[:, :m]
     nodes -= level_m
     nodes[~np.isfinite(nodes)] = NO_GROUND_M
-    blocks = -(-n // BLOCK_ROWS), padded.shape[1] // RUN
+    blocks = -(-n // BLOCK_ROWS), padded.shape[1] // BLOCK_COLS
     highest_m, roughness_m = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
     run_in_chunks(blocks[0], write_blocks, padded, highest_m, roughness_m)
     per_tall = TALL_BLOCK_ROWS // BLOCK_ROWS
@@ -150,7 +150,7 @@ def rays_of(rows: int, columns_per_row: float, metres_per_row: float, curvature_
     edge_share = edges[:, 0] - (interval - 1.0)
     return Rays(
         column.astype(np.int64), _terms(share, distance_m, curvature_per_m),
-        (0.5 * curvature_per_m * distance_m**2).astype(np.float32), distance_m.astype(np.float32), edge_start.astype(np.int64),
+        (0.5 * curvature_per_m * distance_m**2).astype(np.float32), distance_m.astype(np.float32), np.float32(columns_per_row), edge_start.astype(np.int64),
         interval.astype(np.int64), edges[:, 1:].astype(np.int64), _terms(edge_share, edges[:, 0] * metres_per_row, curvature_per_m),
     )  # fmt: skip
 
