@@ -9,7 +9,8 @@ import numpy as np
 
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.march import (
-    BLOCK_COLS, BLOCK_ROWS,
+    BLOCK_COLS,
+    BLOCK_ROWS,
     NO_EYE_M,
     NO_GROUND_M,
     RUN,
