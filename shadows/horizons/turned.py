@@ -150,10 +150,16 @@ def rays_of(rows: int, columns_per_row: float, metres_per_row: float, curvature_
     edge_start = np.searchsorted(interval, np.arange(rows + 5))
     edge_share = edges[:, 0] - (interval - 1.0)
     return Rays(
-        column.astype(np.int64), _terms(share, distance_m, curvature_per_m),
-        (0.5 * curvature_per_m * distance_m**2).astype(np.float32), distance_m.astype(np.float32), np.float32(columns_per_row), edge_start.astype(np.int64),
-        interval.astype(np.int64), edges[:, 1:].astype(np.int64), _terms(edge_share, edges[:, 0] * metres_per_row, curvature_per_m),
-    )  # fmt: skip
+        column=column.astype(np.int64),
+        row_terms=_terms(share, distance_m, curvature_per_m),
+        fall_m=(0.5 * curvature_per_m * distance_m**2).astype(np.float32),
+        distance_m=distance_m.astype(np.float32),
+        columns_per_row=np.float32(columns_per_row),
+        edge_start=edge_start.astype(np.int64),
+        edge_row=interval.astype(np.int64),
+        edge_columns=edges[:, 1:].astype(np.int64),
+        edge_terms=_terms(edge_share, edges[:, 0] * metres_per_row, curvature_per_m),
+    )
 
 
 def _edges(rows: int, columns_per_row: float) -> np.ndarray:
