@@ -213,8 +213,8 @@ class LevelRasters(LevelState):
         shadows: dict[str, Any],
     ) -> np.ndarray:
         """Compute a raster for a request. ``grid_arguments`` holds bounds, CRS, resolution, raster file and slices of cells."""
-        product = request.product_record
-        raster = self._raster(*grid_arguments, np.dtype(product.dtype).itemsize * product.bands)
+        profile = request.product_record.profile(request.options)
+        raster = self._raster(*grid_arguments, np.dtype(profile.dtype).itemsize * profile.bands)
         self._issue_object_warnings()
         return raster_array(self._scene, raster, request, shadows)
 
