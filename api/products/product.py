@@ -211,6 +211,8 @@ class Product:
     empty
         Returns the array of a map without data, from rows, columns and the height of the level's lowest ground in metres; ``None``:
         the empty array of ``profile``.
+    sees_all_ground
+        Whether each cell depends on all ground of the level, not only on that of the cell and on what shades it.
     blocks
         Returns the blocks of a large map; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
     step_count
@@ -246,6 +248,7 @@ class Product:
     color_scale: Callable[[Any, World], ColorScale] | None = None
     describe: Callable[[Any], tuple[str, str]] | None = None
     empty: Callable[[int, int, float], np.ndarray] | None = None
+    sees_all_ground: bool = False
     blocks: Callable[[Scene, MapView], list[tuple[MapView, int, int]]] | None = None
     step_count: Callable[[Any], int] = lambda _: 1
     tags: Callable[[Any, Scene], dict[str, str]] = lambda options, _: {
