@@ -220,9 +220,9 @@ def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOp
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
-def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+def _blocks_of_view(scene: Scene, view: MapView, product: Product, options: Any) -> list[tuple[MapView, int, int]]:
     """Return the blocks in which a product of a map view is computed: each as a view, with its first row and column in ``view``."""
-    return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
+    return blocks_of(view) if product.blocks is None else product.blocks(scene, view, options)
 
 
 def _padded(view: ViewT, margin_px: int) -> ViewT:
@@ -303,7 +303,7 @@ def raster_parts(
     requests.
     """
     product, view = planned_requests[0].request.product_record, raster.view
-    blocks = _blocks_of_view(scene, view, product)
+    blocks = _blocks_of_view(scene, view, product, planned_requests[0].request.options)
     total = sum(product.step_count(planned_request.request.options) for planned_request in planned_requests) * len(blocks)
     done = 0
 

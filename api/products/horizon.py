@@ -9,10 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from skugga.api.products.product import Product, ProductInput, ProductOptions, RasterProfile
-from skugga.api.products.sky_view import RADIUS_REMEDY, blocks_of_horizons
+from skugga.api.products.sky_view import RADIUS_REMEDY
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, MAX_AZIMUTHS, MIN_AZIMUTHS, evenly_spaced_azimuths_deg
 
 if TYPE_CHECKING:
+    from skugga.terrain.geo.grid import MapView
     from skugga.terrain.scene import Scene
 
 PRODUCT_NAME = "horizon"
@@ -65,6 +66,13 @@ def _profile(options: HorizonOptions) -> RasterProfile:
     return RasterProfile("uint16", options.azimuths, STORED_NODATA, STORED_STEP_DEG, names)
 
 
+def _blocks(scene: Scene, view: MapView, options: HorizonOptions) -> list[tuple[MapView, int, int]]:
+    """Return the blocks of a map, in the form of ``skugga.terrain.geo.grid.blocks_of``; all azimuths are in memory."""
+    from skugga.shadows.horizons.level_horizons import horizon_blocks
+
+    return horizon_blocks(scene, view, options.azimuths)
+
+
 def _tags(options: HorizonOptions, scene: Scene) -> dict[str, str]:
     """Return the metadata tags of a raster: how the azimuths of its bands count, and what its numbers are."""
     return {
@@ -78,5 +86,5 @@ def _tags(options: HorizonOptions, scene: Scene) -> dict[str, str]:
 PRODUCT = Product(
     name=PRODUCT_NAME, description="horizon angles towards evenly spaced azimuths from true north, clockwise",
     formats=("tif", "npy"), compute=_compute, view_kinds=("map",), when="none", options=HorizonOptions, profile=_profile,
-    unit="degrees", sees_all_ground=True, blocks=blocks_of_horizons, tags=_tags, is_served=False,
+    unit="degrees", sees_all_ground=True, blocks=_blocks, tags=_tags, is_served=False,
 )  # fmt: skip

@@ -214,7 +214,7 @@ class Product:
     sees_all_ground
         Whether each cell depends on all ground of the level, not only on that of the cell and on what shades it.
     blocks
-        Returns the blocks of a large map; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
+        Returns the blocks of a large map, for options; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
     step_count
         Returns the number of steps of a block, for progress bars.
     tags
@@ -249,7 +249,7 @@ class Product:
     describe: Callable[[Any], tuple[str, str]] | None = None
     empty: Callable[[int, int, float], np.ndarray] | None = None
     sees_all_ground: bool = False
-    blocks: Callable[[Scene, MapView], list[tuple[MapView, int, int]]] | None = None
+    blocks: Callable[[Scene, MapView, Any], list[tuple[MapView, int, int]]] | None = None
     step_count: Callable[[Any], int] = lambda _: 1
     tags: Callable[[Any, Scene], dict[str, str]] = lambda options, _: {
         name: str(value) for name, value in options.model_dump(mode="json", exclude_none=True).items()

@@ -74,8 +74,8 @@ def _color_scale(options: SkyViewOptions, world: World) -> ColorScale:
     )
 
 
-def blocks_of_horizons(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a map for horizons, in the form of ``skugga.terrain.geo.grid.blocks_of``."""
+def _blocks(scene: Scene, view: MapView, options: SkyViewOptions) -> list[tuple[MapView, int, int]]:
+    """Return the blocks of a map, in the form of ``skugga.terrain.geo.grid.blocks_of``; one azimuth at a time is in memory."""
     from skugga.shadows.horizons.level_horizons import horizon_blocks
 
     return horizon_blocks(scene, view)
@@ -84,5 +84,5 @@ def blocks_of_horizons(scene: Scene, view: MapView) -> list[tuple[MapView, int, 
 PRODUCT = Product(
     name=PRODUCT_NAME, description="how much of the sky the ground sees, 0 to 1, or its openness in degrees, by `kind`",
     formats=("png", "webp", "tif", "npy"), compute=_compute, view_kinds=("map",), when="none", options=SkyViewOptions, unit="1",
-    color_scale=_color_scale, describe=lambda options: KINDS[options.kind], sees_all_ground=True, blocks=blocks_of_horizons,
+    color_scale=_color_scale, describe=lambda options: KINDS[options.kind], sees_all_ground=True, blocks=_blocks,
 )  # fmt: skip
