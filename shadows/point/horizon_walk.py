@@ -4,7 +4,7 @@ Elevation angles are measured from the horizontal plane through the eye. A line 
 (or, for ``surface: blocks``, the tops and walls of columns). Between two crossings of edges the ground is straight along the line,
 so its elevation angle is largest at one of them.
 
-The ground is stored in pages of 256 quads a side, and a page has tiles of 16 quads a side. A page or tile is skipped if it cannot
+The ground is stored in pages of 256 quads a side, and a page has tiles of 8 quads a side. A page or tile is skipped if it cannot
 exceed the horizon found so far. For this test its highest ground is assumed to lie at its near end. All other pages are read, the
 nearest first. So distant ground costs little time, but the horizon is that of all quads.
 """

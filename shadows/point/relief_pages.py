@@ -3,7 +3,7 @@
 A page has 256 quads a side, between nodes of the ground's grid (or, for ``surface: blocks``, 256 cells). Distant ground uses a
 coarser level of detail with every second, fourth and so on node. ``skugga.terrain.casters.reach`` defines the level of detail by
 distance. The raster's overview gives an upper bound of the heights of each page before it is read. A page in memory also holds the
-maximum height of each tile of 16 quads a side.
+maximum height of each tile of 8 quads a side.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from skugga.terrain.ground.surface import Surface
 from skugga.terrain.scene import Scene
 
-TILE_QUADS = 16
+TILE_QUADS = 8
 """Quads per side of a tile, the part of a page whose maximum height is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
@@ -52,7 +52,7 @@ class PagedLevel:
     height_m
         float32 (pages, 257, 257), metres: heights; NaN without ground.
     tile_max_m
-        float32 (pages, 16, 16), metres: the maximum height of each tile.
+        float32 (pages, 32, 32), metres: the maximum height of each tile.
     page_count
         Number of pages that have been read.
     """
@@ -262,7 +262,7 @@ def _enlarged_copy(array: np.ndarray, capacity: int) -> np.ndarray:
 
 @compiled
 def _tile_max(height):
-    """Return the maximum height (16, 16) of each tile of a page with nodes (257, 257); -inf without ground.
+    """Return the maximum height (32, 32) of each tile of a page with nodes (257, 257); -inf without ground.
 
     A node on the border of two tiles counts for both.
     """
