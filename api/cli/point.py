@@ -19,6 +19,7 @@ from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
 from skugga.api.point.horizon_formats import HORIZON_FORMATS, azimuths_of_format, horizon_file
+from skugga.api.point.horizons import TABLE_SUFFIXES, check_azimuths, horizons_at_points
 from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import point_report, point_surroundings, requested_clock, requested_day
 from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrival_times
@@ -60,6 +61,8 @@ class PointOptions:
         Year of the hours of sun by day.
     horizon, output
         Format of the horizon, and its file (``None``: standard output).
+    azimuths
+        Number of azimuths of the horizons of many points; ``None`` reports their sun.
     picture
         File of the sky chart.
     as_json
@@ -74,6 +77,7 @@ class PointOptions:
     height: float
     year: int | None
     horizon: str | None
+    azimuths: int | None
     output: Path | None
     picture: Path | None
     as_json: bool
@@ -96,14 +100,34 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
         for name, value in excluded_options.items():
             if value is not None:
                 raise InputError.conflict(name, batch_option)
+    if options.azimuths is not None:
+        _check_horizons_options(options, batch_option, start)
     if start is not None and line is None:
         raise InputError("--start", Problem("needs a track"), "Add --line FILE")
     if options.horizon is not None and options.horizon not in HORIZON_FORMATS:
         raise InputError("--horizon", options.horizon, f"{', '.join(HORIZON_FORMATS)} (--output names the file)")
-    if options.output is not None and options.horizon is None:
+    if options.output is not None and options.horizon is None and options.azimuths is None:
         raise InputError("--output", Problem("needs a horizon format"), f"Add --horizon FORMAT: {', '.join(HORIZON_FORMATS)}")
     if options.as_json and options.horizon is not None and options.output is None:
         raise InputError.conflict("--json", "--horizon", "Add --output FILE for the horizon: only one of the two can be printed")
+
+
+def _check_horizons_options(options: PointOptions, batch_option: str | None, start: str | None) -> None:
+    """Raise ``InputError`` for options that do not go with ``--azimuths``. ``batch_option`` is ``--points`` or ``--line``."""
+    if batch_option is None:
+        raise InputError("--azimuths", Problem("needs many points"), "Add --points FILE, or use --horizon FORMAT for one point")
+    assert options.azimuths is not None
+    check_azimuths(options.azimuths, "--azimuths")
+    excluded_options = {
+        "--time": options.sun, "--date": options.date, "--clock": options.clock, "--start": start, "--json": options.as_json or None
+    }  # fmt: skip
+    for name, value in excluded_options.items():
+        if value is not None:
+            raise InputError.conflict(
+                name, "--azimuths", "Horizons do not depend on the sun" if name != "--json" else "Use one of them"
+            )
+    if options.output is not None and options.output.suffix.lower() not in TABLE_SUFFIXES:
+        raise InputError("--output", str(options.output), f"with --azimuths: {' or '.join(TABLE_SUFFIXES)}")
 
 
 def report_point(level: LevelSource, options: PointOptions) -> None:
@@ -140,7 +164,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
     """Print the sun at the points of a file. Raises the errors of ``report_point``."""
-    _report_track_points(level, read_points(file, options.height), options)
+    _report_track_points(level, file, read_points(file, options.height), options)
 
 
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
@@ -152,20 +176,25 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
     points = read_track(file, every_m, options.height)
     if start is not None:
         points = with_arrival_times(points, read_time("--start", start), speed_kmh)
-    _report_track_points(level, points, options)
+    _report_track_points(level, file, points, options)
 
 
-def _report_track_points(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
-    """Print the sun at points, as a table or as JSON. The points either all have a time or all have none.
+def _report_track_points(level: LevelSource, file: Path, points: list[TrackPoint], options: PointOptions) -> None:
+    """Print the sun at the points of a file, as a table or as JSON. The points either all have a time or all have none.
 
-    Points without times also get the day's hours of direct sun. Raises ``SkuggaError``.
+    Points without times also get the day's hours of direct sun. With ``PointOptions.azimuths`` the points' horizons are written
+    instead. Raises ``SkuggaError`` and ``OSError``.
     """
     if not points:
-        raise InputError("--points", Problem("the file has no points"), "Give at least one point")
+        raise InputError(str(file), Problem("no points"), "Give at least one")
+    check_output_files(level, [("--output", options.output)], file)
     declare_product(POINTS)
     scene = build_scene(load_level(level)).with_sun(options.sun)
     print_warnings(scene)
     try:
+        if options.azimuths is not None:
+            _write_horizons(scene, file, points, options.azimuths, options.output)
+            return
         has_times = points[0].time is not None
         rows = sun_at_points(scene, points, _point_query(options, 0.0, 0.0), includes_hours=not has_times)
     finally:
@@ -174,6 +203,16 @@ def _report_track_points(level: LevelSource, points: list[TrackPoint], options: 
         typer.echo(json.dumps([row.as_json(point) for point, row in zip(points, rows, strict=True)], indent=2))
     else:
         _print_rows(points, rows)
+
+
+def _write_horizons(scene: Scene, file: Path, points: list[TrackPoint], azimuths: int, output: Path | None) -> None:
+    """Write the horizons of the points of ``file`` as a table to ``output``, or print it as a CSV. Raises the errors of both."""
+    coordinates = [(point.lon_deg, point.lat_deg) for point in points]
+    horizons = horizons_at_points(scene, coordinates, azimuths, [point.height_m for point in points], name=str(file))
+    if output is None:
+        typer.echo(horizons.csv_text(), nl=False)
+    else:
+        write_atomically(output, horizons.npz_bytes() if output.suffix.lower() == ".npz" else horizons.csv_text())
 
 
 def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:

@@ -126,12 +126,13 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
     """Return the points of a CSV. ``height_m`` is the height above the ground of points without one. Raises ``SourceError``."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            rows = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(
             str(path), getattr(error, "strerror", None) or str(error), "Give a CSV with columns lon and lat"
         ) from None
-    names = {name.strip().lower(): name for name in (rows[0] if rows else {}) if name}
+    names = {name.strip().lower(): name for name in reader.fieldnames or () if name}
     columns = [next((names[word] for word in words if word in names), None) for words in (LON_FIELDS, LAT_FIELDS)]
     if None in columns:
         raise SourceError(str(path), f"has no columns lon and lat, only {', '.join(names) or 'none'}", "Add both, in degrees")

@@ -7,16 +7,18 @@ edge of a level's data is unknown.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skugga.shadows.point.directions import Directions, sort_directions
-from skugga.shadows.point.horizon_walk import ReliefHorizon, is_ground_occluded, relief_horizon
+from skugga.shadows.point.horizon_walk import ReliefHorizon, is_ground_occluded, relief_horizon, relief_tangents
 from skugga.shadows.point.leaf_sight import VisibleTrees, highest_leaves, nearest_leaves, visible_trees
 from skugga.shadows.point.place import PointPlace
 from skugga.shadows.point.solid_sight import Sighting, empty_sighting, highest_solids, nearest_solids
 from skugga.shadows.point.terms import CasterType
+from skugga.terrain.compiled import map_on_cores
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
 from skugga.terrain.geo.world import geodetic
 from skugga.terrain.scene import Scene
@@ -135,6 +137,24 @@ def horizon_profile(surroundings: Surroundings, azimuth_deg: np.ndarray | None =
         _degrees_of_tangent(solids.tangent),
         _degrees_of_tangent(leaves.tangent),
     )
+
+
+def horizon_angles(scene: Scene, places: Sequence[PointPlace], azimuth_deg: np.ndarray) -> np.ndarray:
+    """Return the horizons of places (p,) by all casters: elevation angles (p, n) in degrees, towards azimuths (n,) in degrees.
+
+    They are those of ``horizon_profile``. The places are divided among all cores. Raises the errors of reading meshes and trees.
+    """
+    angle_deg = _degrees_of_tangent(relief_tangents(scene, places, azimuth_deg))
+    if scene.objects.solids is None and scene.objects.trees is None:
+        return angle_deg
+    directions = sort_directions(azimuth_deg)
+
+    def raise_to_objects(n: int) -> None:
+        for sighting in _highest_objects(load_surroundings(scene, places[n]), directions):
+            angle_deg[n] = np.maximum(angle_deg[n], _degrees_of_tangent(sighting.tangent))
+
+    map_on_cores(raise_to_objects, range(len(places)))
+    return angle_deg
 
 
 def sees_sun(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:

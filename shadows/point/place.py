@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pyproj import CRS, Geod
@@ -12,7 +13,7 @@ from skugga.shadows.point.relief_pages import PagedRelief, paged_relief
 from skugga.shadows.point.terms import MAX_EYE_HEIGHT_M
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.axes import axes_of
-from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from skugga.terrain.scene import Scene
 
 
@@ -30,12 +31,10 @@ class PointPlace:
         Fractional row and column on the ground's grid.
     ground_m, height_m
         Height of the ground, and height of the eye above the ground, metres.
-    ellipsoid
-        Ellipsoid to which heights, longitudes and latitudes refer.
-    eye_earth_m
-        float64 (3,) metres: earth-fixed position of the eye.
-    earth_from_enu
-        Rotation (3, 3) from local east, north, up to earth-fixed axes.
+    world
+        The world, to whose ellipsoid heights, longitudes and latitudes refer.
+    foot_earth_m, up_earth
+        float64 (3,): earth-fixed position below the eye at height 0, metres, and the unit vector upwards.
     """
 
     x: float
@@ -46,9 +45,24 @@ class PointPlace:
     col: float
     ground_m: float
     height_m: float
-    ellipsoid: Geod
-    eye_earth_m: np.ndarray
-    earth_from_enu: np.ndarray
+    world: World
+    foot_earth_m: np.ndarray
+    up_earth: np.ndarray
+
+    @property
+    def ellipsoid(self) -> Geod:
+        """Ellipsoid to which heights, longitudes and latitudes refer."""
+        return self.world.ellipsoid
+
+    @property
+    def eye_earth_m(self) -> np.ndarray:
+        """Earth-fixed position (3,) of the eye, metres."""
+        return self.foot_earth_m + self.eye_elevation_m * self.up_earth
+
+    @cached_property
+    def earth_from_enu(self) -> np.ndarray:
+        """Rotation (3, 3) from local east, north, up to earth-fixed axes."""
+        return self.world.earth_from_enu(self.foot_earth_m, self.up_earth, self.lon_deg or 0.0)
 
     @property
     def eye_elevation_m(self) -> float:
@@ -89,47 +103,88 @@ def place_at(scene: Scene, coordinates: tuple[float, float], crs: CRS | None = N
     InputError
         The coordinates are off the level's data, or the height is below 0 or above ``MAX_EYE_HEIGHT_M``.
     """
-    if not 0.0 <= height_m <= MAX_EYE_HEIGHT_M:
-        raise InputError("height", height_m, f"0 to {MAX_EYE_HEIGHT_M:.0f} metres above the ground")
+    (place,) = places_at(scene, np.array([coordinates], np.float64), crs, np.array([height_m]))
+    return place
+
+
+def places_at(
+    scene: Scene, coordinates: np.ndarray, crs: CRS | None = None, height_m: np.ndarray | float = 0.0
+) -> list[PointPlace]:
+    """Return the places at many coordinates, as ``place_at`` does.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    coordinates
+        float64 (n, 2): coordinates as in ``place_at``.
+    crs
+        The CRS of ``coordinates``; ``None``: the default of ``place_at``.
+    height_m
+        Heights of the eyes above the ground, metres, (n,) or one for all.
+
+    Raises
+    ------
+    InputError
+        As ``place_at``. It names the first place that is wrong.
+    """
+    count = len(coordinates)
+    heights = np.broadcast_to(np.asarray(height_m, np.float64), (count,))
+    for n in np.flatnonzero(~((heights >= 0.0) & (heights <= MAX_EYE_HEIGHT_M)))[:1]:
+        value = float(heights[n]) if count == 1 else f"{heights[n]:g}{_position_text(n, count)}"
+        raise InputError("height", value, f"0 to {MAX_EYE_HEIGHT_M:.0f} metres above the ground")
     ground = paged_relief(scene)
     x, y = _grid_coordinates(scene, ground, coordinates, crs)
-    allowed = _allowed_places_text(scene, coordinates, crs)
-    if not max(abs(x), abs(y)) <= MAX_COORDINATE:
-        raise InputError(POINT_PARAMETER, f"{coordinates[0]:.10g},{coordinates[1]:.10g}", allowed)
-    row, col = (float(v) for v in ground.node_of(x, y))
-    ground_m, has_ground = ground.ground_at(row, col)
-    if not has_ground or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
-        ground_m = float(scene.elevation.ground_m(*_raster_coordinates(scene, ground, x, y)))
-        has_ground = bool(np.isfinite(ground_m))
-    if not has_ground:
-        raise InputError(POINT_PARAMETER, f"{coordinates[0]:.10g},{coordinates[1]:.10g}", allowed)
-    foot, up = scene.world.points_at_zero_height(ground.grid.crs, np.float64(x), np.float64(y))
-    lon = lat = None
+    on_map = np.flatnonzero((np.abs(x) <= MAX_COORDINATE) & (np.abs(y) <= MAX_COORDINATE))
+    row, col, ground_m = np.full(count, np.nan), np.full(count, np.nan), np.full(count, np.nan)
+    row[on_map], col[on_map] = ground.node_of(x[on_map], y[on_map])
+    ground_m[on_map], has_ground = ground.ground_at(row[on_map], col[on_map])
+    # At the others the nearest node is outside of the raster or in a hole.
+    bare = on_map[~(has_ground & np.isfinite(ground_m[on_map]))]
+    if len(bare):
+        ground_m[bare] = scene.elevation.ground_m(*_raster_coordinates(scene, ground, x[bare], y[bare]))
+    for n in np.flatnonzero(~np.isfinite(ground_m))[:1]:
+        allowed = _allowed_places_text(scene, (float(coordinates[n, 0]), float(coordinates[n, 1])), crs)
+        value = f"{coordinates[n, 0]:.10g},{coordinates[n, 1]:.10g}{_position_text(n, count)}"
+        raise InputError(POINT_PARAMETER, value, allowed)
+    foot, up = scene.world.points_at_zero_height(ground.grid.crs, x, y)
+    lon_lat: list[tuple[float | None, float | None]] = [(None, None)] * count
     if not scene.world.is_flat:
-        lon, lat = (float(v) for v in scene.world.lon_lat(ground.grid.crs, np.float64(x), np.float64(y)))
-        lon = (lon + 180.0) % 360.0 - 180.0
-    axes = scene.world.earth_from_enu(foot, up, lon or 0.0)
-    eye = foot + (ground_m + height_m) * up
-    return PointPlace(float(x), float(y), lon, lat, row, col, ground_m, height_m, scene.world.ellipsoid, eye, axes)
+        lon, lat = scene.world.lon_lat(ground.grid.crs, x, y)
+        lon_lat = list(zip(((lon + 180.0) % 360.0 - 180.0).tolist(), lat.tolist(), strict=True))
+    return [
+        PointPlace(*xy, *position, *node, *eye, scene.world, foot[n], up[n])
+        for n, (xy, position, node, eye) in enumerate(
+            zip(
+                zip(x.tolist(), y.tolist(), strict=True), lon_lat, zip(row.tolist(), col.tolist(), strict=True),
+                zip(ground_m.tolist(), heights.tolist(), strict=True), strict=True,
+            )
+        )
+    ]  # fmt: skip
 
 
-def _grid_coordinates(scene: Scene, ground: PagedRelief, coordinates: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
-    """Return coordinates in the CRS of the ground's grid."""
+def _position_text(n: int, count: int) -> str:
+    """Return which of ``count`` points the one with index ``n`` is, for a message; nothing for a single point."""
+    return "" if count == 1 else f" (point {n + 1} of {count})"
+
+
+def _grid_coordinates(scene: Scene, ground: PagedRelief, coordinates: np.ndarray, crs: CRS | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates (n, 2) as x and y (n,) in the CRS of the ground's grid. Where this fails they are not finite."""
+    x, y = coordinates[:, 0], coordinates[:, 1]
     if scene.world.is_flat and crs is None:
-        return scene.geolocator.xy(coordinates)
+        units_per_metre = 1.0 / scene.world.metres_per_unit
+        return scene.world.anchor_x + x * units_per_metre, scene.world.anchor_y + y * units_per_metre
     if crs is not None:
-        east, north = axes_of(crs).xy(*coordinates)
-        coordinates = float(east), float(north)
+        x, y = axes_of(crs).xy(x, y)
     if crs == ground.grid.crs:
-        return coordinates
+        return x, y
     try:
-        x, y = transformer(crs or LONGITUDE_LATITUDE, ground.grid.crs).transform(*coordinates)
+        return transformer(crs or LONGITUDE_LATITUDE, ground.grid.crs).transform(x, y)
     except ProjError:
-        return np.nan, np.nan
-    return float(x), float(y)
+        return np.full(len(x), np.nan), np.full(len(x), np.nan)
 
 
-def _raster_coordinates(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[float, float]:
+def _raster_coordinates(scene: Scene, ground: PagedRelief, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Convert coordinates in the grid's CRS to the CRS of the raster."""
     if ground.grid.crs == scene.elevation.crs:
         return x, y

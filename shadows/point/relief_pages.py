@@ -3,7 +3,7 @@
 A page has 256 quads a side, between nodes of the ground's grid (or, for ``surface: blocks``, 256 cells). Distant ground uses a
 coarser level of detail with every second, fourth and so on node. ``skugga.terrain.casters.reach`` defines the level of detail by
 distance. The raster's overview gives an upper bound of the heights of each page before it is read. A page in memory also holds the
-maximum height of each tile of 16 quads a side.
+maximum height of each tile of 8 quads a side.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from skugga.terrain.ground.surface import Surface
 from skugga.terrain.scene import Scene
 
-TILE_QUADS = 16
+TILE_QUADS = 8
 """Quads per side of a tile, the part of a page whose maximum height is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
@@ -52,7 +52,7 @@ class PagedLevel:
     height_m
         float32 (pages, 257, 257), metres: heights; NaN without ground.
     tile_max_m
-        float32 (pages, 16, 16), metres: the maximum height of each tile.
+        float32 (pages, 32, 32), metres: the maximum height of each tile.
     page_count
         Number of pages that have been read.
     """
@@ -154,24 +154,31 @@ class PagedRelief:
             x = x + 360.0 * np.rint(((west + east) / 2 - x) / 360.0)
         return self.grid.row(y), self.grid.col(x)
 
-    def ground_at(self, row: float, col: float) -> tuple[float, bool]:
-        """Return the height of the ground at a fractional row and column, and whether a picture shows ground there.
+    def ground_at(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the heights of the ground at fractional rows and columns (n,), and whether a picture shows ground there.
 
-        The height is in metres, and NaN without ground. Small holes of the raster have an interpolated height, but are not shown.
+        Heights (n,) are in metres, and NaN without ground. Small holes of the raster have an interpolated height, but are not
+        shown. Nodes are read in blocks of ``PATCH_QUADS`` a side.
         """
-        near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
-        if self.has_columns:
-            height, is_visible = Columns(self.world, self.elevation, 0).heights(near_row, near_col, 1, 1)
-            return float(height[0, 0]), bool(is_visible[0, 0])
-        row0, col0 = int(np.floor(row)), int(np.floor(col))
-        fr, fc = row - row0, col - col0
-        window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, 2, 2)
-        valid = bool(window.valid[near_row - row0, near_col - col0])
-        nw, ne, sw, se = (float(v) for v in window.height_m.ravel())
-        if fr == 0.0 or fc == 0.0:  # on an edge between two nodes: the other two may be NaN
-            end, share = (sw, fr) if fc == 0.0 else (ne, fc)
-            return nw + share * (end - nw) if share else nw, valid
-        return float(quad_height(nw, ne, sw, se, fr, fc)), valid
+        height, is_visible = np.full(len(row), np.nan), np.zeros(len(row), bool)
+        if not len(row):
+            return height, is_visible
+        near_row, near_col = (np.floor(v + 0.5).astype(np.int64) for v in (row, col))
+        first_row, first_col = (near_row, near_col) if self.has_columns else (np.floor(v).astype(np.int64) for v in (row, col))
+        order = np.lexsort((first_col // PATCH_QUADS, first_row // PATCH_QUADS))
+        block = np.stack([first_row[order] // PATCH_QUADS, first_col[order] // PATCH_QUADS])
+        for block_points in np.split(order, np.flatnonzero((np.diff(block) != 0).any(axis=0)) + 1):
+            row0, col0 = int(first_row[block_points].min()), int(first_col[block_points].min())
+            rows, cols = int(first_row[block_points].max()) - row0 + 1, int(first_col[block_points].max()) - col0 + 1
+            cells = near_row[block_points] - row0, near_col[block_points] - col0
+            if self.has_columns:
+                top_m, is_shown = Columns(self.world, self.elevation, 0).heights(row0, col0, rows, cols)
+                height[block_points], is_visible[block_points] = top_m[cells], is_shown[cells]
+                continue
+            window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, rows + 1, cols + 1)
+            is_visible[block_points] = window.valid[cells]
+            height[block_points] = _sheet_heights(window.height_m, row[block_points] - row0, col[block_points] - col0)
+        return height, is_visible
 
 
 def paged_relief(scene: Scene) -> PagedRelief:
@@ -255,7 +262,7 @@ def _enlarged_copy(array: np.ndarray, capacity: int) -> np.ndarray:
 
 @compiled
 def _tile_max(height):
-    """Return the maximum height (16, 16) of each tile of a page with nodes (257, 257); -inf without ground.
+    """Return the maximum height (32, 32) of each tile of a page with nodes (257, 257); -inf without ground.
 
     A node on the border of two tiles counts for both.
     """
@@ -288,3 +295,20 @@ def quad_height(nw, ne, sw, se, down_share, right_share):
     if down_share + right_share <= 1.0:
         return nw + right_share * (ne - nw) + down_share * (sw - nw)
     return se + (1.0 - right_share) * (sw - se) + (1.0 - down_share) * (ne - se)
+
+
+@compiled
+def _sheet_heights(node_height_m, row, col):
+    """Return the heights (n,) of the ground at rows and columns (n,) of a window of nodes with heights (rows, cols)."""
+    out = np.empty(len(row))
+    for n in range(len(row)):
+        i, j = int(np.floor(row[n])), int(np.floor(col[n]))
+        fr, fc = row[n] - i, col[n] - j
+        nw, ne = np.float64(node_height_m[i, j]), np.float64(node_height_m[i, j + 1])
+        sw, se = np.float64(node_height_m[i + 1, j]), np.float64(node_height_m[i + 1, j + 1])
+        if fr == 0.0 or fc == 0.0:  # on an edge between two nodes: the other two may be NaN
+            end, share = (sw, fr) if fc == 0.0 else (ne, fc)
+            out[n] = nw + share * (end - nw) if share != 0.0 else nw
+        else:
+            out[n] = quad_height(nw, ne, sw, se, fr, fc)
+    return out

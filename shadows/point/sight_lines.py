@@ -13,6 +13,7 @@ hundred-thousandths of the distance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from skugga.shadows.point.place import PointPlace
 from skugga.shadows.point.relief_pages import PagedRelief
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled
+from skugga.terrain.compiled import CORES, compiled, map_on_cores, run_in_chunks
 from skugga.terrain.geo.grid import Grid
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_latitude, transformer
 from skugga.terrain.ground.elevation import Elevation
@@ -37,134 +38,189 @@ HARMONICS_TOLERANCE_NODES = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
-    """Lines of sight towards n azimuths, at k distances.
+    """Lines of sight from p places towards the same n azimuths, at up to k distances: those of the first place, of the second, ...
 
     Attributes
     ----------
-    azimuth_deg
-        (n,), clockwise from true north (in a flat world from grid north).
     distance_m
         (k,): distances along the ground at height 0, the first one 0.
+    distance_count
+        int (p * n,): number of distances of each line; rows and columns at further distances have no meaning.
     row, col
-        (n, k): fractional rows and columns on the ground's grid.
+        (p * n, k): fractional rows and columns on the ground's grid.
     curvature
-        (n,), 1 / metres: the earth's curvature along each line; 0 in a flat world.
+        (p * n,), 1 / metres: the earth's curvature along each line; 0 in a flat world.
     """
 
-    azimuth_deg: np.ndarray
     distance_m: np.ndarray
+    distance_count: np.ndarray
     row: np.ndarray
     col: np.ndarray
     curvature: np.ndarray
 
 
-def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, farthest_m: float) -> SightLines:
-    """Return the lines of sight from a place towards azimuths (n,) in degrees.
+def sight_lines(ground: PagedRelief, places: Sequence[PointPlace], azimuth_deg: np.ndarray, farthest_m: np.ndarray) -> SightLines:
+    """Return the lines of sight from places (p,) towards azimuths (n,) in degrees.
 
-    They reach at least to ``farthest_m``, or to the edge of the area where the grid's CRS is defined.
+    They reach at least to ``farthest_m`` (p,), or to the edge of the area where the grid's CRS is defined.
     """
-    count = max(int(np.ceil(np.log(max(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))), 1)
-    distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
+    steps = np.ceil(np.log(np.maximum(farthest_m / FIRST_DISTANCE_M, 1.0)) / np.log(DISTANCE_GROWTH))
+    counts = np.maximum(steps, 1.0).astype(np.int64) + 2
     if ground.world.is_flat:
-        row, col = _nodes_on_flat_world(ground, place, azimuth_deg, distance)
-        return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
-    polynomials = _sight_line_polynomials(ground.world, ground.elevation, ground.grid, place, count)
-    distance = distance[: polynomials.real_coefficients.shape[1] // 2]
-    if polynomials.is_accurate:
-        nodes = _interpolate_azimuths(
-            polynomials.real_coefficients, polynomials.imaginary_coefficients, np.radians(azimuth_deg)
-        ).reshape(-1, len(distance), 2)
-        nodes[:, 0] = place.row, place.col
+        distance = _distances_m(int(counts.max()))
+        row, col = _nodes_on_flat_world(ground, places, azimuth_deg, distance)
+        curvature = np.zeros(len(row))
     else:
-        nodes = _nodes_on_globe(ground.grid, place, azimuth_deg, distance)
-    return SightLines(azimuth_deg, distance, nodes[..., 0].copy(), nodes[..., 1].copy(), _curvature_per_m(place, azimuth_deg))
+        if len(places) == 1:
+            polynomials = _cached_polynomials(ground.world, ground.elevation, ground.grid, places[0], int(counts[0]))
+        else:
+            polynomials = _sight_line_polynomials(ground.grid, places, counts)
+        counts = polynomials.distance_count
+        distance = _distances_m(polynomials.coefficients.shape[-1])
+        row, col = _interpolated_nodes(polynomials, places, azimuth_deg)
+        for n in np.flatnonzero(~polynomials.is_accurate).tolist():
+            lines = slice(n * len(azimuth_deg), (n + 1) * len(azimuth_deg))
+            (nodes,) = _nodes_on_globe(ground.grid, places[n : n + 1], azimuth_deg, distance)
+            row[lines], col[lines] = nodes[..., 0], nodes[..., 1]
+        curvature = _curvature_per_m(places, azimuth_deg)
+    return SightLines(distance, np.repeat(counts, len(azimuth_deg)), row, col, curvature)
+
+
+def _distances_m(count: int) -> np.ndarray:
+    """Return the first ``count`` distances, metres, at which lines have positions."""
+    return np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count - 1)])
 
 
 @dataclass(frozen=True, eq=False)
 class SightLinePolynomials:
-    """Trigonometric polynomials in the azimuth that give the rows and columns of lines of sight at k distances.
+    """Trigonometric polynomials in the azimuth that give the rows and columns of lines of sight from p places at k distances.
 
     They interpolate between the exact lines at a few azimuths.
 
     Attributes
     ----------
-    real_coefficients, imaginary_coefficients
-        (m, 2 k): real and imaginary parts of the coefficients, for m harmonics.
+    coefficients
+        (p, 2, 2, m, k): for rows and for columns the real and the imaginary parts of the coefficients, for m harmonics.
+    distance_count
+        int (p,): number of distances of each place's lines.
     is_accurate
-        Whether the polynomials are accurate between these azimuths.
+        bool (p,): whether a place's polynomials are accurate between these azimuths.
     """
 
-    real_coefficients: np.ndarray
-    imaginary_coefficients: np.ndarray
-    is_accurate: bool
+    coefficients: np.ndarray
+    distance_count: np.ndarray
+    is_accurate: np.ndarray
 
 
 @cached("scene", 4 * MIB)
-def _sight_line_polynomials(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> SightLinePolynomials:
-    """Return the polynomials for lines of sight from a place, at ``count`` + 2 distances.
+def _cached_polynomials(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> SightLinePolynomials:
+    """Return the polynomials of one place. They are cached, since a report uses one place several times."""
+    return _sight_line_polynomials(grid, [place], np.array([count]))
 
-    Distances beyond the edge of the area where the grid's CRS is defined are left out. The result is cached, since a report uses
-    one place several times.
+
+def _sight_line_polynomials(grid: Grid, places: Sequence[PointPlace], counts: np.ndarray) -> SightLinePolynomials:
+    """Return the polynomials for lines of sight from places (p,), each at its own number of distances, ``counts`` (p,).
+
+    Distances beyond the edge of the area where the grid's CRS is defined are left out.
     """
-    distance = np.concatenate([[0.0], FIRST_DISTANCE_M * DISTANCE_GROWTH ** np.arange(count + 1)])
-    nodes = _nodes_on_globe(grid, place, np.arange(EXACT_AZIMUTH_COUNT) * (360.0 / EXACT_AZIMUTH_COUNT), distance)
-    finite = np.isfinite(nodes).all(axis=(0, 2))
-    nodes = nodes[:, : int(np.argmin(finite)) if not finite.all() else len(distance)]
-    harmonics = np.fft.rfft(nodes, axis=0).reshape(EXACT_AZIMUTH_COUNT // 2 + 1, -1) / EXACT_AZIMUTH_COUNT
-    is_smooth = bool(np.abs(harmonics[HARMONIC_COUNT:]).max(initial=0.0) * EXACT_AZIMUTH_COUNT < HARMONICS_TOLERANCE_NODES)
-    return SightLinePolynomials(harmonics[:HARMONIC_COUNT].real.copy(), harmonics[:HARMONIC_COUNT].imag.copy(), is_smooth)
+    parts = np.array_split(np.arange(len(places)), min(CORES, len(places)))
+    azimuth, distance = np.arange(EXACT_AZIMUTH_COUNT) * (360.0 / EXACT_AZIMUTH_COUNT), _distances_m(int(counts.max()))
+    nodes = np.concatenate(
+        map_on_cores(lambda part: _nodes_on_globe(grid, [places[n] for n in part], azimuth, distance), parts, len(parts))
+    )
+    is_missing = ~np.isfinite(nodes).all(axis=(1, 3))
+    is_missing |= np.arange(len(distance)) >= counts[:, None]
+    counts = np.where(is_missing.any(axis=1), is_missing.argmax(axis=1), len(distance))
+    nodes = np.where(np.arange(len(distance))[:, None] < counts[:, None, None, None], nodes, 0.0)
+    harmonics = np.fft.rfft(nodes, axis=1) / EXACT_AZIMUTH_COUNT
+    ignored = np.abs(harmonics[:, HARMONIC_COUNT:]).max(axis=(1, 2, 3), initial=0.0)
+    kept = harmonics[:, :HARMONIC_COUNT].transpose(0, 3, 1, 2)
+    is_accurate = ignored * EXACT_AZIMUTH_COUNT < HARMONICS_TOLERANCE_NODES
+    return SightLinePolynomials(np.stack([kept.real, kept.imag], axis=2), counts, is_accurate)
+
+
+def _interpolated_nodes(
+    polynomials: SightLinePolynomials, places: Sequence[PointPlace], azimuth_deg: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns (p * n, k) of the lines of sight from places (p,) towards azimuths (n,) in degrees."""
+    angle = np.radians(azimuth_deg)[:, None] * np.arange(HARMONIC_COUNT)
+    weight = np.where(np.arange(HARMONIC_COUNT) > 0, 2.0, 1.0)
+    start = np.array([(place.row, place.col) for place in places])
+    shape = len(places) * len(azimuth_deg), polynomials.coefficients.shape[-1]
+    row, col = np.empty(shape), np.empty(shape)
+    run_in_chunks(
+        len(places),
+        _interpolate_azimuths,
+        polynomials.coefficients,
+        weight * np.cos(angle),
+        weight * np.sin(angle),
+        start,
+        row,
+        col,
+    )
+    return row, col
 
 
 def _nodes_on_flat_world(
-    ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray
+    ground: PagedRelief, places: Sequence[PointPlace], azimuth_deg: np.ndarray, distance_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns (n, k) on the grid of a flat world, at distances (k,) towards azimuths (n,) in degrees."""
+    """Return rows and columns (p * n, k) on the grid of a flat world, from places (p,) towards azimuths (n,) at distances (k,)."""
     azimuth = np.radians(azimuth_deg)[:, None]
     units = distance_m / (ground.world.metres_per_unit * ground.grid.step)
-    return place.row - units * np.cos(azimuth) / ground.grid.y_to_x_step_ratio, place.col + units * np.sin(azimuth)
+    row, col = (np.array(v)[:, None, None] for v in zip(*((place.row, place.col) for place in places), strict=True))
+    rows, cols = row - units * np.cos(azimuth) / ground.grid.y_to_x_step_ratio, col + units * np.sin(azimuth)
+    return rows.reshape(-1, len(distance_m)), cols.reshape(-1, len(distance_m))
 
 
-def _nodes_on_globe(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-    """Return rows and columns (n, k, 2) on a grid, at distances (k,) in metres towards azimuths (n,) in degrees.
+def _nodes_on_globe(grid: Grid, places: Sequence[PointPlace], azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
+    """Return rows and columns (p, n, k, 2) on a grid, from places (p,) towards azimuths (n,) at distances (k,).
 
-    They are NaN where the grid's CRS is not defined.
+    Azimuths are in degrees, distances in metres. The results are NaN where the grid's CRS is not defined.
     """
-    azimuth, distance = (v.ravel() for v in np.broadcast_arrays(azimuth_deg[:, None], distance_m))
-    lon, lat, _ = place.ellipsoid.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
-    x, y = np.asarray(lon), np.asarray(lat)
+    shape = len(places), len(azimuth_deg), len(distance_m)
+    lon0, lat0, x0, col0 = (
+        np.array(v, np.float64)[:, None, None] for v in zip(*((p.lon_deg, p.lat_deg, p.x, p.col) for p in places), strict=True)
+    )
+    lon, lat, azimuth, distance = (np.broadcast_to(v, shape).ravel() for v in (lon0, lat0, azimuth_deg[:, None], distance_m))
+    lon, lat, _ = places[0].ellipsoid.fwd(lon, lat, azimuth, distance)
+    x, y = np.asarray(lon).reshape(shape), np.asarray(lat).reshape(shape)
     if not is_longitude_latitude(grid.crs):
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(x, y)
     if grid.crs.is_geographic:
-        x = place.x + (x - place.x + 180.0) % 360.0 - 180.0
-    row, col = grid.row(y), grid.col(x)
-    nodes = np.stack([row, col], axis=-1).reshape(len(azimuth_deg), len(distance_m), 2)
+        x = x0 + (x - x0 + 180.0) % 360.0 - 180.0
+    nodes = np.stack([grid.row(y), grid.col(x)], axis=-1)
     if grid.crs.is_geographic:
-        nodes[..., 1] += place.col - grid.col(place.x)
+        nodes[..., 1] += col0 - grid.col(x0)
     return np.where(np.isfinite(nodes), nodes, np.nan)
 
 
-def _curvature_per_m(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the ellipsoid's curvature (n,), 1 / metres, in vertical planes with azimuths (n,) in degrees."""
-    assert place.lat_deg is not None
-    a, es = place.ellipsoid.a, place.ellipsoid.es
-    root = 1.0 - es * np.sin(np.radians(place.lat_deg)) ** 2
-    meridian, prime_vertical = a * (1.0 - es) / root**1.5, a / root**0.5
+def _curvature_per_m(places: Sequence[PointPlace], azimuth_deg: np.ndarray) -> np.ndarray:
+    """Return the ellipsoid's curvature (p * n,), 1 / metres, at places (p,) in vertical planes with azimuths (n,) in degrees."""
+    ellipsoid = places[0].ellipsoid
+    latitude = np.radians(np.array([place.lat_deg for place in places], np.float64))[:, None]
+    root = 1.0 - ellipsoid.es * np.sin(latitude) ** 2
+    meridian, prime_vertical = ellipsoid.a * (1.0 - ellipsoid.es) / root**1.5, ellipsoid.a / root**0.5
     azimuth = np.radians(azimuth_deg)
-    return np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / prime_vertical
+    return (np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / prime_vertical).ravel()
 
 
 @compiled
-def _interpolate_azimuths(real, imaginary, azimuth):
-    """Return the values (n, k) of trigonometric polynomials at azimuths (n,) in radians.
+def _interpolate_azimuths(first, last, coefficients, cosine, sine, start, row, col):
+    """Write the values of the trigonometric polynomials of the places from ``first`` to ``last`` to ``row`` and ``col`` (p * n, k).
 
-    ``real`` and ``imaginary`` (m, k) are the real and the imaginary parts of their coefficients.
+    ``coefficients`` are those of ``SightLinePolynomials``. ``cosine`` and ``sine`` (n, m) are those of the multiples of n azimuths,
+    with the weights of the harmonics. At the first distance, the values are the rows and columns ``start`` (p, 2) of the places.
     """
-    out = np.empty((len(azimuth), real.shape[1]))
-    for n in range(len(azimuth)):
-        for k in range(real.shape[1]):
-            out[n, k] = real[0, k]
-        for m in range(1, len(real)):
-            cosine, sine = 2.0 * np.cos(m * azimuth[n]), 2.0 * np.sin(m * azimuth[n])
-            for k in range(real.shape[1]):
-                out[n, k] += cosine * real[m, k] - sine * imaginary[m, k]
-    return out
+    count, harmonics = cosine.shape
+    for p in range(first, last):
+        for n in range(count):
+            line = p * count + n
+            for axis in range(2):
+                out = row[line] if axis == 0 else col[line]
+                real, imaginary = coefficients[p, axis, 0], coefficients[p, axis, 1]
+                for k in range(out.shape[0]):
+                    out[k] = real[0, k]
+                for m in range(1, harmonics):
+                    for k in range(out.shape[0]):
+                        out[k] += cosine[n, m] * real[m, k] - sine[n, m] * imaginary[m, k]
+                out[0] = start[p, axis]

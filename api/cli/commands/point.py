@@ -36,7 +36,11 @@ def sun_at_point(
             autocompletion=complete_words(HORIZON_FORMATS),
         ),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon.")] = None,
+    azimuths: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Write the horizons of --points in N directions, as a CSV, or as .npz with --output."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon or --azimuths.")] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a chart of the horizon and the sun's paths: .svg or .png.")
     ] = None,
@@ -52,7 +56,7 @@ def sun_at_point(
     from skugga.api.cli.times import sun_from_options
 
     sun = sun_from_options(time, None, None)
-    options = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
+    options = PointOptions(at, crs, sun, date, clock, height, year, horizon, azimuths, output, picture, as_json)
     check_point_options(options, points, line, start)
     if points is not None:
         report_points(level, points, options)

@@ -79,6 +79,54 @@ def test_a_horizon_without_a_file_is_printed_alone(run, valley, tmp_path, format
     assert (status, err) == (0, "") and out.encode() == file.read_bytes() and len(out) > 100
 
 
+def test_horizons_of_many_points_are_one_table(run, valley, tmp_path):
+    """The printed CSV equals the file and the archive, and a row is the horizon that its point has alone."""
+    points, table, archive = tmp_path / "huts.csv", tmp_path / "horizons.csv", tmp_path / "horizons.npz"
+    points.write_text("name,lon,lat,height\nhut,15.0,47.5,2\nslope,15.012,47.51,0\n", encoding="utf-8")
+    arguments = ["point", valley, "--points", str(points), "--azimuths", "360"]
+    status, out, err = run(*arguments)
+    assert (status, err) == (0, "")
+    assert run(*arguments, "-o", str(table)) == (0, "", "") and table.read_text() == out
+    assert run(*arguments, "-o", str(archive)) == (0, "", "")
+    rows = [line.split(",") for line in out.splitlines()]
+    assert rows[0][:5] == ["lon", "lat", "height_m", "elevation_m", "0"] and len(rows) == 3
+    angles = np.array([row[4:] for row in rows[1:]], float)
+    with np.load(archive) as arrays:
+        assert arrays["horizon_deg"] == pytest.approx(angles, abs=1e-4) and arrays["horizon_deg"].shape == (2, 360)
+    for row, at, height in ((0, LON_LAT, "2"), (1, "15.012,47.51", "0")):
+        _, alone, _ = run("point", valley, "--at", at, "--height", height, "--horizon", "pvgis-upload")
+        assert np.maximum(angles[row], 0.0) == pytest.approx([float(line) for line in alone.split()], abs=0.006)
+    assert np.ptp(angles[0]) > 10.0 and np.abs(angles[0] - angles[1]).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "expected_text"),
+    [
+        ("lon,lat\n", [], "huts.csv: no points. Give at least one"),
+        ("lon,lat\n15,47.5\n0,0\n", [], "huts.csv: '0,0 (point 2 of 2)' is not allowed. Allowed: a place on the level's data"),
+        ("lon,lat\n15,47.5\n", ["--azimuths", "100000"], "--azimuths: '100000' is not allowed. Allowed: 1 to 3600 azimuths"),
+        (
+            "lon,lat\n15,47.5\n",
+            ["--output", "horizons.xlsx"],
+            "--output: 'horizons.xlsx' is not allowed. Allowed: with --azimuths: .csv",
+        ),
+        ("lon,lat\n15,47.5\n", ["--time", TIME], "--time: cannot be combined with --azimuths. Horizons do not depend on the sun"),
+        ("lon,lat\n15,47.5\n", ["--json"], "--json: cannot be combined with --azimuths. Use one of them"),
+    ],
+)
+def test_wrong_horizons_of_points_are_one_line(run, valley, tmp_path, text, arguments, expected_text):
+    (tmp_path / "huts.csv").write_text(text, encoding="utf-8")
+    status, out, err = run("point", valley, "--points", str(tmp_path / "huts.csv"), "--azimuths", "72", *arguments)
+    assert status == 2 and out == "" and err.count("\n") == 1 and expected_text in err, err
+
+
+def test_the_points_of_a_table_are_not_written_over(run, valley, tmp_path):
+    points = tmp_path / "huts.csv"
+    points.write_text("lon,lat\n15,47.5\n", encoding="utf-8")
+    status, _, err = run("point", valley, "--points", str(points), "--azimuths", "72", "-o", str(points))
+    assert status == 2 and "is the same file as the input" in err and points.read_text() == "lon,lat\n15,47.5\n"
+
+
 def test_without_a_date_the_day_is_today(run, valley):
     """Today is a date by the requested clock: noon by one clock is not midnight by another."""
     for clock in ("solar", "Pacific/Auckland"):
@@ -174,6 +222,7 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, ex
         (["--at", LON_LAT, "--height", "-3"], "--height: '-3.0' is not allowed"),
         (["--at", LON_LAT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed. Allowed: pvgis-csv, pvgis-json"),
         (["--at", LON_LAT, "--output", "roof.hor"], "--output: needs a horizon format. Add --horizon FORMAT: pvgis-csv"),
+        (["--at", LON_LAT, "--azimuths", "72"], "--azimuths: needs many points. Add --points FILE, or use --horizon FORMAT"),
         (["--at", LON_LAT, "--horizon", "hor", "--json"], "--json: cannot be combined with --horizon. Add --output FILE"),
         (["--at", LON_LAT, "--start", TIME], "--start: needs a track. Add --line FILE"),
         (["--at", LON_LAT, "--points", "huts.csv"], "--at: cannot be combined with --points. Use one of them."),

@@ -8,14 +8,16 @@ import json
 import numpy as np
 import pandas
 import pytest
+from pyproj import CRS
 
 from skugga.api.point.horizon_formats import HORIZON_FORMATS, azimuths_of_format, horizon_file
 from skugga.shadows.point.horizon import PointHorizon
 from skugga.shadows.point.place import PointPlace
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.world import WGS84
+from skugga.terrain.geo.world import World
 
-PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WGS84, np.zeros(3), np.eye(3))
+WORLD = World(CRS.from_epsg(4326), False, 11.25, 47.5)
+PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WORLD, np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
 def point_horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
