@@ -27,7 +27,7 @@ BLOCK_SIDE_NODES, MIN_BLOCK_SIDE_NODES = 2048, 128
 MAX_BLOCK_BYTES = 320 * 2**20
 """Maximum bytes of the horizons of a block that are in memory at the same time, as float32."""
 
-NEAR_NODES = 1024
+NEAR_NODES = 512
 """Distance from a block up to which the ground has the nodes of the block's grid; as many coarser nodes follow each time."""
 
 MAX_CONVERGENCE_DEG = 0.15

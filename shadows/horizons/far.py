@@ -39,12 +39,12 @@ class FarHorizons:
     """
 
     def __init__(
-        self, part: FarGround, eye_height_m: np.ndarray, finer_shape: tuple[int, int], finer_factor: int, level_m: np.float32,
-        orientation: GridOrientation,
+        self, part: FarGround, ranges: tuple[np.ndarray, np.ndarray], finer_shape: tuple[int, int], finer_factor: int,
+        level_m: np.float32, orientation: GridOrientation,
     ) -> None:  # fmt: skip
         self.part, self.orientation = part, orientation
         self._ground = turned_ground(part.height_m, level_m, orientation)
-        low, high = eye_ranges(eye_height_m, part.factor)
+        low, high = ranges
         shape = (part.height_m.shape[0], part.height_m.shape[1])
         first_eye = -part.first_node[0], -part.first_node[1]
         self._low_eyes, self._high_eyes = (TurnedEyes(eyes, first_eye, shape, level_m, orientation) for eyes in (low, high))
@@ -59,12 +59,21 @@ class FarHorizons:
         self.low_tangent, self.high_tangent = (np.empty(self._low_eyes.height_m.shape, np.float32) for _ in range(2))
 
     @staticmethod
-    def of_grid(grid: HorizonGrid, eyes: TurnedEyes, level_m: np.float32, orientation: GridOrientation) -> list[FarHorizons]:
-        """Return the far ground of a grid in an orientation, from fine to coarse; ``eyes`` are the grid's."""
+    def of_grid(
+        grid: HorizonGrid,
+        ranges: Sequence[tuple[np.ndarray, np.ndarray]],
+        eyes: TurnedEyes,
+        level_m: np.float32,
+        orientation: GridOrientation,
+    ) -> list[FarHorizons]:
+        """Return the far ground of a grid in an orientation, from fine to coarse.
+
+        ``ranges`` are the ``eye_ranges`` of each part of it, and ``eyes`` those of the grid.
+        """
         out: list[FarHorizons] = []
         shape, factor = (eyes.rows, eyes.cols), 1
-        for part in grid.far:
-            out.append(FarHorizons(part, grid.eye_heights_m, shape, factor, level_m, orientation))
+        for part, part_ranges in zip(grid.far, ranges, strict=True):
+            out.append(FarHorizons(part, part_ranges, shape, factor, level_m, orientation))
             shape, factor = (out[-1].low_m.shape[0], out[-1].low_m.shape[1]), part.factor
         return out
 
@@ -107,7 +116,7 @@ def raise_by_far_ground(
     grid_order = orientation.grid_order_view(known)
     factor = 1
     for part in far:
-        lowest = node_ranges(grid_order, part.part.factor // factor, np.inf)[0]
+        lowest = node_ranges(grid_order, part.part.factor // factor)[0]
         grid_order, factor = lowest, part.part.factor
         rises.append(part.march(direction, curvature_per_m, orientation.sun_aligned_view(lowest)))
     last = max((number for number, is_higher in enumerate(rises) if is_higher), default=-1)
@@ -120,30 +129,41 @@ def raise_by_far_ground(
 
 def eye_ranges(eye_height_m: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and the highest eye around each coarse node, float32; NaN around which there is none."""
-    with np.errstate(invalid="ignore"):
-        low = node_ranges(np.where(np.isfinite(eye_height_m), eye_height_m, np.float32(np.inf)), factor, np.inf)[0]
-        high = node_ranges(np.where(np.isfinite(eye_height_m), eye_height_m, np.float32(-np.inf)), factor, -np.inf)[1]
+    low, high = node_ranges(eye_height_m, factor)
     return np.where(np.isfinite(low), low, np.float32(np.nan)), np.where(np.isfinite(high), high, np.float32(np.nan))
 
 
-def node_ranges(values: np.ndarray, factor: int, padding: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest of the values (rows, cols) within ``factor`` nodes of each coarse node.
+def node_ranges(values: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest of the finite values (rows, cols) within ``factor`` nodes of each coarse node, float32.
 
-    Coarse nodes are every ``factor`` nodes, from the first one to the last one or beyond. ``padding`` stands for missing values.
+    Coarse nodes are every ``factor`` nodes, from the first one to the last one or beyond. Without such a value they are infinite.
     """
     counts = [-(-(side - 1) // factor) + 1 for side in values.shape]
-    padded = np.full([count * factor for count in counts], padding, np.float32)
-    padded[: values.shape[0], : values.shape[1]] = values
-    cells = padded.reshape(counts[0], factor, counts[1], factor)
-    out = []
-    for extreme in (np.minimum, np.maximum):
-        cell = extreme.reduce(extreme.reduce(cells, axis=3), axis=1)
-        with_row = cell.copy()
-        extreme(cell[1:], cell[:-1], out=with_row[1:])
-        node = with_row.copy()
-        extreme(with_row[:, 1:], with_row[:, :-1], out=node[:, 1:])
-        out.append(node)
-    return out[0], out[1]
+    cells = np.empty(counts, np.float32), np.empty(counts, np.float32)
+    run_in_chunks(counts[0], _write_cell_ranges, values, factor, *cells)
+    nodes = []
+    for extreme, cell in zip((np.minimum, np.maximum), cells, strict=True):
+        of_rows = cell.copy()
+        extreme(cell[1:], cell[:-1], out=of_rows[1:])
+        node = of_rows.copy()
+        extreme(of_rows[:, 1:], of_rows[:, :-1], out=node[:, 1:])
+        nodes.append(node)
+    return nodes[0], nodes[1]
+
+
+@compiled
+def _write_cell_ranges(first, last, values, factor, low, high):
+    """Write the lowest and the highest finite value of each cell of ``factor`` x ``factor`` values; rows [first, last) of cells."""
+    rows, cols = values.shape
+    for cell_row in range(first, last):
+        low[cell_row], high[cell_row] = np.inf, -np.inf
+        for row in range(cell_row * factor, min((cell_row + 1) * factor, rows)):
+            for col in range(cols):
+                value = values[row, col]
+                if abs(value) < np.inf:
+                    cell_col = col // factor
+                    low[cell_row, cell_col] = min(low[cell_row, cell_col], value)
+                    high[cell_row, cell_col] = max(high[cell_row, cell_col], value)
 
 
 @compiled

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.horizons.far import FarHorizons, raise_by_far_ground
+from skugga.shadows.horizons.far import FarHorizons, eye_ranges, raise_by_far_ground
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.march import NO_HORIZON
 from skugga.shadows.horizons.turned import directions_by_orientation, march_eyes, rays_of, turned_eyes, turned_ground
@@ -42,11 +42,12 @@ def horizons_towards(grid: HorizonGrid, azimuth_deg: Iterable[float]) -> Iterato
 
     The ground of one orientation is prepared once and serves all of its azimuths.
     """
-    level_m = _mean_height_m(grid.height_m)
+    level_m, eye_height_m = _mean_height_m(grid.height_m), grid.eye_heights_m
+    ranges = [eye_ranges(eye_height_m, part.factor) for part in grid.far]
     for orientation, directions in directions_by_orientation(grid.east_north_of_cell_m, azimuth_deg).items():
         ground = turned_ground(grid.height_m, level_m, orientation)
         eyes = turned_eyes(grid, level_m, orientation)
-        far = FarHorizons.of_grid(grid, eyes, level_m, orientation)
+        far = FarHorizons.of_grid(grid, ranges, eyes, level_m, orientation)
         tangent = np.empty(eyes.height_m.shape, np.float32)
         for direction in directions:
             rays = rays_of(len(ground.height_m), direction.columns_per_row, direction.metres_per_row, grid.curvature_per_m)

@@ -20,7 +20,7 @@ from skugga.shadows.horizons.march import (
     march,
     write_blocks,
 )  # fmt: skip
-from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
+from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import run_in_chunks
 
 MAX_CHORD_ERROR = float(np.tan(np.radians(0.5)))
@@ -99,10 +99,7 @@ class TurnedEyes:
         turned = orientation.sun_aligned_view(eye_height_m)
         self.rows, self.cols = turned.shape
         self.height_m = np.full((self.rows, -(-self.cols // RUN) * RUN), NO_EYE_M, np.float32)
-        eyes = self.height_m[:, : self.cols]
-        copy_in_blocks(turned, eyes)
-        eyes -= level_m
-        eyes[~np.isfinite(eyes)] = NO_EYE_M
+        run_in_chunks(self.rows, write_turned, turned, level_m, NO_EYE_M, self.height_m)
         rows, cols = eye_height_m.shape
         corners = np.array([first_node[0], first_node[0] + rows - 1]), np.array([first_node[1], first_node[1] + cols - 1])
         row, col = orientation.to_sun_aligned(*corners, *shape)
@@ -121,10 +118,7 @@ def turned_ground(height_m: np.ndarray, level_m: np.float32, orientation: GridOr
     turned = orientation.sun_aligned_view(height_m)
     n, m = turned.shape
     padded = np.full((n, (-(-m // RUN) + 2) * RUN), NO_GROUND_M, np.float32)
-    copy_in_blocks(turned, padded[:, :m])
-    nodes = padded[:, :m]
-    nodes -= level_m
-    nodes[~np.isfinite(nodes)] = NO_GROUND_M
+    run_in_chunks(n, write_turned, turned, level_m, NO_GROUND_M, padded)
     blocks = -(-n // BLOCK_ROWS), padded.shape[1] // BLOCK_COLS
     highest_m, roughness_m = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
     run_in_chunks(blocks[0], write_blocks, padded, highest_m, roughness_m)
