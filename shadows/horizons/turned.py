@@ -19,6 +19,7 @@ from skugga.shadows.horizons.march import (
     Rays,
     march,
     write_blocks,
+    write_turned,
 )  # fmt: skip
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import run_in_chunks
