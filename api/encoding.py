@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.api.png import encode_png
-from skugga.api.products.product import PICTURE_FORMATS, Product, ProductOptions, RasterProfile
+from skugga.api.products.product import PICTURE_FORMATS, Product, ProductOptions
+from skugga.api.raster_profile import RasterProfile
 from skugga.terrain.errors import InputError
 
 if TYPE_CHECKING:

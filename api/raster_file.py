@@ -18,7 +18,7 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
-from skugga.api.products.product import RasterProfile
+from skugga.api.raster_profile import RasterProfile
 from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.cache import MIB
 

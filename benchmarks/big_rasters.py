@@ -22,8 +22,8 @@ from affine import Affine
 from pyproj import CRS
 from rasterio.enums import Resampling
 
-from skugga.api.products.product import RasterProfile
 from skugga.api.raster_file import open_cog
+from skugga.api.raster_profile import RasterProfile
 
 SHEET_CELLS = 2048
 """Cells a side of a sheet: a power of two, so that the cells of all its overviews align with those of its neighbours."""

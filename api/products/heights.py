@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Product, ProductInput, RasterProfile
+from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Product, ProductInput
+from skugga.api.raster_profile import RasterProfile
 from skugga.api.terrain_encodings import encode_terrain_rgb, encode_terrarium
 
 

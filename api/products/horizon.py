@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from skugga.api.products.product import Product, ProductInput, ProductOptions, RasterProfile
+from skugga.api.products.product import Product, ProductInput, ProductOptions
 from skugga.api.products.sky_view import RADIUS_REMEDY
+from skugga.api.raster_profile import RasterProfile
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, MAX_AZIMUTHS, MIN_AZIMUTHS, evenly_spaced_azimuths_deg
 
 if TYPE_CHECKING:

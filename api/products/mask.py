@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Product, ProductInput, RasterProfile
+from skugga.api.products.product import Product, ProductInput
 from skugga.api.products.visibility import NEEDS_VISIBILITY, visibility_of
+from skugga.api.raster_profile import RasterProfile
 
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 """Values of the classes. A pixel is in shadow if less than half of the light reaches it."""

@@ -5,7 +5,7 @@ Each product has a module in this folder. Commands, Python, tiles, maps, WMS, WM
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -14,6 +14,7 @@ from urllib.parse import urlencode
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from skugga.api.raster_profile import RasterProfile
 from skugga.shadows.passes import PassLayer
 from skugga.shadows.picture import Needs
 from skugga.terrain.errors import InputError, Problem
@@ -132,36 +133,6 @@ class ProductInput:
         from skugga.terrain.gbuffer.ground_normals import ground_normals_enu
 
         return ground_normals_enu(self.scene, self.map_view)
-
-
-@dataclass(frozen=True)
-class RasterProfile:
-    """The form in which rasters of a product hold its values.
-
-    Attributes
-    ----------
-    dtype
-        The type of the stored numbers.
-    bands
-        The number of bands.
-    nodata
-        The stored number of cells without data; ``None`` for none.
-    scale
-        Factor from stored numbers to values in the product's unit, GDAL's scale of a band.
-    band_names
-        Descriptions of the bands; empty: that of the product for one band, else colours.
-    """
-
-    dtype: str = "float32"
-    bands: int = 1
-    nodata: float | None = float("nan")
-    scale: float = 1.0
-    band_names: tuple[str, ...] = ()
-
-    def empty_array(self, rows: int, cols: int) -> np.ndarray:
-        """Return an array (rows, cols) or (rows, cols, bands) of cells without data."""
-        shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
-        return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
 
 
 @dataclass(frozen=True, kw_only=True)

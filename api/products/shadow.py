@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Product, ProductInput, RasterProfile
+from skugga.api.products.product import Product, ProductInput
+from skugga.api.raster_profile import RasterProfile
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:

@@ -122,7 +122,7 @@ def qgis_result(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Qg
 
 
 def test_qgis_layers_are_valid_and_log_nothing(qgis_result: QgisResult):
-    by_wms = {f"wms-{name}" for name in ("color", "shadow", "mask", "sunhours", "degrees")}
+    by_wms = {f"wms-{name}" for name in ("color", "shadow", "mask", "sky_view", "sunhours", "degrees")}
     by_file = {f"qlr-{name}" for name in ("color", "shadow", "sunhours", "heights")}
     assert set(qgis_result.report["layers"]) == by_wms | by_file | {"wmts", "wmts-span", "xyz"}
     for name, layer in qgis_result.report["layers"].items():
@@ -132,7 +132,7 @@ def test_qgis_layers_are_valid_and_log_nothing(qgis_result: QgisResult):
 
 def test_qgis_wms_equals_the_maps_of_the_service(service: Client, qgis_result: QgisResult):
     """They are equal bit for bit, because the canvas is the requested map; also in a CRS with latitude first."""
-    for layer in ("color", "shadow", "mask", "sunhours"):
+    for layer in ("color", "shadow", "mask", "sky_view", "sunhours"):
         assert np.array_equal(qgis_result.picture(f"wms-{layer}"), fetch_map(service, qgis_result.bounds, layer)), layer
     assert np.array_equal(qgis_result.picture("wms-degrees"), fetch_map(service, qgis_result.degrees, crs="EPSG:4326"))
 
@@ -180,5 +180,11 @@ def test_qgis_identifies_a_point(qgis_result: QgisResult):
 
 
 def test_qgis_shows_the_legend_of_sun_hours_only(qgis_result: QgisResult):
-    """Hours of sun have a legend; QGIS requests none of the other layers."""
-    assert qgis_result.report["legends"] == {"color": None, "shadow": None, "mask": None, "sunhours": [[340, 85]]}
+    """Layers of numbers have a legend; QGIS requests none of the other layers."""
+    assert qgis_result.report["legends"] == {
+        "color": None,
+        "shadow": None,
+        "mask": None,
+        "sky_view": [[340, 85]],
+        "sunhours": [[340, 85]],
+    }

@@ -115,7 +115,7 @@ def test_wmts_driver_reads_another_time(client: Client, tmp_path):
     assert (default_dataset.pixels[valid] != dataset.pixels[valid]).any()
 
 
-@pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sunhours"])
+@pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sky_view", "sunhours"])
 def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
     """A layer of the capabilities, read as PNG at a time, equals the map of the same extent and size bit for bit."""
     time = TIME[:10] if layer == "sunhours" else TIME
@@ -123,7 +123,7 @@ def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
         tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE"
     ).subdatasets
     assert [subdataset.partition("LAYERS=")[2].partition("&")[0] for subdataset in listed] == [
-        f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "sunhours")
+        f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "sky_view", "sunhours")
     ]
     listed_source = next(subdataset for subdataset in listed if f"timed%3A{layer}&" in subdataset)
     source = listed_source.replace(

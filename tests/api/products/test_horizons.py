@@ -62,7 +62,8 @@ def test_sky_view_of_a_level_equals_that_of_its_array(kind):
     with skugga.open_heights(heights, TRANSFORM, "EPSG:32633") as level:
         values = level.sky_view(kind, azimuths=16)
         np.testing.assert_array_equal(values, level.compute("sky_view", kind=kind, azimuths=16))
-    np.testing.assert_allclose(values, expected, atol=0.05 if "openness" in kind else 1e-3)
+    error, tolerance = np.abs(values - expected), 0.02 if "openness" in kind else 2e-4
+    assert np.nanpercentile(error, 95) < tolerance and np.nanmax(error) < 20 * tolerance, "ground far away may round otherwise"
     assert np.isnan(values[:, 0]).all() and np.ptp(values[:, 1:]) > 0.01
 
 

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 import skugga
 from skugga.api.encoding import encode_geotiff
-from skugga.api.products.product import RasterProfile
+from skugga.api.raster_profile import RasterProfile
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.vertical import UNIT_WORDS
