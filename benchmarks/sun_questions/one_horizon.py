@@ -39,15 +39,23 @@ MAX_WALL_DISTANCE_CELLS = 15
 
 
 def exact_horizon(
-    height_m: np.ndarray, row: int, col: int, col_direction: float, row_direction: float, cell_m: float, radius_m: float = np.inf
+    height_m: np.ndarray,
+    row: int,
+    col: int,
+    col_direction: float,
+    row_direction: float,
+    cell_m: float,
+    radius_m: float = np.inf,
+    reach_cells: float = np.inf,
 ) -> float:
     """Return the exact horizon angle of a node in a direction, degrees.
 
     ``height_m`` are the heights of nodes (rows, cols). ``col_direction`` and ``row_direction`` are the unit vector of the direction
-    in columns and rows. A column is ``cell_m`` metres wide, and ``radius_m`` is the earth's radius R. The result uses every
-    crossing of the direction with edges of triangles: rows, columns and both diagonals of quads. Only one diagonal is an edge;
-    crossings with the other do no harm. At a distance s, the tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R
-    + h0)) / ((R + h) sin(s/R)), where h0 is the height of the node.
+    in columns and rows. A column is ``cell_m`` metres wide, and ``radius_m`` is the earth's radius R. Ground counts up to the rim, at
+    most ``reach_cells`` away; where there is none the horizon is level. The result uses every crossing of the direction with edges of
+    triangles: rows, columns and both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a
+    distance s, the tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)), where h0 is the
+    height of the node.
     """
     rows, cols = height_m.shape
     rim_distances = [
@@ -55,13 +63,15 @@ def exact_horizon(
         for at, rate, length in ((col, col_direction, cols), (row, row_direction, rows))
         if rate
     ]
-    end = min(rim_distances)
+    end = min([*rim_distances, reach_cells])
     crossing_rates = [
         abs(rate)
         for rate in (col_direction, row_direction, col_direction - row_direction, col_direction + row_direction)
         if abs(rate) > EPSILON
     ]
     crossings = np.concatenate([np.arange(1.0, np.floor(end * rate + EPSILON) + 1.0) / rate for rate in crossing_rates])
+    if not len(crossings):
+        return 0.0
     z_m = triangle_heights_m(height_m, row + crossings * row_direction, col + crossings * col_direction)
     distance_m, z0_m = crossings * cell_m, float(height_m[row, col])
     if np.isinf(radius_m):
@@ -107,11 +117,16 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
     ])  # fmt: skip
 
 
-def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the horizon angles (n,) towards azimuths from the grid's north in a flat world, degrees."""
+def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray, reach_cells: float = np.inf) -> np.ndarray:
+    """Return the horizon angles (n,) towards azimuths from the grid's north in a flat world, degrees.
+
+    Ground counts up to the raster's rim, at most ``reach_cells`` away.
+    """
     azimuth = np.radians(azimuth_deg)
     directions = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
-    return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in directions])
+    return np.array([
+        exact_horizon(dem.height_m, row, col, right, down, dem.cell_m, reach_cells=reach_cells) for right, down in directions
+    ])  # fmt: skip
 
 
 def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:

@@ -1,0 +1,323 @@
+"""The fourth and the fifth question: horizons and sky view factors of whole rasters, by several tools and by rays."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import rasterio
+
+from benchmarks.peers.tools import run_process
+from benchmarks.sun_questions.commands_and_rasters import SKUGGA_RASTER_COMMAND, QuestionDem, write_question_dem
+from benchmarks.sun_questions.figures import SunAnswer
+from benchmarks.sun_questions.one_horizon import flat_horizon, true_horizon
+
+RASTER_HORIZONS_QUESTION = "horizons of a raster"
+SKY_VIEW_QUESTION = "sky view of a raster"
+
+AZIMUTH_COUNT = 72
+"""Number of azimuths, clockwise from north."""
+
+AZIMUTHS_DEG = 360.0 / AZIMUTH_COUNT * np.arange(AZIMUTH_COUNT)
+
+FIRST_SAMPLE, SAMPLE_STRIDE = 5, 12
+"""Of slow tools only the azimuths of these indices are measured, and their seconds are multiplied. None of them lies on an axis or a
+diagonal of the grid."""
+
+REACHES_CELLS = (10, 100)
+"""Distances, in cells, up to which tools look that cannot look to the rim in a time that anybody waits. The first is the default of
+RVT, xarray-spatial and SurtGIS."""
+
+MARGIN_CELLS = 3
+"""Width of the margin of a raster without sampled cells."""
+
+WARM_UP_SIDE = 64
+"""Side of the raster on which Skugga's loops are compiled before it is timed, in cells."""
+
+PROGRAMS_FILE = Path(__file__).with_name("raster_programs.py")
+
+SkyFormula = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""A function of horizons (n, azimuths), degrees, and rises of the ground per metre towards each azimuth in the cells' planes
+(n, azimuths). It returns sky view factors (n,)."""
+
+
+def solid_angle_sky(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the visible share of the sky's solid angle above a level plane, 1 - mean sin h."""
+    return 1.0 - np.sin(np.radians(np.maximum(horizon_deg, 0.0))).mean(axis=1)
+
+
+def cosine_sky(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the visible share of the sky weighted by the cosine of its zenith angle, mean cos^2 h (Oke)."""
+    return (np.cos(np.radians(np.maximum(horizon_deg, 0.0))) ** 2).mean(axis=1)
+
+
+def tilted_sky(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the visible share of the sky weighted by the cosine of its angle to the cell's own normal (Dozier and Frew 1990, 7b).
+
+    The horizon is the greatest of the terrain's, the level one and that of the cell's plane.
+    """
+    plane_deg = np.degrees(np.arctan(rises))
+    return _tilted_terms(np.maximum(np.maximum(horizon_deg, 0.0), plane_deg), rises).mean(axis=1)
+
+
+def topocalc_sky(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the same with the horizon of terrain alone, and without the azimuths whose contribution is negative."""
+    return np.maximum(_tilted_terms(np.maximum(horizon_deg, 0.0), rises), 0.0).mean(axis=1)
+
+
+def saga_sky(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the same with the horizon of terrain alone."""
+    return _tilted_terms(np.maximum(horizon_deg, 0.0), rises).mean(axis=1)
+
+
+def _tilted_terms(horizon_deg: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Return the contribution of each azimuth to the sky of a tilted plane, relative to a whole sky over a level one."""
+    zenith = np.radians(90.0 - horizon_deg)
+    rises_sideways = np.roll(rises, -AZIMUTH_COUNT // 4, axis=1)
+    normal_up = 1.0 / np.sqrt(1.0 + rises**2 + rises_sideways**2)
+    # sin S cos(azimuth - aspect) of the paper is the normal's component towards the azimuth, -normal_up * rises
+    return normal_up * (np.sin(zenith) ** 2 - rises * (zenith - np.sin(zenith) * np.cos(zenith)))
+
+
+def plane_rises(height_m: np.ndarray, row: np.ndarray, col: np.ndarray, cell_m: float, side_weight: float) -> np.ndarray:
+    """Return the rises (n, azimuths) of the ground per metre towards each azimuth, in planes fitted to n cells' neighbours.
+
+    ``side_weight`` is the weight of the differences of the neighbouring rows and columns, relative to that of the cell's own: 0.5
+    for Horn's planes, 0 for central differences.
+    """
+    shifts_and_weights = ((-1, side_weight), (0, 1.0), (1, side_weight))
+    scale = 2.0 * cell_m * (1.0 + 2.0 * side_weight)
+    heights = height_m.astype(np.float64)
+    east = sum(w * (heights[row + i, col + 1] - heights[row + i, col - 1]) for i, w in shifts_and_weights) / scale
+    north = sum(w * (heights[row - 1, col + i] - heights[row + 1, col + i]) for i, w in shifts_and_weights) / scale
+    azimuth = np.radians(AZIMUTHS_DEG)
+    return east[:, None] * np.sin(azimuth) + north[:, None] * np.cos(azimuth)
+
+
+class RasterTruth:
+    """Horizons of rays at n random cells of a raster, degrees (n, azimuths). ``row`` and ``col`` (n,) are the cells."""
+
+    def __init__(self, dem: QuestionDem, cells: int) -> None:
+        self._dem = dem
+        rng = np.random.default_rng(1)
+        self.row, self.col = (rng.integers(MARGIN_CELLS, length - MARGIN_CELLS, cells) for length in dem.height_m.shape)
+        self._flat_by_reach: dict[float, np.ndarray] = {}
+
+    def flat_deg(self, reach_cells: float = np.inf) -> np.ndarray:
+        """Return horizons in a flat world towards azimuths from the grid's north, of ground at most ``reach_cells`` away."""
+        if reach_cells not in self._flat_by_reach:
+            self._flat_by_reach[reach_cells] = np.stack([
+                flat_horizon(self._dem, row, col, AZIMUTHS_DEG, reach_cells) for row, col in zip(self.row, self.col, strict=True)
+            ])  # fmt: skip
+        return self._flat_by_reach[reach_cells]
+
+    @cached_property
+    def round_deg(self) -> np.ndarray:
+        """Horizons on the round earth towards azimuths from true north."""
+        return np.stack([
+            true_horizon(self._dem, row, col, AZIMUTHS_DEG) for row, col in zip(self.row, self.col, strict=True)
+        ])  # fmt: skip
+
+    def rises(self, side_weight: float) -> np.ndarray:
+        """Return the rises of the cells' planes (n, azimuths). See ``plane_rises``."""
+        return plane_rises(self._dem.height_m, self.row, self.col, self._dem.cell_m, side_weight)
+
+    def write_points(self, path: Path) -> None:
+        """Write eastings and northings of the cells, a line each."""
+        points = [self._dem.xy(row, col) for row, col in zip(self.row, self.col, strict=True)]
+        path.write_text("".join(f"{x:.6f} {y:.6f}\n" for x, y in points), "utf-8")
+
+
+@dataclass(frozen=True, eq=False)
+class RasterTool:
+    """A tool for a whole raster.
+
+    Attributes
+    ----------
+    name, is_skugga
+        Name with the settings, and whether it is part of Skugga.
+    command
+        Returns its command for a raster, an output file and a file of points (``RasterTruth.write_points``).
+    suffix
+        Suffix of its output file.
+    formula
+        Its sky view factor of horizons; ``None`` if it computes horizons.
+    side_weight
+        How it fits planes to cells (``plane_rises``).
+    is_earth_round
+        Whether it knows the curvature of the earth.
+    is_clamped
+        Whether its horizons are level where ground lies below.
+    reach_cells
+        How far it looks, in cells; infinite for the raster's rim.
+    is_sampled
+        Whether it computes only one in ``SAMPLE_STRIDE`` azimuths.
+    writes_points
+        Whether its output file holds the sampled cells alone.
+    """
+
+    name: str
+    is_skugga: bool
+    command: Callable[[QuestionDem, Path, Path], list[str]]
+    suffix: str = ".npy"
+    formula: SkyFormula | None = None
+    side_weight: float = 0.5
+    is_earth_round: bool = False
+    is_clamped: bool = True
+    reach_cells: float = np.inf
+    is_sampled: bool = False
+    writes_points: bool = False
+
+    @property
+    def azimuth_indices(self) -> np.ndarray:
+        """Indices of the azimuths that it computes."""
+        return np.arange(FIRST_SAMPLE, AZIMUTH_COUNT, SAMPLE_STRIDE) if self.is_sampled else np.arange(AZIMUTH_COUNT)
+
+    def read(self, path: Path, truth: RasterTruth) -> np.ndarray:
+        """Read its output file at the sampled cells: horizons (n, azimuths) in degrees, or sky view factors (n,)."""
+        if path.suffix == ".tif":
+            with rasterio.open(path) as dataset:
+                return dataset.read(1)[truth.row, truth.col]
+        values = np.load(path, mmap_mode="r")
+        if self.writes_points:
+            return np.asarray(values)
+        return np.asarray(values[..., truth.row, truth.col]).T
+
+    def truth_deg(self, truth: RasterTruth, reach_cells: float = np.inf) -> np.ndarray:
+        """Return the horizons of rays (n, azimuths) that its own should equal."""
+        horizon_deg = truth.round_deg if self.is_earth_round else truth.flat_deg(reach_cells)
+        return np.maximum(horizon_deg, 0.0) if self.is_clamped else horizon_deg
+
+
+def horizon_raster_tools(python: str) -> list[RasterTool]:
+    """Return all tools for horizons. Python packages are those of the interpreter ``python``."""
+    count, sample = str(AZIMUTH_COUNT), [str(FIRST_SAMPLE), str(SAMPLE_STRIDE)]
+
+    def package(name: str, program: str, is_sampled: bool = False, is_clamped: bool = True) -> RasterTool:
+        return RasterTool(
+            name, False,
+            lambda dem, out, points: [
+                python, str(PROGRAMS_FILE), program, str(dem.path), str(out), count, *(sample if is_sampled else []),
+            ],
+            is_clamped=is_clamped, is_sampled=is_sampled,
+        )  # fmt: skip
+
+    return [
+        RasterTool(
+            "Skugga horizons", True,
+            lambda dem, out, points: [*SKUGGA_RASTER_COMMAND, "horizons", str(dem.path), str(out), count],
+            is_clamped=False,
+        ),
+        package("topocalc", "topocalc_horizons"),
+        package("SurtGIS horizon_angle_map", "surtgis_horizons"),
+        package("Whitebox horizon_angle", "whitebox_horizons", is_sampled=True, is_clamped=False),
+        RasterTool(
+            "GRASS r.horizon", False,
+            lambda dem, out, points: [*grass_command(dem), "r.horizon", str(dem.path), str(out), count, *sample, str(points)],
+            is_earth_round=True, is_clamped=False, is_sampled=True, writes_points=True,
+        ),
+    ]  # fmt: skip
+
+
+def grass_command(dem: QuestionDem) -> list[str]:
+    """Return the command that runs a program of GRASS in a session of its own."""
+    return ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, str(PROGRAMS_FILE)]
+
+
+def sky_view_tools(python: str) -> list[RasterTool]:
+    """Return all tools for sky view factors. Python packages are those of the interpreter ``python``."""
+    count = str(AZIMUTH_COUNT)
+
+    def skugga(kind: str, formula: SkyFormula) -> RasterTool:
+        return RasterTool(
+            f"Skugga sky_view, {kind}", True,
+            lambda dem, out, points: [*SKUGGA_RASTER_COMMAND, "sky_view", str(dem.path), str(out), count, kind],
+            formula=formula,
+        )  # fmt: skip
+
+    def package(name: str, program: str, formula: SkyFormula, reach_cells: int | None = None) -> RasterTool:
+        arguments = [] if reach_cells is None else [str(reach_cells)]
+        return RasterTool(
+            name if reach_cells is None else f"{name}, {reach_cells} cells", False,
+            lambda dem, out, points: [python, str(PROGRAMS_FILE), program, str(dem.path), str(out), count, *arguments],
+            formula=formula, reach_cells=np.inf if reach_cells is None else reach_cells,
+        )  # fmt: skip
+
+    def saga(name: str, method: str) -> RasterTool:
+        return RasterTool(
+            f"SAGA Sky View Factor, {name}", False,
+            lambda dem, out, points: [
+                "saga_cmd", "-f=s", "ta_lighting", "3", "-DEM", str(dem.path), "-VISIBLE", str(out.with_name("visible.tif")),
+                "-SVF", str(out), "-RADIUS", "0", "-NDIRS", count, "-METHOD", method,
+            ],
+            suffix=".tif", formula=saga_sky, side_weight=0.0,
+        )  # fmt: skip
+
+    return [
+        skugga("solid_angle", solid_angle_sky),
+        skugga("cosine", cosine_sky),
+        skugga("tilted", tilted_sky),
+        RasterTool(
+            "GRASS r.skyview", False,
+            lambda dem, out, points: [*grass_command(dem), "r.skyview", str(dem.path), str(out), count],
+            suffix=".tif", formula=solid_angle_sky, is_earth_round=True,
+        ),
+        saga("cell size", "0"),
+        saga("multi scale", "1"),
+        package("topocalc viewf", "topocalc_sky_view", topocalc_sky),
+        *(package("xarray-spatial", "xrspatial_sky_view", solid_angle_sky, reach) for reach in REACHES_CELLS),
+        *(package("RVT", "rvt_sky_view", solid_angle_sky, reach) for reach in REACHES_CELLS),
+        *(package("SurtGIS", "surtgis_sky_view", cosine_sky, reach) for reach in REACHES_CELLS),
+    ]  # fmt: skip
+
+
+def measure_raster(
+    question: str, tools: list[RasterTool], dem: QuestionDem, truth: RasterTruth, left_out: dict[str, str]
+) -> Iterator[SunAnswer]:
+    """Measure tools on a raster, one run each, and yield their results.
+
+    Tools that fail are added to ``left_out`` with the reason. An untimed run of Skugga's commands compiles the loops first.
+    """
+    points = dem.path.with_name("points.txt")
+    truth.write_points(points)
+    part = np.ascontiguousarray(dem.height_m[:WARM_UP_SIDE, :WARM_UP_SIDE])
+    warm_up_dem = write_question_dem("warm up", part, dem.cell_m, dem.crs, dem.middle_m[1], dem.path.parent)
+    for tool in tools:
+        out = dem.path.with_name(f"result{tool.suffix}")
+        try:
+            if tool.is_skugga:
+                run_process(tool.command(warm_up_dem, out, points), out)
+            run = run_process(tool.command(dem, out, points), out)
+        except RuntimeError as error:
+            left_out[tool.name] = str(error)
+            continue
+        errors, errors_in_reach, errors_as_is = _errors(tool, tool.read(out, truth), truth)
+        out.unlink()
+        compute_s = run.compute_s or 0.0
+        unmeasured_s = compute_s * (AZIMUTH_COUNT / len(tool.azimuth_indices) - 1.0)
+        yield SunAnswer(
+            question, dem.name, tool.name, tool.is_skugga, None if run.compute_s is None else compute_s + unmeasured_s,
+            run.wall_s + unmeasured_s, run.cpu_s + unmeasured_s * run.cores,
+            float(errors.mean()), float(np.percentile(errors, 99)),
+            None if errors_as_is is None else float(errors_as_is.mean()), tool.is_sampled,
+            None if errors_in_reach is None else float(errors_in_reach.mean()), run.peak_mb,
+        )  # fmt: skip
+
+
+def _errors(tool: RasterTool, values: np.ndarray, truth: RasterTruth) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return a tool's absolute errors at the sampled cells, degrees or per cent of the sky.
+
+    They are errors against rays to the rim, against rays within the tool's reach (``None`` if it reaches the rim), and, of horizons,
+    against those on the round earth that may be negative (else ``None``).
+    """
+    if tool.formula is None:
+        index = tool.azimuth_indices
+        return np.abs(values - tool.truth_deg(truth)[:, index]), None, np.abs(values - truth.round_deg[:, index])
+    rises = truth.rises(tool.side_weight)
+    reaches = (np.inf,) if np.isinf(tool.reach_cells) else (np.inf, tool.reach_cells)
+    errors = [100.0 * np.abs(values - tool.formula(tool.truth_deg(truth, reach), rises)) for reach in reaches]
+    return errors[0], errors[1] if len(errors) == 2 else None, None
