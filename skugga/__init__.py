@@ -24,7 +24,7 @@ from skugga.terrain.level.gdal_guard import limit_gdal_caches
 
 if TYPE_CHECKING:
     __version__: str
-    from skugga.api.library.arrays import horizon, shadow, sunlit
+    from skugga.api.library.arrays import horizon, horizons, shadow, sky_view, sunlit
     from skugga.api.library.arrays import sun_hours_of_array as sun_hours
     from skugga.api.library.opened_level import OpenLevel, open_heights, open_level
     from skugga.terrain.errors import SkuggaError
@@ -34,9 +34,11 @@ else:
         "OpenLevel": ("skugga.api.library.opened_level", "OpenLevel"),
         "SkuggaError": ("skugga.terrain.errors", "SkuggaError"),
         "horizon": ("skugga.api.library.arrays", "horizon"),
+        "horizons": ("skugga.api.library.arrays", "horizons"),
         "open_heights": ("skugga.api.library.opened_level", "open_heights"),
         "open_level": ("skugga.api.library.opened_level", "open_level"),
         "shadow": ("skugga.api.library.arrays", "shadow"),
+        "sky_view": ("skugga.api.library.arrays", "sky_view"),
         "sun_hours": ("skugga.api.library.arrays", "sun_hours_of_array"),
         "sunlit": ("skugga.api.library.arrays", "sunlit"),
     }
@@ -59,7 +61,9 @@ else:
         return sorted({*globals(), *__all__})
 
 
-__all__ = ["OpenLevel", "SkuggaError", "horizon", "open_heights", "open_level", "shadow", "sun_hours", "sunlit"]
+__all__ = [
+    "OpenLevel", "SkuggaError", "horizon", "horizons", "open_heights", "open_level", "shadow", "sky_view", "sun_hours", "sunlit",
+]  # fmt: skip
 
 limit_gdal_caches()  # before the importing code opens a raster, or starts a process that opens one
 register_accessor()

@@ -20,6 +20,7 @@ from pydantic_core import PydanticCustomError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from skugga.shadows.horizons.azimuths import MAX_AZIMUTHS, MIN_AZIMUTHS
 from skugga.terrain.errors import InputError, Problem, SkuggaError
 from skugga.terrain.geo.clock import parse_date
 from skugga.terrain.level.level import Shadows
@@ -252,6 +253,7 @@ AzimuthDeg = Annotated[float, Field(ge=-360.0, le=720.0)]
 AltitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
 LineCount = Annotated[int, Field(ge=1, le=64)]
 CoreCount = Annotated[int, Field(ge=1, le=1024)]
+AzimuthCount = Annotated[int, Field(ge=MIN_AZIMUTHS, le=MAX_AZIMUTHS)]
 LatitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
 LongitudeDeg = Annotated[float, Field(ge=-540.0, le=540.0)]
 DayCount = Annotated[int, Field(ge=1)]

@@ -10,6 +10,7 @@ from affine import Affine
 
 from skugga.api.library.argument_types import (
     AltitudeDeg,
+    AzimuthCount,
     AzimuthDeg,
     CellSides,
     CoreCount,
@@ -19,7 +20,9 @@ from skugga.api.library.argument_types import (
     LongitudeDeg,
     validate_arguments,
 )
-from skugga.api.library.grids import Heights, HorizonHeights, ShadowHeights
+from skugga.api.library.grids import HORIZON_BYTES_PER_CELL, Heights, HorizonHeights, ShadowHeights
+from skugga.api.library.memory import check_memory
+from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, SkyViewKind, evenly_spaced_azimuths_deg
 from skugga.shadows.sweep import grid as sweep
 from skugga.shadows.sweep.horizon import horizon_deg
 
@@ -132,6 +135,95 @@ def horizon(
         For a wrong argument, and for arrays that do not fit into memory.
     """
     return horizon_deg(cast(np.ndarray, height_m), cast(tuple[float, float], cell_m), azimuth_deg, lines, cores)
+
+
+@validate_arguments
+def horizons(height_m: HorizonHeights, cell_m: CellSides, azimuths: AzimuthCount = DEFAULT_AZIMUTHS) -> np.ndarray:
+    """Return the horizon angles of all nodes of a heightfield towards many azimuths, on all cores.
+
+    Each ray is followed on its own line to the end of the heightfield; there is no radius. In mountains the angles are within 0.005
+    degrees of those of the triangulated heightfield in the mean, and within 0.1 at 99 of 100 nodes. ``horizon`` gives them without
+    this deviation for one azimuth, many times slower.
+
+    Parameters
+    ----------
+    height_m, cell_m
+        As in ``shadow``.
+    azimuths
+        The number of azimuths, 8 to 360, evenly spaced from north, clockwise.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32 (azimuths, rows, cols), degrees; -90 if no ground lies towards the azimuth, NaN without ground.
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument, and for arrays that do not fit into memory.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import skugga
+    >>> heights = np.zeros((3, 6))
+    >>> heights[:, 3] = 30.0
+    >>> skugga.horizons(heights, 30.0, azimuths=8)[2, 1]  # towards the east
+    array([ 18.434948,  26.56505 ,  45.      , -26.56505 ,   0.      ,
+           -90.      ], dtype=float32)
+    """
+    from skugga.shadows.horizons.scan import HorizonGrid, horizon_angles_deg, north_up_cell
+
+    heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
+    rows, cols = heights.shape
+    check_memory("azimuths", rows, cols, HORIZON_BYTES_PER_CELL + 4.0 * azimuths, "Use fewer azimuths, or a part of the heights")
+    return horizon_angles_deg(HorizonGrid(heights, north_up_cell(*sides)), evenly_spaced_azimuths_deg(azimuths))
+
+
+@validate_arguments
+def sky_view(
+    height_m: HorizonHeights,
+    cell_m: CellSides,
+    kind: SkyViewKind = "solid_angle",
+    azimuths: AzimuthCount = DEFAULT_AZIMUTHS,
+) -> np.ndarray:
+    """Return the sky view factor of all nodes of a heightfield, on all cores.
+
+    Parameters
+    ----------
+    height_m, cell_m
+        As in ``shadow``.
+    kind
+        The definition, with h the horizon angle or 0, whichever is larger. ``solid_angle``: 1 - mean sin h, the visible share of
+        the sky. ``cosine``: mean cos2 h, the share of a uniform sky's light on a level plane. ``tilted``: the same on the ground's
+        own plane, which hides the sky, too. ``openness`` and ``negative_openness``: mean zenith angles of the horizon in degrees,
+        also above 90, of the ground and of the ground turned upside down.
+    azimuths
+        The number of azimuths, 8 to 360.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32 (rows, cols), 0 to 1 or degrees; NaN without ground.
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument, and for arrays that do not fit into memory.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import skugga
+    >>> ramp = np.tile(np.arange(9.0), (9, 1))  # 45 degrees steep
+    >>> skugga.sky_view(ramp, 1.0)[4, 4].round(2), skugga.sky_view(ramp, 1.0, kind="tilted")[4, 4].round(3)
+    (np.float32(0.75), np.float32(0.854))
+    """
+    from skugga.shadows.horizons.scan import HorizonGrid, north_up_cell
+    from skugga.shadows.horizons.sky_view import sky_view_factor
+
+    heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
+    return sky_view_factor(HorizonGrid(heights, north_up_cell(*sides)), kind, azimuths)
 
 
 @validate_arguments

@@ -28,8 +28,8 @@ from skugga.terrain.scene import Scene
 DEFAULT_BUDGET_S = 10.0
 """Default time limit of a probe of one view in seconds.
 
-A probe ends as soon as no other candidate is expected to be better, in half of the views within a second. In a wooded view of more
-than a million pixels geometry, truth, and the first drawing alone take three seconds, so a shorter limit would end with one drawing.
+A probe ends as soon as no other candidate is expected to be better, in half of the views after about a second. In a wooded view of
+more than a million pixels geometry, truth, and the first drawing alone take three seconds: a shorter limit would allow one drawing.
 """
 
 UNCALIBRATED_PROBE_REASON = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"

@@ -52,7 +52,9 @@ def select(
     ] = "probe",
     budget: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Time limit of a probe, such as 30s or 1m. Default: 10s, and 3s a scale with --all-scales."),
+        typer.Option(
+            metavar="TIME", help="Time limit of a probe, such as 30s or 1m. Default: 10s, and 3s a scale with --all-scales."
+        ),
     ] = None,
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
