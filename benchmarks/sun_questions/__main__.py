@@ -3,12 +3,12 @@
     python -m benchmarks.sun_questions DATA --python PATH [--side 300] [--cells 1000] [--only hours,point,masks,horizons,sky]
         [--rasters "Big Tujunga,Essen,Quebec"] [--write-only]
 
-DATA is a folder with the rasters of ``commands_and_rasters.WHOLE_RASTERS``. ``--python`` is the interpreter of the Python packages
-(`pip install whitebox-workflows insolation numba scipy solweig rasterio xarray-spatial surtgis` with Python 3.12, and `pip install
---no-build-isolation topocalc`, `pip install --no-deps rvt-py`); GRASS is Debian's `grass-core`, SAGA its `saga`. Tools that are missing
-or fail are reported and skipped. ``--side`` is the side of the crops of the rasters for the sun hours, cells. ``--only`` measures some
-questions again, ``--rasters`` some rasters of the questions ``horizons`` and ``sky``; other figures are kept. ``--write-only`` measures
-nothing.
+DATA is a folder with the rasters of ``commands_and_rasters.WHOLE_RASTERS``. ``--python`` is the interpreter of the Python
+packages, of Python 3.12 (`pip install whitebox-workflows insolation numba scipy solweig rasterio xarray-spatial surtgis`, `pip
+install --no-build-isolation topocalc` and `pip install --no-deps rvt-py`). GRASS is Debian's `grass-core`, SAGA its `saga`. Tools
+that are missing or fail are reported and skipped. ``--side`` is the side of the crops of the rasters for the sun hours, cells.
+``--only`` measures some questions again, ``--rasters`` some rasters of the questions ``horizons`` and ``sky``; other figures are
+kept. ``--write-only`` measures nothing.
 """
 
 from __future__ import annotations
@@ -136,9 +136,13 @@ class Measurements:
             dem = read_dem(self._data, name, None, self._folder)
             if dem is not None:
                 rows, cols = dem.height_m.shape
-                description = f"{WHOLE_RASTERS[name][2]}, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled"
-                self._add_case(question, name, description)
                 truth = self._truth_by_raster.setdefault(name, RasterTruth(dem, self._cells))
+                self._add_case(
+                    question,
+                    name,
+                    f"{WHOLE_RASTERS[name][2]}, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled; the two "
+                    f"cuts of quads differ by {truth.mean_cut_deg:.2f} degrees of horizon in the mean",
+                )
                 for answer in measure_raster(question, tools, dem, truth, self.left_out):
                     self._add_answer(answer)
 
@@ -162,7 +166,7 @@ class Measurements:
 
 
 def measure_questions(data: Path, python: str, side: int, cells: int, only: list[str], rasters: list[str]) -> SunComparison:
-    """Measure the questions in ``only`` (keys of ``QUESTION_BY_OPTION``). The stored figures of other questions and rasters are kept.
+    """Measure the questions in ``only`` (keys of ``QUESTION_BY_OPTION``). Stored figures of other questions and rasters are kept.
 
     The other parameters are those of ``Measurements``.
     """
@@ -218,9 +222,7 @@ def main() -> None:
             parser.error(f"DATA is missing, or --only is invalid. Allowed for --only: {', '.join(QUESTION_BY_OPTION)}.")
         if not set(args.rasters.split(",")) <= set(WHOLE_RASTERS):
             parser.error(f"--rasters is invalid. Allowed: {', '.join(WHOLE_RASTERS)}.")
-        comparison = measure_questions(
-            args.data, args.python, args.side, args.cells, args.only.split(","), args.rasters.split(",")
-        )
+        comparison = measure_questions(args.data, args.python, args.side, args.cells, args.only.split(","), args.rasters.split(","))
         FIGURES_FILE.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
     PAGE.write_text(format_sun_page(SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))), "utf-8")
 

@@ -25,7 +25,7 @@ SKUGGA_PYTHON = ["env", f"PYTHONPATH={ROOT}", sys.executable]
 SKUGGA_COMMAND = [*SKUGGA_PYTHON, "-c", "from skugga.api.cli.main import main; main()"]
 
 SKUGGA_RASTER_COMMAND = [*SKUGGA_PYTHON, str(Path(__file__).with_name("raster_programs.py"))]
-"""Command that computes horizons or sky view factors of a whole raster with Skugga. Its arguments are those of ``raster_programs``."""
+"""Command that computes horizons or sky view factors of a whole raster with Skugga, with the arguments of ``raster_programs``."""
 
 RASTERS = {
     "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),

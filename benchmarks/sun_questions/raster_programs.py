@@ -10,8 +10,8 @@
     PYTHON raster_programs.py r.skyview dem.tif out.tif COUNT
 
 COUNT azimuths go clockwise round the grid's north, the first of them north. A program for horizons computes the azimuths FIRST,
-FIRST + STRIDE and so on of them, and writes degrees, float32 (azimuths, rows, cols). RADIUS is in cells. A program reads the raster,
-computes, writes the result, and prints the seconds of computing, which include those of compiling loops. ``r.horizon`` and
+FIRST + STRIDE and so on of them, and writes degrees, float32 (azimuths, rows, cols). RADIUS is in cells. A program reads the
+raster, computes, writes the result, and prints the seconds of computing, which include those of compiling loops. ``r.horizon`` and
 ``r.skyview`` run inside a GRASS session. Only ``horizons`` and ``sky_view`` import Skugga.
 """
 
@@ -171,8 +171,8 @@ def _import_dem(path: str) -> None:
 def r_horizon(path: str, out: str, count: str, first: str, stride: str, points: str) -> float:
     """Compute GRASS's horizons as raster maps, and write those of n points, degrees (n, azimuths).
 
-    A line of the file ``points`` has an easting and a northing. The directions of GRASS are 0 in the east and grow anticlockwise. Each
-    azimuth is a call, because GRASS 8.2 leaves out the last of several that do not begin with 0.
+    A line of the file ``points`` has an easting and a northing. The directions of GRASS are 0 in the east and grow anticlockwise.
+    Each azimuth of a sample is a call, because GRASS 8.2 leaves out the last of several that do not begin with 0.
     """
     import numpy as np
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +24,8 @@ AZIMUTH_COUNT = 72
 AZIMUTHS_DEG = 360.0 / AZIMUTH_COUNT * np.arange(AZIMUTH_COUNT)
 
 FIRST_SAMPLE, SAMPLE_STRIDE = 5, 12
-"""Of slow tools only the azimuths of these indices are measured, and their seconds are multiplied. None of them lies on an axis or a
-diagonal of the grid."""
+"""Of slow tools only the azimuths of these indices are measured, and their seconds are multiplied. None of them lies on an axis or
+a diagonal of the grid."""
 
 REACHES_CELLS = (10, 100)
 """Distances, in cells, up to which tools look that cannot look to the rim in a time that anybody waits. The first is the default of
@@ -105,22 +104,27 @@ class RasterTruth:
         self._dem = dem
         rng = np.random.default_rng(1)
         self.row, self.col = (rng.integers(MARGIN_CELLS, length - MARGIN_CELLS, cells) for length in dem.height_m.shape)
-        self._flat_by_reach: dict[float, np.ndarray] = {}
+        self._horizons: dict[tuple[bool, float, bool], np.ndarray] = {}
 
-    def flat_deg(self, reach_cells: float = np.inf) -> np.ndarray:
-        """Return horizons in a flat world towards azimuths from the grid's north, of ground at most ``reach_cells`` away."""
-        if reach_cells not in self._flat_by_reach:
-            self._flat_by_reach[reach_cells] = np.stack([
-                flat_horizon(self._dem, row, col, AZIMUTHS_DEG, reach_cells) for row, col in zip(self.row, self.col, strict=True)
+    def horizons_deg(self, is_earth_round: bool, reach_cells: float = np.inf, cuts_lower: bool = False) -> np.ndarray:
+        """Return horizons in a flat world towards azimuths from the grid's north, or on the round earth from true north.
+
+        In a flat world ground counts that is at most ``reach_cells`` away. ``cuts_lower`` is explained in ``exact_horizon``.
+        """
+        key = is_earth_round, reach_cells, cuts_lower
+        if key not in self._horizons:
+            self._horizons[key] = np.stack([
+                true_horizon(self._dem, row, col, AZIMUTHS_DEG, cuts_lower)
+                if is_earth_round
+                else flat_horizon(self._dem, row, col, AZIMUTHS_DEG, reach_cells, cuts_lower)
+                for row, col in zip(self.row, self.col, strict=True)
             ])  # fmt: skip
-        return self._flat_by_reach[reach_cells]
+        return self._horizons[key]
 
-    @cached_property
-    def round_deg(self) -> np.ndarray:
-        """Horizons on the round earth towards azimuths from true north."""
-        return np.stack([
-            true_horizon(self._dem, row, col, AZIMUTHS_DEG) for row, col in zip(self.row, self.col, strict=True)
-        ])  # fmt: skip
+    @property
+    def mean_cut_deg(self) -> float:
+        """Mean difference of the horizons over quads that are cut along their higher and their lower diagonals, degrees."""
+        return float(np.abs(self.horizons_deg(False) - self.horizons_deg(False, cuts_lower=True)).mean())
 
     def rises(self, side_weight: float) -> np.ndarray:
         """Return the rises of the cells' planes (n, azimuths). See ``plane_rises``."""
@@ -187,10 +191,22 @@ class RasterTool:
             return np.asarray(values)
         return np.asarray(values[..., truth.row, truth.col]).T
 
-    def truth_deg(self, truth: RasterTruth, reach_cells: float = np.inf) -> np.ndarray:
-        """Return the horizons of rays (n, azimuths) that its own should equal."""
-        horizon_deg = truth.round_deg if self.is_earth_round else truth.flat_deg(reach_cells)
-        return np.maximum(horizon_deg, 0.0) if self.is_clamped else horizon_deg
+    def errors(self, values: np.ndarray, truth: RasterTruth, reach_cells: float, cuts_lower: bool) -> np.ndarray:
+        """Return the absolute errors of its answers at the sampled cells, degrees or per cent of the sky.
+
+        ``reach_cells`` and ``cuts_lower`` are those of the rays (``RasterTruth.horizons_deg``).
+        """
+        horizon_deg = truth.horizons_deg(self.is_earth_round, reach_cells, cuts_lower)
+        if self.formula is not None:
+            return 100.0 * np.abs(values - self.formula(horizon_deg, truth.rises(self.side_weight)))
+        horizon_deg = horizon_deg[:, self.azimuth_indices]
+        return np.abs(values - (np.maximum(horizon_deg, 0.0) if self.is_clamped else horizon_deg))
+
+    def errors_by_its_ground(self, values: np.ndarray, truth: RasterTruth, reach_cells: float = np.inf) -> np.ndarray:
+        """Return its errors over the quads, cut along their higher or their lower diagonals, that suit it better."""
+        if self.is_skugga:
+            return self.errors(values, truth, reach_cells, False)
+        return min((self.errors(values, truth, reach_cells, cuts_lower) for cuts_lower in (False, True)), key=np.mean)
 
 
 def horizon_raster_tools(python: str) -> list[RasterTool]:
@@ -236,7 +252,7 @@ def sky_view_tools(python: str) -> list[RasterTool]:
         return RasterTool(
             f"Skugga sky_view, {kind}", True,
             lambda dem, out, points: [*SKUGGA_RASTER_COMMAND, "sky_view", str(dem.path), str(out), count, kind],
-            formula=formula,
+            formula=formula, side_weight=0.0,
         )  # fmt: skip
 
     def package(name: str, program: str, formula: SkyFormula, reach_cells: int | None = None) -> RasterTool:
@@ -295,7 +311,10 @@ def measure_raster(
         except RuntimeError as error:
             left_out[tool.name] = str(error)
             continue
-        errors, errors_in_reach, errors_as_is = _errors(tool, tool.read(out, truth), truth)
+        values = tool.read(out, truth)
+        errors = tool.errors_by_its_ground(values, truth)
+        in_reach = None if np.isinf(tool.reach_cells) else tool.errors_by_its_ground(values, truth, tool.reach_cells)
+        as_is = np.abs(values - truth.horizons_deg(True)[:, tool.azimuth_indices]) if tool.formula is None else None
         out.unlink()
         compute_s = run.compute_s or 0.0
         unmeasured_s = compute_s * (AZIMUTH_COUNT / len(tool.azimuth_indices) - 1.0)
@@ -303,21 +322,6 @@ def measure_raster(
             question, dem.name, tool.name, tool.is_skugga, None if run.compute_s is None else compute_s + unmeasured_s,
             run.wall_s + unmeasured_s, run.cpu_s + unmeasured_s * run.cores,
             float(errors.mean()), float(np.percentile(errors, 99)),
-            None if errors_as_is is None else float(errors_as_is.mean()), tool.is_sampled,
-            None if errors_in_reach is None else float(errors_in_reach.mean()), run.peak_mb,
+            None if as_is is None else float(as_is.mean()), tool.is_sampled,
+            None if in_reach is None else float(in_reach.mean()), run.peak_mb,
         )  # fmt: skip
-
-
-def _errors(tool: RasterTool, values: np.ndarray, truth: RasterTruth) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Return a tool's absolute errors at the sampled cells, degrees or per cent of the sky.
-
-    They are errors against rays to the rim, against rays within the tool's reach (``None`` if it reaches the rim), and, of horizons,
-    against those on the round earth that may be negative (else ``None``).
-    """
-    if tool.formula is None:
-        index = tool.azimuth_indices
-        return np.abs(values - tool.truth_deg(truth)[:, index]), None, np.abs(values - truth.round_deg[:, index])
-    rises = truth.rises(tool.side_weight)
-    reaches = (np.inf,) if np.isinf(tool.reach_cells) else (np.inf, tool.reach_cells)
-    errors = [100.0 * np.abs(values - tool.formula(tool.truth_deg(truth, reach), rises)) for reach in reaches]
-    return errors[0], errors[1] if len(errors) == 2 else None, None
