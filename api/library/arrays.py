@@ -169,15 +169,16 @@ def horizons(height_m: HorizonHeights, cell_m: CellSides, azimuths: AzimuthCount
     >>> heights = np.zeros((3, 6))
     >>> heights[:, 3] = 30.0
     >>> skugga.horizons(heights, 30.0, azimuths=8)[2, 1]  # towards the east
-    array([ 18.434948,  26.56505 ,  45.      , -26.56505 ,   0.      ,
-           -90.      ], dtype=float32)
+    array([ 18.434948,  26.56505 ,  45.      , -18.434948,   0.      ,
+             0.      ], dtype=float32)
     """
-    from skugga.shadows.horizons.scan import HorizonGrid, horizon_angles_deg, north_up_cell
+    from skugga.shadows.horizons.grid import grid_of_array
+    from skugga.shadows.horizons.scan import horizon_angles_deg
 
     heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
     rows, cols = heights.shape
     check_memory("azimuths", rows, cols, HORIZON_BYTES_PER_CELL + 4.0 * azimuths, "Use fewer azimuths, or a part of the heights")
-    return horizon_angles_deg(HorizonGrid(heights, north_up_cell(*sides)), evenly_spaced_azimuths_deg(azimuths))
+    return horizon_angles_deg(grid_of_array(heights, sides), evenly_spaced_azimuths_deg(azimuths))
 
 
 @validate_arguments
@@ -219,11 +220,11 @@ def sky_view(
     >>> skugga.sky_view(ramp, 1.0)[4, 4].round(2), skugga.sky_view(ramp, 1.0, kind="tilted")[4, 4].round(3)
     (np.float32(0.75), np.float32(0.854))
     """
-    from skugga.shadows.horizons.scan import HorizonGrid, north_up_cell
+    from skugga.shadows.horizons.grid import grid_of_array
     from skugga.shadows.horizons.sky_view import sky_view_factor
 
     heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
-    return sky_view_factor(HorizonGrid(heights, north_up_cell(*sides)), kind, azimuths)
+    return sky_view_factor(grid_of_array(heights, sides), kind, azimuths)
 
 
 @validate_arguments

@@ -38,6 +38,9 @@ TESTED_ROWS = 4
 NO_GROUND_M = np.float32(-1e30)
 """Height of nodes without ground."""
 
+NO_EYE_M = np.float32(3e38)
+"""Height of an eye that does not exist: no ground rises above it, so it keeps no ground from being skipped."""
+
 NO_HORIZON = np.float32(-1e30)
 """Tangent of a horizon without any ground."""
 
@@ -54,7 +57,7 @@ class Ground(NamedTuple):
     ----------
     height_m
         float32 (n, width), metres above a common level, ``NO_GROUND_M`` without ground. Two runs of columns
-        beyond those of the nodes are without ground: rays end there.
+        beyond those of the nodes are without ground: rays end there, and eyes may stand there.
     flat_height_m
         The same values (n * width,).
     highest_m, highest_tall_m
@@ -180,10 +183,11 @@ def _largest(values, row, first_column, last_column):
 
 
 @compiled
-def march(first, last, ground, rays, max_chord_error, out):
-    """Write the tangents of the horizons of rows [first, last) into ``out``, float32 (n, runs * ``RUN``).
+def march(first, last, ground, rays, eye_height_m, eye_row, eye_col, max_chord_error, out):
+    """Raise the tangents of the horizons of eyes in rows [first, last) of ``out``, float32 (n, runs * ``RUN``).
 
-    ``ground`` and ``rays`` are a ``Ground`` and ``Rays``. ``max_chord_error`` is the largest tangent of an angle that may be lost
+    ``ground`` and ``rays`` are a ``Ground`` and ``Rays``. ``eye_height_m`` has the heights of the eyes, as ``out``; their first
+    node is node (``eye_row``, ``eye_col``) of the ground. ``max_chord_error`` is the largest tangent of an angle that may be lost
     between two crossings of rows.
     """
     state = np.empty(2 * RUN, np.float32)
@@ -191,10 +195,12 @@ def march(first, last, ground, rays, max_chord_error, out):
     last_column = width - 2 * RUN - 1
     flat, highest_m, highest_tall_m, roughness_m = ground.flat_height_m, ground.highest_m, ground.highest_tall_m, ground.roughness_m
     terms, column, fall_m, distance_m = rays.row_terms, rays.column, rays.fall_m, rays.distance_m
-    for col in range(0, out.shape[1], RUN):
-        for row in range(first, last):
-            state[:RUN] = NO_HORIZON
-            state[RUN:] = ground.height_m[row, col : col + RUN]
+    for out_col in range(0, out.shape[1], RUN):
+        col = eye_col + out_col
+        for out_row in range(first, last):
+            row = eye_row + out_row
+            state[:RUN] = out[out_row, out_col : out_col + RUN]
+            state[RUN:] = eye_height_m[out_row, out_col : out_col + RUN]
             k = tall_begin = 1
             while k <= row and col + column[k] <= last_column:
                 first_column, nearest_m = col + column[k] - 1, distance_m[k - 1]
@@ -225,7 +231,7 @@ def march(first, last, ground, rays, max_chord_error, out):
                 is_rough = _largest(roughness_m, block_row, first_column, next_column) > max_chord_error * nearest_m
                 if is_near or (is_rough and _may_rise(top_m, nearest_m, distance_m[end], state)):
                     _all_edge_slopes(flat, width, row, col, begin, end, rays, state)
-            out[row, col : col + RUN] = state[:RUN]
+            out[out_row, out_col : out_col + RUN] = state[:RUN]
 
 
 @internal

@@ -15,12 +15,14 @@ definition is one of level ground, and means over the azimuths:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, SkyViewKind, evenly_spaced_azimuths_deg
+from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.march import NO_GROUND_TANGENT
-from skugga.shadows.horizons.scan import AzimuthHorizons, HorizonGrid, horizons_towards
+from skugga.shadows.horizons.scan import AzimuthHorizons, horizons_towards
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 
@@ -33,9 +35,9 @@ def sky_view_factor(grid: HorizonGrid, kind: SkyViewKind, azimuths: int = DEFAUL
     ``kind`` is the definition (see the module). ``azimuths`` is the number of evenly spaced azimuths. Where no ground lies towards
     an azimuth the horizon is level.
     """
-    known = np.isfinite(grid.height_m)
+    known = np.isfinite(grid.eye_heights_m)
     if kind == "negative_openness":
-        grid = HorizonGrid(-grid.height_m, grid.east_north_of_cell_m, -grid.curvature_per_m)
+        grid = upside_down(grid)
     sums = SkyViewSums(grid, kind)
     for horizons in horizons_towards(grid, evenly_spaced_azimuths_deg(azimuths)):
         sums.add(horizons)
@@ -49,7 +51,7 @@ class SkyViewSums:
     """
 
     def __init__(self, grid: HorizonGrid, kind: SkyViewKind) -> None:
-        self._kind, self._total = kind, np.zeros(grid.height_m.shape, np.float32)
+        self._kind, self._total = kind, np.zeros(grid.eye_heights_m.shape, np.float32)
         self._slopes = ground_slopes(grid) if kind == "tilted" else None
         self._orientation: GridOrientation | None = None
         self._sum = np.empty((0, 0), np.float32)
@@ -88,12 +90,23 @@ class SkyViewSums:
         self._orientation = None
 
 
+def upside_down(grid: HorizonGrid) -> HorizonGrid:
+    """Return a grid, its eyes and the ground beyond it turned upside down."""
+    return replace(
+        grid,
+        height_m=-grid.height_m,
+        curvature_per_m=-grid.curvature_per_m,
+        eye_height_m=None if grid.eye_height_m is None else -grid.eye_height_m,
+        far=tuple(replace(part, height_m=-part.height_m) for part in grid.far),
+    )
+
+
 def ground_slopes(grid: HorizonGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rise of the ground to the east and to the north at all nodes, float32 (rows, cols) each.
+    """Return the rise of the ground to the east and to the north at the eyes, float32 (eye rows, eye cols) each.
 
     The differences are central, and one-sided beside ground that is missing; 0 for a node without neighbours.
     """
-    down, right = (_differences(grid.height_m, axis) for axis in (0, 1))
+    down, right = (_differences(grid.shown_height_m, axis)[grid.eyes] for axis in (0, 1))
     # The gradient in cells, (down, right), becomes one in metres: each coordinate of a cell depends on east and on north.
     cells_of = np.linalg.inv(grid.east_north_of_cell_m)
     east = down * np.float32(cells_of[0, 0]) + right * np.float32(cells_of[1, 0])

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from skugga.shadows.horizons import scan
+from skugga.shadows.horizons import turned
 from skugga.shadows.horizons.azimuths import evenly_spaced_azimuths_deg
+from skugga.shadows.horizons.grid import HorizonGrid, north_up_cell
 from skugga.shadows.horizons.march import write_blocks
-from skugga.shadows.horizons.scan import HorizonGrid, horizon_angles_deg, north_up_cell
+from skugga.shadows.horizons.scan import horizon_angles_deg
 from tests.shadows.horizons.walk import walked_tangent
 
 AZIMUTHS_DEG = np.array([0.0, 17.0, 45.0, 61.0, 90.0, 123.4, 180.0, 203.0, 225.0, 287.0, 315.0, 341.0])
@@ -40,7 +41,7 @@ def walked_angles_deg(grid, azimuths_deg, nodes):
     ],
 )
 def test_angles_are_those_of_walked_rays(cell, curvature_per_m, monkeypatch):
-    monkeypatch.setattr(scan, "MAX_CHORD_ERROR", 0.0)
+    monkeypatch.setattr(turned, "MAX_CHORD_ERROR", 0.0)
     grid = HorizonGrid(rough_ground(90, 170), cell, curvature_per_m)
     nodes = [(row, col) for row in (0, 3, 45, 88, 89) for col in (0, 7, 64, 80, 127, 128, 169)]
     angles = horizon_angles_deg(grid, AZIMUTHS_DEG)
@@ -55,7 +56,7 @@ def test_crossings_that_are_left_out_change_angles_by_less_than_the_bound():
     found = np.array([[band[node] for node in nodes] for band in horizon_angles_deg(grid, AZIMUTHS_DEG[::3])])
     lost = np.where(walked > -89.0, walked - found, 0.0)
     assert lost.min() > -2e-3  # samples lie on the surface, so an angle is never too large
-    assert lost.max() < np.degrees(np.arctan(scan.MAX_CHORD_ERROR))
+    assert lost.max() < np.degrees(np.arctan(turned.MAX_CHORD_ERROR))
 
 
 @pytest.mark.parametrize("raster", ["bigtujunga", "essen", "quebec"])
@@ -72,14 +73,14 @@ def test_angles_of_real_ground_hold_their_accuracy(raster, data_heights):
 
 
 def test_the_eight_turns_of_a_grid_have_the_same_angles(monkeypatch):
-    monkeypatch.setattr(scan, "MAX_CHORD_ERROR", 0.0)  # blocks begin elsewhere on a turned grid
+    monkeypatch.setattr(turned, "MAX_CHORD_ERROR", 0.0)  # blocks begin elsewhere on a turned grid
     height_m = rough_ground(70, 150, seed=3)
     plain = horizon_angles_deg(HorizonGrid(height_m, north_up_cell(30.0, 30.0)), evenly_spaced_azimuths_deg(8))
     for mirrored in (False, True):
         for turns in range(4):
-            turned = np.rot90(height_m[:, ::-1] if mirrored else height_m, turns)  # counterclockwise, by 90 degrees each
+            turned_m = np.rot90(height_m[:, ::-1] if mirrored else height_m, turns)  # counterclockwise, by 90 degrees each
             numbers = (np.arange(8) * (-1 if mirrored else 1) - 2 * turns) % 8
-            bands = horizon_angles_deg(HorizonGrid(turned, north_up_cell(30.0, 30.0)), evenly_spaced_azimuths_deg(8))
+            bands = horizon_angles_deg(HorizonGrid(turned_m, north_up_cell(30.0, 30.0)), evenly_spaced_azimuths_deg(8))
             for number in range(8):
                 expected = np.rot90(plain[number][:, ::-1] if mirrored else plain[number], turns)
                 np.testing.assert_allclose(bands[numbers[number]], expected, atol=1e-4)

@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
-from skugga.shadows.horizons import scan
+from skugga.shadows.horizons import turned
 from skugga.shadows.horizons.azimuths import SKY_VIEW_KINDS
-from skugga.shadows.horizons.scan import HorizonGrid, north_up_cell
+from skugga.shadows.horizons.grid import HorizonGrid, north_up_cell
 from skugga.shadows.horizons.sky_view import _arctan, ground_slopes, sky_view_factor
 from skugga.terrain.compiled import compiled
 
 ANGLES_DEG = (20.0, 45.0, 60.0)
 
 
-def factor_of(height_m, kind, cell=north_up_cell(1.0, 1.0), azimuths=72):
+SQUARE_METRES = north_up_cell(1.0, 1.0)
+
+
+def factor_of(height_m, kind, cell=SQUARE_METRES, azimuths=72):
     """Return the sky view factor at the middle node."""
     factor = sky_view_factor(HorizonGrid(np.asarray(height_m, np.float32), cell), kind, azimuths)
     return float(factor[height_m.shape[0] // 2, height_m.shape[1] // 2])
@@ -69,15 +72,15 @@ def test_openness_of_a_peak_and_of_a_pit_are_each_other_s():
 
 @pytest.mark.parametrize("kind", SKY_VIEW_KINDS)
 def test_the_eight_turns_of_a_grid_have_the_same_factor(kind, monkeypatch):
-    monkeypatch.setattr(scan, "MAX_CHORD_ERROR", 0.0)  # blocks begin elsewhere on a turned grid
+    monkeypatch.setattr(turned, "MAX_CHORD_ERROR", 0.0)  # blocks begin elsewhere on a turned grid
     random = np.random.default_rng(2)
     height_m = (20.0 * random.random((40, 77))).repeat(2, 0).astype(np.float32)
     cell = north_up_cell(7.0, 7.0)
     plain = sky_view_factor(HorizonGrid(height_m, cell), kind, 16)
     for mirrored in (False, True):
         for turns in range(4):
-            turned, expected = (np.rot90(values[:, ::-1] if mirrored else values, turns) for values in (height_m, plain))
-            np.testing.assert_allclose(sky_view_factor(HorizonGrid(turned, cell), kind, 16), expected, rtol=2e-5)
+            turned_m, expected = (np.rot90(values[:, ::-1] if mirrored else values, turns) for values in (height_m, plain))
+            np.testing.assert_allclose(sky_view_factor(HorizonGrid(turned_m, cell), kind, 16), expected, rtol=2e-5)
 
 
 @pytest.mark.parametrize("kind", SKY_VIEW_KINDS)

@@ -1,0 +1,83 @@
+"""The ground of a block with the objects that stand on it: buildings as part of the surface, trees as crowns above it.
+
+Heights are those of a map's drawn surface, seen from above. So the wall of a building stands between two nodes, and a crown reaches
+down to the ground. Objects count up to ``OBJECT_NODES`` from a block, the bare ground beyond.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skugga.shadows.horizons.block_ground import block_grid
+from skugga.shadows.horizons.grid import HorizonGrid
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
+from skugga.terrain.geo.grid import BLOCK_PX, MapView
+from skugga.terrain.scene import Scene
+
+OBJECT_NODES = 512
+"""Distance from a block, in nodes, up to which objects count."""
+
+MIN_CROWN_M = 0.5
+"""Height of a crown above the surface, metres, from which on it hides the sky overhead."""
+
+
+def has_objects(scene: Scene) -> bool:
+    """Return whether meshes or trees stand on a level's ground."""
+    return bool(set(scene.objects.caster_kinds) - {"relief"})
+
+
+def object_grids(scene: Scene, block: MapView) -> tuple[HorizonGrid, HorizonGrid | None]:
+    """Return the ground of a block with its buildings, and the same with its trees, too; ``None`` without trees.
+
+    The eyes of both stand on the ground and on roofs, below the trees.
+    """
+    bare = block_grid(scene, block)
+    margins = [
+        (min(eyes.start, OBJECT_NODES), min(total - eyes.stop, OBJECT_NODES))
+        for eyes, total in zip(bare.eyes, bare.height_m.shape, strict=True)
+    ]
+    (up, down), (before, after) = margins
+    window = block.part(-up, -before, block.rows + up + down, block.cols + before + after)
+    place = (
+        slice(bare.eyes[0].start - up, bare.eyes[0].stop + down),
+        slice(bare.eyes[1].start - before, bare.eyes[1].stop + after),
+    )
+    solid = _with_surface(bare, place, _surface_height_m(_without_trees(scene), window))
+    if "forest" not in scene.objects.caster_kinds:
+        return solid, None
+    wooded = _with_surface(solid, place, _surface_height_m(scene, window))
+    return solid, replace(wooded, eye_height_m=solid.eye_heights_m)
+
+
+def is_under_crown(solid: HorizonGrid, wooded: HorizonGrid) -> np.ndarray:
+    """Return which eyes have a crown above them, bool (eye rows, eye cols)."""
+    return wooded.height_m[wooded.eyes] > solid.height_m[solid.eyes] + np.float32(MIN_CROWN_M)
+
+
+def _with_surface(grid: HorizonGrid, place: tuple[slice, slice], surface_m: np.ndarray) -> HorizonGrid:
+    """Return a grid whose ground is raised to a surface, float32, at the nodes of ``place``; NaN leaves it as it is."""
+    height_m = grid.height_m.copy()
+    height_m[place] = np.fmax(height_m[place], surface_m)
+    return replace(grid, height_m=height_m)
+
+
+def _surface_height_m(scene: Scene, window: MapView) -> np.ndarray:
+    """Return the heights of the drawn surface at the pixels of a map, float32 (rows, cols), metres; NaN without a surface."""
+    out = np.full((window.rows, window.cols), np.nan, np.float32)
+    for row in range(0, window.rows, BLOCK_PX):
+        for col in range(0, window.cols, BLOCK_PX):
+            part = window.part(row, col, min(BLOCK_PX, window.rows - row), min(BLOCK_PX, window.cols - col))
+            buffer = geometry_buffer(scene, part)
+            out[row : row + part.rows, col : col + part.cols] = np.where(buffer.valid, buffer.height_m, np.float32(np.nan))
+    return out
+
+
+def _without_trees(scene: Scene) -> Scene:
+    """Return a scene without its trees."""
+    level = scene.loaded.level
+    if not level.forest:
+        return scene
+    bare = scene.loaded.model_copy(update={"level": level.model_copy(update={"forest": type(level.forest)()})})
+    return replace(scene, loaded=bare, objects=replace(scene.objects, loaded=bare))
