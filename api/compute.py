@@ -114,7 +114,7 @@ def compute(
     nodes = view.with_pixels_as_nodes()
     if not view.is_on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
         return ComputedProduct(_compute_block(scene, nodes, product, request.options))
-    out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
+    out = product.empty_array(request.options, nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # as for tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
         window, block_window = overlap_windows(nodes, block, row, col)
@@ -220,9 +220,9 @@ def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOp
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
-def _blocks_of_view(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+def _blocks_of_view(scene: Scene, view: MapView, product: Product, options: Any) -> list[tuple[MapView, int, int]]:
     """Return the blocks in which a product of a map view is computed: each as a view, with its first row and column in ``view``."""
-    return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
+    return blocks_of(view) if product.blocks is None else product.blocks(scene, view, options)
 
 
 def _padded(view: ViewT, margin_px: int) -> ViewT:
@@ -303,7 +303,7 @@ def raster_parts(
     requests.
     """
     product, view = planned_requests[0].request.product_record, raster.view
-    blocks = _blocks_of_view(scene, view, product)
+    blocks = _blocks_of_view(scene, view, product, planned_requests[0].request.options)
     total = sum(product.step_count(planned_request.request.options) for planned_request in planned_requests) * len(blocks)
     done = 0
 
@@ -350,7 +350,7 @@ def write_rasters(
     ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the
     errors of ``plan_requests`` and ``raster_parts``, and ``OSError``.
     """
-    planned_requests, product = plan_requests(scene, raster, requests, overrides or {}), requests[0].product_record
+    planned_requests = plan_requests(scene, raster, requests, overrides or {})
     metadata = [raster_metadata(planned_request, overrides or {}) for planned_request in planned_requests]
     with ExitStack() as stack:
         files: list[RasterFile] = [
@@ -360,14 +360,12 @@ def write_rasters(
                     raster.crs,
                     raster.transform,
                     raster.shape,
-                    product.bands,
-                    product.dtype,
-                    product.nodata,
-                    product.is_smooth,
+                    request.product_record.profile(request.options),
+                    request.product_record.is_smooth,
                     file_metadata,
                 )  # fmt: skip
             )
-            for path, file_metadata in zip(paths, metadata, strict=True)
+            for request, path, file_metadata in zip(requests, paths, metadata, strict=True)
         ]
         for part in raster_parts(scene, raster, planned_requests, on_step):
             files[part.request].write(part.row, part.col, part.array)
@@ -378,7 +376,7 @@ def write_rasters(
 def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, overrides: dict[str, Any] | None = None) -> np.ndarray:
     """Return a raster as one array (rows, cols) or (rows, cols, bands). Raises the errors of ``write_rasters``."""
     planned_requests = plan_requests(scene, raster, [request], overrides or {})
-    out = request.product_record.empty_array(*raster.shape, scene.height_range_m[0])
+    out = request.product_record.empty_array(request.options, *raster.shape, scene.height_range_m[0])
     for part in raster_parts(scene, raster, planned_requests):
         rows, cols = part.array.shape[:2]
         out[part.row : part.row + rows, part.col : part.col + cols] = part.array

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.api.png import encode_png
-from skugga.api.products.product import PICTURE_FORMATS, Product, ProductOptions
+from skugga.api.products.product import PICTURE_FORMATS, Product, ProductOptions, RasterProfile
 from skugga.terrain.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> 
     return product.to_picture(array, picture.frame.color)
 
 
-def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
+def encode(array: np.ndarray, product: Product, options: ProductOptions, format: str, view: object = None) -> bytes:
     """Return an array of a product as a file. The array is the result of ``apply_color_scale`` for the format.
 
     Only display products (shaded pictures) are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows
@@ -60,16 +60,16 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
         return out.getvalue()
     if format == "jpg" and array.ndim == 3 and array.shape[2] == 4:
         array = composite_over(array, (255, 255, 255))[..., :3]
-    return encode_exactly(array, product, format, view)
+    return encode_exactly(array, product, options, format, view)
 
 
-def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
+def encode_exactly(array: np.ndarray, product: Product, options: ProductOptions, format: str, view: object = None) -> bytes:
     """Return an array as a file with all channels, after ``apply_color_scale``. Only JPEG loses information.
 
     A GeoTIFF is georeferenced by ``view``, if it is a map view.
     """
     if format == "tif":
-        return encode_geotiff(array, view, product.nodata)
+        return encode_geotiff(array, view, product.profile(options))
     if format == "npy":
         return encode_npy(array)
     return encode_picture(array, format)
@@ -99,10 +99,10 @@ def composite_over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarr
     return np.concatenate([blended, np.full_like(picture[..., 3:], 255)], axis=-1)
 
 
-def encode_geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
+def encode_geotiff(array: np.ndarray, view: object, profile: RasterProfile) -> bytes:
     """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF, georeferenced if ``view`` is a map view.
 
-    ``nodata`` is the value of cells without data; ``None`` if all cells have data.
+    ``profile`` has the nodata value and the scale of the array's numbers.
     """
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
@@ -118,9 +118,11 @@ def encode_geotiff(array: np.ndarray, view: object, nodata: float | None) -> byt
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no georeference
         with file.open(
             driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=bands.shape[0], dtype=bands.dtype,
-            **georeference, compress="deflate", nodata=nodata,
+            **georeference, compress="deflate", nodata=profile.nodata,
         ) as dataset:  # fmt: skip
             dataset.write(bands)
+            if profile.scale != 1.0:
+                dataset.scales = [profile.scale] * dataset.count
         return bytes(file.read())
 
 

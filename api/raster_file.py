@@ -18,10 +18,26 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
+from skugga.api.products.product import RasterProfile
 from skugga.terrain.atomic_files import atomic_path, write_error
+from skugga.terrain.cache import MIB
 
 TILE_SIDE_CELLS = 512
 """Side of a tile of the file, cells."""
+
+MIN_TILE_SIDE_CELLS, MAX_TILE_BYTES = 64, 4 * MIB
+"""Side of the tiles of files with many bands: at least so many cells, halved until a tile has at most so many bytes.
+
+A tile holds all bands, and to read a cell is to read its tile.
+"""
+
+
+def tile_side_cells(profile: RasterProfile) -> int:
+    """Return the side of the tiles of a file, cells."""
+    side, cell_bytes = TILE_SIDE_CELLS, profile.bands * np.dtype(profile.dtype).itemsize
+    while side > MIN_TILE_SIDE_CELLS and side * side * cell_bytes > MAX_TILE_BYTES:
+        side //= 2
+    return side
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,33 +124,33 @@ def open_cog(
     crs: CRS,
     transform: Affine,
     shape: tuple[int, int],
-    bands: int,
-    dtype: str,
-    nodata: float | None,
+    profile: RasterProfile,
     is_smooth: bool,
     metadata: RasterMetadata | None = None,
 ) -> Iterator[RasterFile]:
     """Open a cloud-optimised GeoTIFF for writing.
 
-    ``transform`` is GDAL's geotransform, and ``shape`` is (rows, cols). ``nodata`` is the value of cells without data; ``None`` for
-    none. If ``is_smooth``, overviews are means; otherwise they take the nearest cell. The file replaces ``path`` after it has been
-    written and read back. A failure leaves the previous file in place. Raises ``OSError``.
+    ``transform`` is GDAL's geotransform, and ``shape`` is (rows, cols). ``profile`` is the form of the cells. If ``is_smooth``,
+    overviews are means; otherwise they take the nearest cell. The file replaces ``path`` after it has been written and read back. A
+    failure leaves the previous file in place. Raises ``OSError``.
     """
-    rows, cols = shape
+    (rows, cols), side = shape, tile_side_cells(profile)
     with rasterio.Env(), atomic_path(path) as target:
         raw = target.parent / "cells" / "raw.tif"
         raw.parent.mkdir()
         with rasterio.open(
-            raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
-            nodata=nodata, tiled=True, blockxsize=TILE_SIDE_CELLS, blockysize=TILE_SIDE_CELLS, compress="lzw", bigtiff="if_safer",
-            sparse_ok=True,
+            raw, "w", driver="GTiff", width=cols, height=rows, count=profile.bands, dtype=profile.dtype, nodata=profile.nodata,
+            crs=crs.to_wkt(), transform=transform, tiled=True, blockxsize=side, blockysize=side, compress="lzw",
+            bigtiff="if_safer", sparse_ok=True,
         ) as dataset:  # fmt: skip
+            if profile.scale != 1.0:
+                dataset.scales = [profile.scale] * profile.bands
             if metadata is not None:
                 metadata.write(dataset)
             yield RasterFile(dataset)
         try:
             copy(
-                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE_SIDE_CELLS, BIGTIFF="IF_SAFER",
+                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=side, BIGTIFF="IF_SAFER",
                 OVERVIEW_RESAMPLING="AVERAGE" if is_smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
         except Exception as error:  # GDAL's own errors, for which rasterio has no public base class

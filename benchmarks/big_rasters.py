@@ -22,6 +22,7 @@ from affine import Affine
 from pyproj import CRS
 from rasterio.enums import Resampling
 
+from skugga.api.products.product import RasterProfile
 from skugga.api.raster_file import open_cog
 
 SHEET_CELLS = 2048
@@ -103,7 +104,9 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
         return BigRaster(path, side, 0.0)
     phase = (VRT_CELLS - side) // 2 % SHEET_CELLS  # the virtual raster's sheets begin at its corner
     cols = (np.arange(side) + phase) % SHEET_CELLS
-    with open_cog(path, CRS.from_epsg(EPSG), centred_transform(side), (side, side), 1, "int16", NODATA, is_smooth=True) as file:
+    with open_cog(
+        path, CRS.from_epsg(EPSG), centred_transform(side), (side, side), RasterProfile("int16", 1, NODATA), is_smooth=True
+    ) as file:
         for row in range(0, side, STRIP_ROWS):
             rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET_CELLS
             file.write(row, 0, sheet[np.ix_(rows, cols)])

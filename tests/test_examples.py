@@ -73,9 +73,24 @@ def check_winters_day(output: str) -> None:
     assert 0.0 < captured_number(r"median ([\d.]+) h", output) < captured_number(r"\d: ([\d.]+) h", output) + 4.0
 
 
+def check_sky_view(output: str) -> None:
+    """Check the figures of the kinds that the example prints."""
+    mean = {kind: float(value) for kind, value in re.findall(r"^(\w+) +[\d.]+ +([\d.]+) +[\d.]+ +\d+ m$", output, re.MULTILINE)}
+    assert len(mean) == 5 and 0.5 < mean["solid_angle"] < mean["cosine"] < 1.0, "cos2 h is more than 1 - sin h"
+    assert 60.0 < mean["openness"] < 90.0 and 60.0 < mean["negative_openness"] < 90.0
+
+
+def check_many_suns(output: str) -> None:
+    """Check the shares of sun and of agreement that the example prints."""
+    shares = re.findall(r"([\d.]+)% in the sun, ([\d.]+)% as by", output)
+    assert len(shares) == 5 and all(float(agreement) > 98.0 for _, agreement in shares)
+    assert float(shares[0][0]) < float(shares[2][0]), "a low sun reaches less ground than one at noon"
+
+
 OUTPUT_CHECKS = {
     "garden": check_garden, "satellite_scene": check_satellite_scene, "roof_panel": check_roof_panel, "first_sun": check_first_sun,
-    "large_raster": check_large_raster, "a_winters_day": check_winters_day,
+    "large_raster": check_large_raster, "sky_view": check_sky_view, "many_suns": check_many_suns,
+    "a_winters_day": check_winters_day,
 }  # fmt: skip
 
 

@@ -58,7 +58,7 @@ class Snapshot:
         array = apply_color_scale(self.computed.array, product, request.options, self.scene.world, format)
         if format not in ARRAY_FORMATS:
             array = as_picture(array, product, self.computed.picture)
-        write_atomically(path, encode_exactly(array, product, format, self.view))
+        write_atomically(path, encode_exactly(array, product, request.options, format, self.view))
 
 
 def snapshot(

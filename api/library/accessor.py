@@ -1,4 +1,4 @@
-"""The xarray accessor ``da.skugga``: shadows and hours of sun of a DataArray of heights, on its own coordinates.
+"""The xarray accessor ``da.skugga``: shadows, sun, horizons and sky view factors of a DataArray of heights, on its coordinates.
 
 CRS and geotransform follow rioxarray's conventions. A dask array stays lazy: the whole array is never in memory. Its heights are
 written once, chunk by chunk, to a temporary raster. Each chunk of the result is computed from that raster, with all casters within
@@ -21,11 +21,12 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from skugga.api.library.argument_types import AltitudeDeg, AzimuthDeg, Date, Time, validate_arguments
+from skugga.api.library.argument_types import AltitudeDeg, AzimuthCount, AzimuthDeg, Date, Time, validate_arguments
 from skugga.api.library.grids import grid_of_heights
 from skugga.api.library.north_up_grid import NorthUpGrid, north_up_grid
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
 from skugga.api.raster_file import TILE_SIDE_CELLS
+from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, SkyViewKind, evenly_spaced_azimuths_deg
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
@@ -120,6 +121,61 @@ class SkuggaAccessor:
         return self._compute_data_array("sun_hours", compute_array, np.float32)
 
     @validate_arguments
+    def sky_view(self, kind: SkyViewKind = "solid_angle", azimuths: AzimuthCount = DEFAULT_AZIMUTHS) -> xarray.DataArray:
+        """Return the sky view factor.
+
+        Parameters
+        ----------
+        kind
+            The definition, as in ``skugga.sky_view``: ``solid_angle``, ``cosine``, ``tilted``, ``openness`` or
+            ``negative_openness``.
+        azimuths
+            The number of azimuths, 8 to 360.
+
+        Returns
+        -------
+        xarray.DataArray
+            float32, 0 to 1 or degrees; NaN without ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
+        """
+
+        def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
+            return level.sky_view(kind, azimuths=azimuths, **cells)
+
+        return self._compute_data_array("sky_view", compute_array, np.float32)
+
+    @validate_arguments
+    def horizons(self, azimuths: AzimuthCount = DEFAULT_AZIMUTHS) -> xarray.DataArray:
+        """Return the horizons of all cells.
+
+        Parameters
+        ----------
+        azimuths
+            The number of azimuths, 8 to 360.
+
+        Returns
+        -------
+        xarray.DataArray
+            Horizon angles in degrees, float32: -90 where no ground lies towards an azimuth, NaN without ground. The first dimension
+            is ``azimuth``, in degrees clockwise from true north.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
+        """
+
+        def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
+            return level.horizons(azimuths, **cells)
+
+        azimuth = xarray.DataArray(evenly_spaced_azimuths_deg(azimuths), dims="azimuth", name="azimuth")
+        return self._compute_data_array("horizons", compute_array, np.float32, azimuth)
+
+    @validate_arguments
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
         """Return the horizon profile of a point. A dask array is read into memory.
 
@@ -144,19 +200,26 @@ class SkuggaAccessor:
             profile = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
-    def _compute_data_array(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
+    def _compute_data_array(
+        self, name: str, compute_array: Callable[..., np.ndarray], dtype: type, bands: xarray.DataArray | None = None
+    ) -> xarray.DataArray:
         """Return a DataArray with the name ``name`` and values of the type ``dtype``, on the coordinates of the array.
 
-        ``compute_array`` computes the values, (rows, cols) in north-up order, from an open level.
+        ``compute_array`` computes the values, (rows, cols) in north-up order, from an open level. They are (bands, rows, cols) with
+        ``bands``, the coordinate of a further dimension.
         """
         grid = north_up_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
                 values: Any = compute_array(level)
         else:
-            values = _compute_by_chunk(grid, compute_array, dtype)
-        answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
-        return answer.isel(grid.flip_slices).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
+            values = _compute_by_chunk(grid, compute_array, dtype, () if bands is None else (bands.size,))
+        dims, coords = grid.heights.dims, dict(grid.heights.coords)
+        if bands is not None:
+            dims, coords = (bands.name, *dims), {**coords, bands.name: bands}
+        answer = xarray.DataArray(values, dims=dims, coords=coords, name=name).isel(grid.flip_slices)
+        leading_dims = dims[: len(dims) - grid.heights.ndim]
+        return answer.transpose(*leading_dims, *self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
 class _StagedRaster:
@@ -202,10 +265,13 @@ class _StagedRaster:
         return opened
 
 
-def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
+def _compute_by_chunk(
+    grid: NorthUpGrid, compute_array: Callable[..., np.ndarray], dtype: type, leading_shape: tuple[int, ...] = ()
+) -> Any:
     """Return a lazy dask array of the type ``dtype`` with the grid's chunks, whose tasks open the written raster as a level.
 
-    ``compute_array`` computes the values of the cells that ``cells``, slices of rows and of columns, select.
+    ``compute_array`` computes the values of the cells that ``cells``, slices of rows and of columns, select. ``leading_shape``
+    is the shape of dimensions before rows and columns, which are not divided.
     """
     import dask.array
     from dask.delayed import delayed
@@ -215,9 +281,10 @@ def _compute_by_chunk(grid: NorthUpGrid, compute_array: Callable[..., np.ndarray
     staged_raster = delayed(staged.finish)(stored)
 
     def chunk(staged_raster: _StagedRaster, block_info: Any = None) -> np.ndarray:
-        (top, bottom), (left, right) = block_info[None]["array-location"]
+        (top, bottom), (left, right) = block_info[None]["array-location"][-2:]
         return compute_array(staged_raster.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
 
+    chunks = *((count,) for count in leading_shape), *(grid.heights.chunks or ())
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
-        chunk, staged_raster=staged_raster, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
+        chunk, staged_raster=staged_raster, chunks=chunks, dtype=dtype, meta=np.empty((0,) * len(chunks), dtype)
     )

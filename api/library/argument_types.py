@@ -261,6 +261,7 @@ StepMinutes = Annotated[float, Field(ge=0.5, le=60.0)]
 ThresholdHours = Annotated[float, Field(ge=0.0, le=24.0)]
 MinAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]
 HeightM = Annotated[float, Field(ge=0.0, le=1000.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Resolution = Annotated[float, Field(gt=0.0)]
 Size = Annotated[tuple[int, int], PlainValidator(_parse_size)]
 """Columns and rows of a picture, in pixels."""

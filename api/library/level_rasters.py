@@ -11,6 +11,7 @@ from pyproj import CRS
 from skugga.api.compute import raster_array
 from skugga.api.library.argument_types import (
     AltitudeDeg,
+    AzimuthCount,
     AzimuthDeg,
     Bounds,
     Cells,
@@ -20,6 +21,7 @@ from skugga.api.library.argument_types import (
     HeightM,
     MinAltitudeDeg,
     Resolution,
+    Share,
     StepMinutes,
     ThresholdHours,
     Time,
@@ -31,13 +33,16 @@ from skugga.api.library.memory import check_memory
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
 from skugga.api.raster_view import RasterView, extent_warning, raster_view
 from skugga.api.request import ProductRequest
+from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, SkyViewKind
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import Shadows
 
 SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
 """Raster products that depend on the sun of a moment."""
 
-PART_REMEDY = "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
+PART_REMEDY = (
+    "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shade`, `sunhours` and `compute` write rasters of any size"
+)
 
 
 class LevelRasters(LevelState):
@@ -206,6 +211,82 @@ class LevelRasters(LevelState):
         request = ProductRequest(product="sunhours", options=product_named("sunhours").options_of(options))
         return self._compute_raster(request, (bounds, crs, resolution, like, cells), {})
 
+    @validate_arguments
+    def sky_view(
+        self,
+        kind: SkyViewKind = "solid_angle",
+        *,
+        azimuths: AzimuthCount = DEFAULT_AZIMUTHS,
+        transmissivity: Share = 0.0,
+        bounds: Bounds | None = None,
+        crs: CrsLike | None = None,
+        resolution: Resolution | None = None,
+        like: Path | None = None,
+        cells: Cells | None = None,
+    ) -> np.ndarray:
+        """Compute the sky view factor as a raster.
+
+        Parameters
+        ----------
+        kind
+            The definition, as in ``skugga.sky_view``: ``solid_angle``, ``cosine``, ``tilted``, ``openness`` or
+            ``negative_openness``.
+        azimuths
+            The number of azimuths, 8 to 360.
+        transmissivity
+            The share of the light that comes through the crowns of the level's trees, 0 to 1.
+        bounds, crs, resolution, like, cells
+            As in ``shade``.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32 (rows, cols), 0 to 1 or degrees; NaN without ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
+        """
+        options = {"kind": kind, "azimuths": azimuths, "transmissivity": transmissivity}
+        request = ProductRequest(product="sky_view", options=product_named("sky_view").options_of(options))
+        return self._compute_raster(request, (bounds, crs, resolution, like, cells), {})
+
+    @validate_arguments
+    def horizons(
+        self,
+        azimuths: AzimuthCount = DEFAULT_AZIMUTHS,
+        *,
+        bounds: Bounds | None = None,
+        crs: CrsLike | None = None,
+        resolution: Resolution | None = None,
+        like: Path | None = None,
+        cells: Cells | None = None,
+    ) -> np.ndarray:
+        """Compute the horizons of all cells of a raster. ``horizon`` is the one of a point.
+
+        Parameters
+        ----------
+        azimuths
+            The number of azimuths, 8 to 360. Band k is towards the azimuth 360 k / azimuths in degrees, clockwise from true north.
+        bounds, crs, resolution, like, cells
+            As in ``shade``.
+
+        Returns
+        -------
+        numpy.ndarray
+            Horizon angles, float32 (azimuths, rows, cols), in degrees: -90 where no ground lies towards an azimuth, NaN without
+            ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
+        """
+        options = {"azimuths": azimuths, "dtype": "float32"}
+        request = ProductRequest(product="horizon", options=product_named("horizon").options_of(options))
+        return np.moveaxis(self._compute_raster(request, (bounds, crs, resolution, like, cells), {}), -1, 0)
+
     def _compute_raster(
         self,
         request: ProductRequest,
@@ -213,8 +294,8 @@ class LevelRasters(LevelState):
         shadows: dict[str, Any],
     ) -> np.ndarray:
         """Compute a raster for a request. ``grid_arguments`` holds bounds, CRS, resolution, raster file and slices of cells."""
-        product = request.product_record
-        raster = self._raster(*grid_arguments, np.dtype(product.dtype).itemsize * product.bands)
+        profile = request.product_record.profile(request.options)
+        raster = self._raster(*grid_arguments, np.dtype(profile.dtype).itemsize * profile.bands)
         self._issue_object_warnings()
         return raster_array(self._scene, raster, request, shadows)
 

@@ -70,8 +70,9 @@ def product_named(name: str, allowed_names: tuple[str, ...] | None = None, param
 def product_table() -> str:
     """Return the Markdown table of products for the documentation: name, description, formats and options."""
     rows = [
-        f"| `{product.name}` | {product.description} | {', '.join(product.map_formats)} | "
+        f"| `{product.name}` | {product.description} | {', '.join(product.map_formats) or 'rasters only'} | "
         f"{', '.join(f'`{name}`' for name in product.options.model_fields) or '-'} |"
-        for product in map(PRODUCTS.__getitem__, MAP_PRODUCTS)
+        for product in PRODUCTS.values()
+        if product.map_formats or product.is_raster
     ]
     return "\n".join(("| product | shows | formats | options |", "| --- | --- | --- | --- |", *rows, ""))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Product, ProductInput
+from skugga.api.products.product import Product, ProductInput, RasterProfile
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:
@@ -17,5 +17,6 @@ def _compute(product_input: ProductInput) -> np.ndarray:
 
 PRODUCT = Product(
     name="color", description="shaded relief with cast shadows", formats=("png", "webp", "tif", "jpg"), compute=_compute,
-    needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True, is_display=True,
+    needs=frozenset({"color", "opacity", "reach"}), profile=lambda _: RasterProfile("uint8", 4, None),
+    is_picture=True, is_display=True,
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Product, ProductInput
+from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Product, ProductInput, RasterProfile
 from skugga.api.terrain_encodings import encode_terrain_rgb, encode_terrarium
 
 
@@ -41,7 +41,7 @@ def _encoded_product(name: str, description: str, encoding: HeightEncoding) -> P
 
     return Product(
         name=name, description=description, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME,
-        dtype="uint8", bands=3, nodata=None, encoding=encoding, empty=empty,
+        profile=lambda _: RasterProfile("uint8", 3, None), encoding=encoding, empty=empty,
     )  # fmt: skip
 
 

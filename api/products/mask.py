@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Product, ProductInput
+from skugga.api.products.product import Product, ProductInput, RasterProfile
 from skugga.api.products.visibility import NEEDS_VISIBILITY, visibility_of
 
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
@@ -19,6 +19,6 @@ def _compute(product_input: ProductInput) -> np.ndarray:
 
 PRODUCT = Product(
     name="mask", description=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
-    formats=("png", "webp", "tif", "npy"), compute=_compute, needs=NEEDS_VISIBILITY, dtype="uint8", nodata=MASK_NO_SURFACE,
-    is_smooth=False, is_picture=True,
+    formats=("png", "webp", "tif", "npy"), compute=_compute, needs=NEEDS_VISIBILITY,
+    profile=lambda _: RasterProfile("uint8", 1, MASK_NO_SURFACE), is_smooth=False, is_picture=True,
 )  # fmt: skip

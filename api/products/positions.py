@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, Product, ProductInput
+from skugga.api.products.product import NEEDS_FRAME, Product, ProductInput, RasterProfile
 
 
 def _depth(product_input: ProductInput) -> np.ndarray:
@@ -44,15 +44,23 @@ def _position(product_input: ProductInput) -> np.ndarray:
 
 
 PRODUCTS = (
-    Product(name="depth", description="", formats=("npy", "tif"), compute=_depth, needs=NEEDS_FRAME, unit="m", is_served=False),
+    Product(
+        name="depth",
+        description="",
+        formats=("npy", "tif"),
+        compute=_depth,
+        needs=NEEDS_FRAME,
+        unit="m",
+        is_served=False,
+        is_view_only=True,
+    ),
     Product(
         name="position",
         description="",
         formats=("npy",),
         compute=_position,
         needs=NEEDS_FRAME,
-        dtype="float64",
-        bands=3,
+        profile=lambda _: RasterProfile("float64", 3),
         is_served=False,
     ),
 )

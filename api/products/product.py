@@ -51,12 +51,14 @@ class ProductOptions(BaseModel):
 
     A product with options derives from this model. Each field becomes an option of every front end. The ``description`` and
     ``examples`` of a field are its documentation. ``UNSERVED`` maps fields that HTTP does not accept to the values that HTTP uses.
-    These fields never appear in a query.
+    These fields never appear in a query. ``REMEDIES`` maps options that other tools have, and this product has not, to what to do
+    instead.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     UNSERVED: ClassVar[Mapping[str, Any]] = {}
+    REMEDIES: ClassVar[Mapping[str, str]] = {}
 
     def query(self) -> str:
         """Return the options as a query string. Options with their default value are omitted."""
@@ -132,6 +134,36 @@ class ProductInput:
         return ground_normals_enu(self.scene, self.map_view)
 
 
+@dataclass(frozen=True)
+class RasterProfile:
+    """The form in which rasters of a product hold its values.
+
+    Attributes
+    ----------
+    dtype
+        The type of the stored numbers.
+    bands
+        The number of bands.
+    nodata
+        The stored number of cells without data; ``None`` for none.
+    scale
+        Factor from stored numbers to values in the product's unit, GDAL's scale of a band.
+    band_names
+        Descriptions of the bands; empty: that of the product for one band, else colours.
+    """
+
+    dtype: str = "float32"
+    bands: int = 1
+    nodata: float | None = float("nan")
+    scale: float = 1.0
+    band_names: tuple[str, ...] = ()
+
+    def empty_array(self, rows: int, cols: int) -> np.ndarray:
+        """Return an array (rows, cols) or (rows, cols, bands) of cells without data."""
+        shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
+        return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Product:
     """A kind of picture or raster.
@@ -156,12 +188,8 @@ class Product:
         Margin in pixels around a block or tile that ``compute`` needs. It is computed and cropped, so that there are no seams.
     options
         The model of its options.
-    dtype
-        The type of its rasters.
-    bands
-        The number of bands of its rasters.
-    nodata
-        The nodata value of its rasters; ``None`` for none.
+    profile
+        Returns the form of its rasters for options. ``compute`` returns arrays of that form.
     is_smooth
         Whether overviews of its rasters are means. Means are wrong for classes and angles.
     unit
@@ -182,9 +210,11 @@ class Product:
         Returns ``description`` and ``unit`` for options, if they depend on the options.
     empty
         Returns the array of a map without data, from rows, columns and the height of the level's lowest ground in metres; ``None``:
-        an array of ``nodata``.
+        the empty array of ``profile``.
+    sees_all_ground
+        Whether each cell depends on all ground of the level, not only on that of the cell and on what shades it.
     blocks
-        Returns the blocks of a large map; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
+        Returns the blocks of a large map, for options; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
     step_count
         Returns the number of steps of a block, for progress bars.
     tags
@@ -193,6 +223,8 @@ class Product:
         Raises ``SkuggaError`` if a service does not compute the product of a scene.
     is_served
         Whether HTTP serves it.
+    is_view_only
+        Whether it exists for single views only, not for rasters of any size.
     """
 
     name: str
@@ -205,9 +237,7 @@ class Product:
     perspective_needs: Needs | None = None
     margin_px: int = 0
     options: type[ProductOptions] = ProductOptions
-    dtype: str = "float32"
-    bands: int = 1
-    nodata: float | None = float("nan")
+    profile: Callable[[Any], RasterProfile] = lambda _: RasterProfile()
     is_smooth: bool = True
     unit: str = ""
     is_picture: bool = False
@@ -218,13 +248,15 @@ class Product:
     color_scale: Callable[[Any, World], ColorScale] | None = None
     describe: Callable[[Any], tuple[str, str]] | None = None
     empty: Callable[[int, int, float], np.ndarray] | None = None
-    blocks: Callable[[Scene, MapView], list[tuple[MapView, int, int]]] | None = None
+    sees_all_ground: bool = False
+    blocks: Callable[[Scene, MapView, Any], list[tuple[MapView, int, int]]] | None = None
     step_count: Callable[[Any], int] = lambda _: 1
     tags: Callable[[Any, Scene], dict[str, str]] = lambda options, _: {
         name: str(value) for name, value in options.model_dump(mode="json", exclude_none=True).items()
     }
     check: Callable[[Scene], None] = lambda _: None
     is_served: bool = True
+    is_view_only: bool = False
 
     @property
     def view_formats(self) -> tuple[PictureFormat, ...]:
@@ -245,13 +277,16 @@ class Product:
     @property
     def is_raster(self) -> bool:
         """Whether the product can be written as a georeferenced raster of any size."""
-        return "map" in self.view_kinds and "tif" in self.formats and self.is_served and self.pass_layer is None
+        return "map" in self.view_kinds and "tif" in self.formats and not self.is_view_only and self.pass_layer is None
 
     def band_names(self, options: ProductOptions) -> tuple[str, ...]:
         """Return a description of each band, for options."""
-        if self.bands == 1:
-            return (self.description_and_unit(options)[0],)
-        return ("red", "green", "blue", "alpha")[: self.bands]
+        profile = self.profile(options)
+        if profile.band_names:
+            return profile.band_names
+        return (
+            (self.description_and_unit(options)[0],) if profile.bands == 1 else ("red", "green", "blue", "alpha")[: profile.bands]
+        )
 
     def needs_of(self, view: MapView | PerspectiveView) -> Needs:
         """Return the images to draw for a view."""
@@ -283,23 +318,24 @@ class Product:
                 ) from None
             if first["type"] == "extra_forbidden":
                 option_names = ", ".join(self.options.model_fields)
-                remedy = f"Use one of {option_names}" if option_names else "Omit it"
+                remedy = self.options.REMEDIES.get(name, f"Use one of {option_names}" if option_names else "Omit it")
                 raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
             raise InputError(name, first["input"], allowed_phrase(first)) from None
 
-    def empty_array(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
-        """Return the array (rows, cols) or (rows, cols, bands) of a map without data.
+    def empty_array(self, options: ProductOptions, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
+        """Return the array (rows, cols) or (rows, cols, bands) of a map without data, for options.
 
         ``lowest_ground_m`` is the height of the level's lowest ground in metres. Encoded heights show it.
         """
         if self.empty is not None:
             return self.empty(rows, cols, lowest_ground_m)
-        shape: Sequence[int] = (rows, cols) if self.bands == 1 else (rows, cols, self.bands)
-        return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
+        return self.profile(options).empty_array(rows, cols)
 
-    def empty_picture(self, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
+    def empty_picture(self, options: ProductOptions, rows: int, cols: int, lowest_ground_m: float = 0.0) -> np.ndarray:
         """Return the picture of a map without data, which is transparent for a product with a colour scale.
 
         The parameters are those of ``empty_array``.
         """
-        return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_ground_m)
+        if self.color_scale:
+            return np.zeros((rows, cols, 4), np.uint8)
+        return self.empty_array(options, rows, cols, lowest_ground_m)

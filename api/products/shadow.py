@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.api.products.product import Product, ProductInput
+from skugga.api.products.product import Product, ProductInput, RasterProfile
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:
@@ -18,5 +18,5 @@ def _compute(product_input: ProductInput) -> np.ndarray:
 
 PRODUCT = Product(
     name="shadow", description="black with the shadow as opacity", formats=("png", "webp", "tif"), compute=_compute,
-    needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True,
+    needs=frozenset({"color", "opacity", "reach"}), profile=lambda _: RasterProfile("uint8", 4, None), is_picture=True,
 )  # fmt: skip

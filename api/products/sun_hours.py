@@ -222,6 +222,6 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 PRODUCT = Product(
     name=PRODUCT_NAME, description="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
-    describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, step_count=_date_count,
+    describe=lambda options: QUANTITIES[options.quantity], blocks=lambda scene, view, _: sun_blocks(scene, view), step_count=_date_count,
     tags=_tags, check=_check,
 )  # fmt: skip

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skugga.api.products.product import Product
 from skugga.api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
 from skugga.api.workers.block_views import block_of_grid
 from skugga.shadows.ground_pictures import SKY_VIEW_PASS
@@ -103,7 +104,7 @@ class GroundDependencies:
         other._scene = scene
         return other
 
-    def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, shades_ground: bool) -> list[bytes]:
+    def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, product: Product) -> list[bytes]:
         """Return a digest of the ground that each block's tiles depend on.
 
         Parameters
@@ -114,12 +115,12 @@ class GroundDependencies:
             Blocks (x, y) of the tile matrix.
         plan
             Plan that draws the blocks under the scene's sun; ``None`` for products of heights without light.
-        shades_ground
-            Whether the picture includes the shading of the ground.
+        product
+            The tiles' product: shading of the ground depends on the sky above it, and some products on all ground.
         """
-        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_VIEW_PASS in plan.effect_names else None
+        sky = _SkyDigests(self._scene) if product.is_display and plan is not None and SKY_VIEW_PASS in plan.effect_names else None
         digests = []
-        for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan), strict=True):
+        for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan, product.sees_all_ground), strict=True):
             digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
             digest.update(np.packbits(mask).tobytes())
             digest.update(self._chunks.digests[mask].tobytes())
@@ -128,10 +129,15 @@ class GroundDependencies:
             digests.append(digest.digest())
         return digests
 
-    def chunk_masks(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
-        """Return the chunks that each block depends on, as one bool mask (rows, cols) of chunks for each block."""
+    def chunk_masks(
+        self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, sees_all_ground: bool
+    ) -> list[np.ndarray]:
+        """Return the chunks that each block depends on, as one bool mask (rows, cols) of chunks for each block.
+
+        ``sees_all_ground`` is that of the product.
+        """
         shape = self._chunks.low_m.shape
-        if plan is not None and plan.effect_names & GLOBAL_EFFECTS:
+        if sees_all_ground or (plan is not None and plan.effect_names & GLOBAL_EFFECTS):
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._sunlit_chunks(plan)
         masks = []

@@ -191,7 +191,7 @@ def _make_spec(
             if plan is not None:
                 plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
-            digests = ground_under_sun.digests(grid, blocks, plan, product.is_display)
+            digests = ground_under_sun.digests(grid, blocks, plan, product)
             shares = ground_under_sun.data_fractions(grid, blocks)
             whole_s, planned = _full_block_task_s(plan, zoom, measured_costs), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):

@@ -61,7 +61,7 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
         array = picture.color  # avoids an alpha channel that encoding would drop
     else:
         array = product.compute(ProductInput(scene, view, request.options, picture))
-    return encode(apply_color_scale(array, product, request.options, scene.world, format), product, format, view)
+    return encode(apply_color_scale(array, product, request.options, scene.world, format), product, request.options, format, view)
 
 
 def tiles_of_array(
@@ -74,7 +74,7 @@ def tiles_of_array(
     """
     colored_array = apply_color_scale(array, request.product_record, request.options, world, format)
     return {
-        position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, format, part_view)
+        position: encode(np.ascontiguousarray(colored_array[window]), request.product_record, request.options, format, part_view)
         for position, part_view, window in _tiles_of(view, tiles_per_side)
     }
 
@@ -108,4 +108,4 @@ def empty_file(
     ``lowest_ground_m`` is the height of the level's lowest ground in metres, from which heights without data are made.
     """
     make_empty = request.product_record.empty_array if format in ARRAY_FORMATS else request.product_record.empty_picture
-    return encode(make_empty(*shape, lowest_ground_m), request.product_record, format, view)
+    return encode(make_empty(request.options, *shape, lowest_ground_m), request.product_record, request.options, format, view)

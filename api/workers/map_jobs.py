@@ -86,7 +86,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
     product, start = request.product_record, time.perf_counter()
     if not has_data:
         empty = product.empty_array if job.format in ARRAY_FORMATS else product.empty_picture
-        array = empty(view.rows, view.cols, scene.height_range_m[0])
+        array = empty(request.options, view.rows, view.cols, scene.height_range_m[0])
         if product.needs:
             return _map_file(job, array, view, NO_SHADOWS, (), NO_CASTERS.reach)
         return _map_file(job, array, view, product.name, (_only_pass(product.name, start),), None)
@@ -112,7 +112,7 @@ def _map_file(
 ) -> EncodedMap:
     """Encode a map as a file. ``array`` has its values, and ``headline`` names the algorithms of its plan or its product."""
     start = time.perf_counter()
-    body = encode(_composite_over(array, job.background), job.request.product_record, job.format, view)
+    body = encode(_composite_over(array, job.background), job.request.product_record, job.request.options, job.format, view)
     return EncodedMap(body, (time.perf_counter() - start) * 1000.0, headline, passes, reach)
 
 

@@ -134,7 +134,10 @@ def run_job(job: Job, state: WorkerState) -> Result:
             computed = compute(scene, view, job.request, plan, job.light)
             start = time.perf_counter()
             body = encode_exactly(
-                as_picture(computed.array, job.request.product_record, computed.picture), job.request.product_record, job.format
+                as_picture(computed.array, job.request.product_record, computed.picture),
+                job.request.product_record,
+                job.request.options,
+                job.format,
             )
             facts = _picture_record(plan.algorithms_text, computed.passes, computed.reach, state, job.level)
             return Snapshot(body=body, encode_ms=(time.perf_counter() - start) * 1000.0, **facts)

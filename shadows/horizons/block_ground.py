@@ -24,10 +24,13 @@ from skugga.terrain.scene import Scene
 BLOCK_SIDE_NODES, MIN_BLOCK_SIDE_NODES = 2048, 128
 """Side of a block, and the smallest one where the meridians' convergence limits it."""
 
+MAX_BLOCK_BYTES = 320 * 2**20
+"""Maximum bytes of the horizons of a block that are in memory at the same time, as float32."""
+
 NEAR_NODES = 1024
 """Distance from a block up to which the ground has the nodes of the block's grid; as many coarser nodes follow each time."""
 
-MAX_CONVERGENCE_DEG = 0.25
+MAX_CONVERGENCE_DEG = 0.15
 """Maximum angle between the grid's axes against true north in a block's middle and in its corners."""
 
 MAX_NEAR_M = 40e3
@@ -66,10 +69,13 @@ def block_plane(world: World, view: MapView, row: float, col: float) -> BlockPla
     return BlockPlane(steps[:, :2].T, points[0], earth_from_enu)
 
 
-def horizon_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a map for horizons, in the form that ``skugga.terrain.geo.grid.blocks_of`` returns."""
+def horizon_blocks(scene: Scene, view: MapView, kept_azimuths: int = 1) -> list[tuple[MapView, int, int]]:
+    """Return the blocks of a map for horizons, in the form that ``skugga.terrain.geo.grid.blocks_of`` returns.
+
+    ``kept_azimuths`` is the number of azimuths whose horizons are in memory at the same time.
+    """
     nodes = view.with_pixels_as_nodes()
-    side = _block_side(scene.world, nodes)
+    side = min(_block_side(scene.world, nodes), 2 ** int(np.log2(np.sqrt(MAX_BLOCK_BYTES / (4.0 * kept_azimuths)))))
     blocks = []
     for row in range(0, nodes.rows, side):
         for col in range(0, nodes.cols, side):

@@ -10,7 +10,7 @@ the node to the crossings. Crossings of rows always count. Those of columns and 
 below the surface, ``skugga.terrain.ground.sheet``) count where the ground is so rough, or so near, that leaving them out could
 change the angle by more than ``MAX_CHORD_ERROR``.
 
-**Skipped ground.** The grid is divided into blocks of ``BLOCK_ROWS`` rows and ``RUN`` columns, and eight of them into a tall
+**Skipped ground.** The grid is divided into blocks of ``BLOCK_ROWS`` rows and ``BLOCK_COLS`` columns, and eight of them into a tall
 block. A block is skipped where its highest node is below the horizons that the run's nodes have so far. So distance is nearly free,
 and the result is that of all ground.
 """
@@ -24,10 +24,13 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 RUN = 64
-"""Nodes side by side that are processed at once, and columns of a block."""
+"""Nodes side by side that are processed at once."""
 
 BLOCK_BITS, TALL_BLOCK_BITS = 3, 6
 """Binary logarithms of the rows of a block and of a tall block."""
+
+BLOCK_COLS = 32
+"""Columns of a block."""
 
 BLOCK_ROWS, TALL_BLOCK_ROWS = 1 << BLOCK_BITS, 1 << TALL_BLOCK_BITS
 """Rows of a block and of a tall block."""
@@ -63,7 +66,8 @@ class Ground(NamedTuple):
     highest_m, highest_tall_m
         float32, the highest node of each block and of each tall block, and of one more row towards the nodes that look at it.
     roughness_m
-        float32, for each block: how far its ground may rise above the straight line between two crossings of rows.
+        float32, for each block: how far its ground may rise above a ray between two crossings of rows, if the ray keeps to its
+        column (``write_blocks``).
     """
 
     height_m: np.ndarray
@@ -85,6 +89,8 @@ class Rays(NamedTuple):
         distance, and 1 over the distance. The slope is their sum of products (``_row_slopes``).
     fall_m, distance_m
         float32 (k,), metres: the fall of the level by curvature, and the distance.
+    columns_per_row
+        Columns by which the rays move to the right in each row, 0 to 1.
     edge_start
         int64 (k + 1,): where the crossings of edges between row k - 1 and row k begin in ``edge_columns``.
     edge_row
@@ -99,6 +105,7 @@ class Rays(NamedTuple):
     row_terms: np.ndarray
     fall_m: np.ndarray
     distance_m: np.ndarray
+    columns_per_row: np.float32
     edge_start: np.ndarray
     edge_row: np.ndarray
     edge_columns: np.ndarray
@@ -175,9 +182,9 @@ def _may_rise(top_m, nearest_m, farthest_m, state):
 @internal
 def _largest(values, row, first_column, last_column):
     """Return the largest value of a row of blocks between two columns, of those that the grid has."""
-    first_block = max(first_column, 0) // RUN
+    first_block = max(first_column, 0) // BLOCK_COLS
     out = values[row, first_block]
-    for block in range(first_block + 1, min(last_column // RUN + 1, values.shape[1])):
+    for block in range(first_block + 1, min(last_column // BLOCK_COLS + 1, values.shape[1])):
         out = max(out, values[row, block])
     return out
 
@@ -194,6 +201,7 @@ def march(first, last, ground, rays, eye_height_m, eye_row, eye_col, max_chord_e
     width = ground.height_m.shape[1]
     last_column = width - 2 * RUN - 1
     flat, highest_m, highest_tall_m, roughness_m = ground.flat_height_m, ground.highest_m, ground.highest_tall_m, ground.roughness_m
+    max_error = max_chord_error / (np.float32(1.0) + rays.columns_per_row)
     terms, column, fall_m, distance_m = rays.row_terms, rays.column, rays.fall_m, rays.distance_m
     for out_col in range(0, out.shape[1], RUN):
         col = eye_col + out_col
@@ -228,7 +236,7 @@ def march(first, last, ground, rays, eye_height_m, eye_row, eye_col, max_chord_e
                     at_row = np.uint64((row - k) * width + col + column[k])
                     _edge_slopes(flat, at_row, at_row + ONE_U, terms[k, 0], terms[k, 1], terms[k, 2], terms[k, 3], state)
                     k += 1
-                is_rough = _largest(roughness_m, block_row, first_column, next_column) > max_chord_error * nearest_m
+                is_rough = _largest(roughness_m, block_row, first_column, next_column) > max_error * nearest_m
                 if is_near or (is_rough and _may_rise(top_m, nearest_m, distance_m[end], state)):
                     _all_edge_slopes(flat, width, row, col, begin, end, rays, state)
             out[out_row, out_col : out_col + RUN] = state[:RUN]
@@ -262,8 +270,8 @@ def _all_edge_slopes(flat, width, row, col, begin, end, rays, state):
 def write_blocks(first, last, height_m, highest_m, roughness_m):
     """Write the highest node and the roughness of blocks, rows [first, last) of blocks (``Ground``).
 
-    Within a quad the ground deviates from a line between two crossings of rows by at most half of its twist, and at a column by a
-    quarter of the bend of the row there.
+    A ray that moves by t columns from row to row is at most (1 + t) / 4 of a quad's twist below the ground between the two, and
+    t / 4 of the bend of a row where it crosses a column. The roughness is a bound of both for t = 0; ``march`` multiplies by 1 + t.
     """
     n, width = height_m.shape
     for block_row in range(first, last):
@@ -272,12 +280,12 @@ def write_blocks(first, last, height_m, highest_m, roughness_m):
         roughness_m[block_row] = 0.0
         for row in range(begin, min(end + 1, n)):
             for col in range(width):
-                block = col // RUN
+                block = col // BLOCK_COLS
                 highest_m[block_row, block] = max(highest_m[block_row, block], height_m[row, col])
                 if row < end and 0 < col < width - 1:
                     near, far = height_m[row, col], height_m[row + 1, col]
                     right, far_right, left = height_m[row, col + 1], height_m[row + 1, col + 1], height_m[row, col - 1]
                     if min(min(near, far), min(right, min(far_right, left))) > NO_GROUND_M:
                         twist, bend = abs(near + far_right - right - far), abs(left - 2.0 * near + right)
-                        rough = np.float32(0.5 * twist + 0.25 * bend)
+                        rough = np.float32(0.25 * twist + 0.125 * bend)
                         roughness_m[block_row, block] = max(roughness_m[block_row, block], rough)

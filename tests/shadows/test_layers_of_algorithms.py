@@ -12,6 +12,7 @@ from PIL import Image
 from skugga.api.compute import product_of_frame
 from skugga.api.encoding import encode_exactly
 from skugga.api.products import PRODUCTS
+from skugga.api.products.product import ProductOptions
 from skugga.shadows import layer_collector
 from skugga.shadows.layer_collector import LayerCollector, tiled_pictures
 from skugga.shadows.passes import PassLog
@@ -70,7 +71,7 @@ def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None
     """Write a layer of a frame to a file."""
     array, format = product_of_frame(scene, frame, layer), path.suffix[1:]
     pixels = array if format == "npy" else pass_picture(layer, array, frame.color)
-    path.write_bytes(encode_exactly(pixels, PRODUCTS[layer], format, frame.view))
+    path.write_bytes(encode_exactly(pixels, PRODUCTS[layer], ProductOptions(), format, frame.view))
 
 
 # -- the mechanism

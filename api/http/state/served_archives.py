@@ -52,7 +52,7 @@ class LevelArchives:
         for archive in files.values():
             metadata = archive.skugga_metadata
             layer, format, tms, query = (str(metadata.get(key, "")) for key in ("layer", "format", "tms", "query"))
-            if layer in PRODUCTS and PRODUCTS[layer].when == "none":
+            if layer in PRODUCTS and PRODUCTS[layer].when == "none" and not PRODUCTS[layer].options.model_fields:
                 query = ""  # heights do not depend on light
             if format == archive.format:
                 by_tile_kind.setdefault((layer, format, tms, with_utc_time(query)), archive)

@@ -13,6 +13,7 @@ from tests.rasters import write_geotiff
 COMMANDS = {
     "render": ("-o", "out.png"),
     "shade": ("-o", "out.tif"),
+    "compute": ("-o", "out.tif", "--product", "sky_view"),
     "sunhours": ("-o", "out.tif", "--date", "2024-03-21"),
     "point": ("--at", "12.5,47.2"),
     "select": ("--policy", "rules"),

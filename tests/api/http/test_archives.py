@@ -120,6 +120,16 @@ def test_requests_outside_the_archive_are_rendered(serve, tmp_path: Path):
             assert drawn_block_count(client) == count, address
 
 
+def test_an_archive_of_one_kind_does_not_answer_for_another(serve, tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, layer="sky_view", query="kind=openness")
+    with serve({"archive": "a.pmtiles"}) as client:
+        contents = {
+            kind: client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"layer": "sky_view", "kind": kind}).content
+            for kind in ("openness", "solid_angle", "cosine")
+        }
+    assert contents["openness"] == PNG and PNG not in (contents["solid_angle"], contents["cosine"])
+
+
 def test_other_matrix_set_is_rendered(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, tms="WorldCRS84Quad")
     with serve({"archive": "a.pmtiles"}) as client:

@@ -57,6 +57,8 @@ JOB_PATHS = "/animations/{animation}", "/animations/{animation}/result"
 NOT_MODIFIED_HEADERS = {"If-None-Match": "*"}
 """Headers that let a valid request be answered with 304 instead of being drawn."""
 
+SKY_VIEW_PARAMETERS = "kind", "transmissivity"
+
 SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
 """Parameters of hours of sun, which need that layer and a date."""
 
@@ -122,12 +124,14 @@ def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -
         return {"layer": "sunhours", "date": "2024-03-21"}
     if name in CAMERA_PARAMETERS:
         return {"eye": "8.43,47.5,300", "target": "8.44,47.51,0"}
+    if has_sun_hours and name in SKY_VIEW_PARAMETERS:
+        return {"layer": "sky_view"}
     return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if has_sun_hours or name == "tms" else {}
 
 
 @pytest.mark.parametrize(("method", "path"), [method_path for method_path in WMS_OPERATIONS if "legend" not in method_path[1]])
 def test_parameter_examples_are_valid(client: Client, document: dict[str, Any], method: str, path: str):
-    """Each example is requested alone, or with the parameters that it needs. Legends exist for hours of sun only."""
+    """Each example is requested alone, or with the parameters that it needs. Legends exist for some layers only."""
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
     address, _, query = address_of(operation).partition("?")

@@ -16,6 +16,7 @@ from skugga.api.encoding import encode
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.level_checks import FileCheck
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.products.product import ProductOptions
 from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
 from skugga.terrain.level.level import load_level
@@ -89,7 +90,11 @@ def test_tiles_of_four_blocks_equal_one_map(client: Client, hills_level):
             for col in range(2):
                 answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})
                 part = full_map[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256]
-                assert answer.content == encode(np.ascontiguousarray(part), PRODUCTS[layer], "png"), (layer, row, col)
+                assert answer.content == encode(np.ascontiguousarray(part), PRODUCTS[layer], ProductOptions(), "png"), (
+                    layer,
+                    row,
+                    col,
+                )
 
 
 @pytest.mark.parametrize("layer", MAP_PRODUCTS)

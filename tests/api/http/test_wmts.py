@@ -32,7 +32,7 @@ KEYS = {
     "TILEMATRIXSET": "WebMercatorQuad", "TILEMATRIX": str(ZOOM), "TILECOL": str(X), "TILEROW": str(Y),
 }  # fmt: skip
 
-LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sunhours"}
+LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sky_view", "sunhours"}
 
 CHILD_ELEMENT_ORDER = {
     "Layer": [
@@ -224,10 +224,11 @@ def test_resource_templates_lead_to_tiles(client: Client, root: ElementTree.Elem
     assert client.get(f"{TILE}?time=default").content == client.get(TILE).content
 
 
-def test_only_sun_hours_have_a_legend(client: Client, root: ElementTree.Element):
+def test_layers_of_a_colour_scale_have_a_legend(client: Client, root: ElementTree.Element):
     legend = layer_of(root, "timed:sunhours").find("w:Style/w:LegendURL", NAMESPACES)
     assert legend is not None and legend.get("format") == "image/png"
     assert pixels(client.get(legend.get(f"{{{NAMESPACES['x']}}}href", ""))).shape == (85, 340, 4)
+    assert layer_of(root, "timed:sky_view").find("w:Style/w:LegendURL", NAMESPACES) is not None
     assert layer_of(root, "timed:color").find("w:Style/w:LegendURL", NAMESPACES) is None
 
 

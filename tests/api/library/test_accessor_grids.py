@@ -34,6 +34,8 @@ PRODUCTS: dict[str, Callable[[xarray.DataArray], xarray.DataArray]] = {
     "shadow of a time": lambda array: array.skugga.shadow(time="2024-03-21T15:00Z"),
     "hours": lambda array: array.skugga.sun_hours("2024-12-21", step_min=60.0),
     "first sun": lambda array: array.skugga.sun_hours("2024-12-21", step_min=60.0, quantity="first", clock="utc"),
+    "sky view": lambda array: array.skugga.sky_view("tilted", azimuths=12),
+    "horizons": lambda array: array.skugga.horizons(azimuths=12),
 }
 
 
@@ -60,7 +62,7 @@ def test_chunks_equal_the_whole_in_any_crs(crs, product):
     full_result = PRODUCTS[product](georeferenced_hills(crs))
     assert full_result.rio.crs.to_string() == crs and full_result.notnull().any()
     lazy = PRODUCTS[product](georeferenced_hills(crs).chunk({"y": 40, "x": 70}))
-    assert lazy.chunks == ((40, 40, 10), (70, 50))
+    assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50)) and lazy.dtype == full_result.dtype
     xarray.testing.assert_equal(lazy.compute(), full_result)
 
 
@@ -104,10 +106,10 @@ def test_chunks_of_a_rotated_pole_equal_the_whole(crs_form, product):
     """All forms of the CRS give the same result."""
     array = ROTATED_POLES[crs_form]()
     full_result = PRODUCTS[product](array)
-    assert full_result.dims == array.dims and full_result.notnull().any()
+    assert full_result.dims[-2:] == array.dims and full_result.notnull().any()
     assert full_result.rio.crs == array.rio.crs
     lazy = PRODUCTS[product](array.chunk(dict(zip(array.dims, (40, 70), strict=True))))
-    assert lazy.chunks == ((40, 40, 10), (70, 50))
+    assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50))
     xarray.testing.assert_equal(lazy.compute(), full_result)
     np.testing.assert_array_equal(full_result, PRODUCTS[product](ROTATED_POLES["PROJ"]()))
 
@@ -166,11 +168,42 @@ def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
 def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
     upright = georeferenced_hills(crs)
     flipped = upright.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
-    for product in ("shadow", "hours"):
+    for product in ("shadow", "hours", "sky view", "horizons"):
         answer = PRODUCTS[product](flipped if chunks is None else flipped.chunk(chunks)).compute()
         xarray.testing.assert_equal(answer.y, flipped.y)
         xarray.testing.assert_equal(answer.x, flipped.x)
         xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](upright))
+
+
+@IGNORE_NOT_GEOREFERENCED
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_horizons_have_azimuth_as_their_first_dimension(chunks):
+    array = georeferenced_hills("EPSG:32633").transpose("x", "y")
+    horizons = (array if chunks is None else array.chunk(chunks)).skugga.horizons(azimuths=8)
+    assert horizons.dims == ("azimuth", "x", "y") and horizons.azimuth.to_numpy().tolist() == [45.0 * k for k in range(8)]
+    assert horizons.name == "horizons" and horizons.rio.crs.to_epsg() == 32633 and horizons.dtype == np.float32
+    transform = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
+    with skugga.open_heights(hills(), transform, "EPSG:32633") as level:
+        np.testing.assert_array_equal(horizons.sel(azimuth=90.0).transpose("y", "x"), level.horizons(8)[2])
+        np.testing.assert_array_equal(np.isnan(horizons).all("azimuth").transpose("y", "x"), np.isnan(hills()))
+
+
+@pytest.mark.parametrize("chunks", [None, 50])
+@pytest.mark.parametrize(("fault", "text"), [("no CRS", "write_crs"), ("one row", "cell size")])
+def test_horizons_need_a_grid_in_a_crs(fault, text, chunks):
+    array = INVALID_ARRAYS[fault][0](georeferenced_hills("EPSG:32633"))
+    array = array if chunks is None else array.chunk(chunks)
+    for call in (array.skugga.sky_view, array.skugga.horizons):
+        with pytest.raises(skugga.SkuggaError, match=text) as error:
+            call()
+        assert "\n" not in str(error.value)
+
+
+def test_too_many_azimuths_are_refused():
+    array = georeferenced_hills("EPSG:32633")
+    for call in (array.skugga.sky_view, array.skugga.horizons):
+        with pytest.raises(skugga.SkuggaError, match="azimuths: '100000' is not allowed. Allowed: .*360"):
+            call(azimuths=100_000)
 
 
 def test_cells_without_coordinates_use_the_geotransform(tmp_path):

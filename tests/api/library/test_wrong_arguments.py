@@ -94,6 +94,11 @@ LEVEL_METHODS: dict[str, dict[str, Any]] = {
         "step_min": 60.0, "threshold_h": 2.0, "least_altitude": 0.0, "height": 0.0, "bounds": None, "crs": None, "resolution": None,
         "like": None, "cells": None,
     },
+    "sky_view": {
+        "kind": "cosine", "azimuths": 8, "transmissivity": 0.0, "bounds": None, "crs": None, "resolution": None, "like": None,
+        "cells": None,
+    },
+    "horizons": {"azimuths": 8, "bounds": None, "crs": None, "resolution": None, "like": None, "cells": None},
     "point": {
         "lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "time": None, "date": "2024-03-21", "clock": None, "height": 0.0,
         "year": None,

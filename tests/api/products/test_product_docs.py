@@ -89,9 +89,13 @@ def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_
 def test_product_records_are_consistent(name: str):
     """No field of a record contradicts another."""
     product = PRODUCTS[name]
+    options = product.options.model_construct()  # defaults, without those that have none
+    profile = product.profile(options)
     assert product.description or not product.map_formats, "products with formats of maps need a description"
-    assert not product.is_picture or product.dtype == "uint8"
+    assert not product.is_picture or profile.dtype == "uint8"
     assert product.options.UNSERVED.keys() <= product.options.model_fields.keys()
-    empty = product.empty_array(3, 5)
-    assert empty.shape[:2] == (3, 5) and (empty.ndim == 2) == (product.bands == 1)
-    assert product.empty_picture(3, 5).dtype == np.uint8 or not set(product.map_formats) & {"png", "webp", "jpg"}
+    empty = product.empty_array(options, 3, 5)
+    assert empty.shape == ((3, 5) if profile.bands == 1 else (3, 5, profile.bands))
+    assert empty.dtype == profile.dtype or product.pass_layer is not None
+    assert product.is_view_only or len(product.band_names(options)) == profile.bands
+    assert product.empty_picture(options, 3, 5).dtype == np.uint8 or not set(product.map_formats) & {"png", "webp", "jpg"}

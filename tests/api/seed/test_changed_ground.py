@@ -113,6 +113,14 @@ def test_colours_depend_on_the_range_of_heights(tmp_path: Path, heights: np.ndar
     assert len(drawn_tasks) == len(tiles_by_block(run)), "the highest ground scales all colours"
 
 
+def test_sky_view_depends_on_all_ground(tmp_path: Path, heights: np.ndarray):
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), layer="sky_view", suns=(None,))
+    run()
+    heights[280:, :20] = 700.0  # within the range of heights
+    write_ground(run.level, heights)
+    assert len(run()[1]) == len(tiles_by_block(run))
+
+
 def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: np.ndarray):
     night = (SunSpec(azimuth=0.0, altitude=-20.0),)
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=night)

@@ -113,3 +113,12 @@ def test_arc_tangent_series():
     angles = np.empty_like(values)
     arctan_of(values, angles)
     np.testing.assert_allclose(angles, np.arctan(values.astype(np.float64)), atol=2e-7)
+
+
+def test_a_plane_hides_the_sky_behind_itself_where_the_ground_falls_away():
+    """On a ridge's round flank the ground uphill is lower than the flank's own plane, which hides more of the sky."""
+    across = np.arange(-9.0, 12.0)  # the middle node is one metre beside the top
+    flank = np.tile(-0.5 * across**2, (21, 1))
+    long = north_up_cell(1000.0, 1.0)
+    slope = np.arctan(across[10])
+    assert factor_of(flank, "tilted", long) == pytest.approx((1.0 + np.cos(slope)) / 2.0, abs=0.001)

@@ -11,6 +11,7 @@ from pyproj import CRS
 
 import skugga
 from skugga.api.encoding import encode_geotiff
+from skugga.api.products.product import RasterProfile
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.vertical import UNIT_WORDS
@@ -130,7 +131,7 @@ def test_written_heights_are_metres_upwards(tmp_path, crs):
     with skugga.open_level(path) as level:
         assert level.crs == CRS.from_user_input(UTM)
         out.write_bytes(
-            encode_geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan)
+            encode_geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), RasterProfile())
         )
     original, rewritten = Elevation(str(path)), Elevation(str(out))
     assert rewritten.vertical.unit_source is None and rewritten.vertical.positive_source is None
