@@ -180,7 +180,8 @@ The horizon of every cell towards {AZIMUTH_COUNT} azimuths, one run of each tool
 all horizons (GRASS: as its own maps). Truth are rays from the middles of the sampled cells, as in question 2: all crossings with
 rows, columns and both diagonals, to the rim. `Wrong` is beside rays as a tool defines its horizons: in a flat world, or on the
 round earth for GRASS; and not below the level for topocalc and SurtGIS. Between four cells the ground is a convention: Skugga
-documents quads cut along their higher diagonals and is judged by these; for each other tool the better of both cuts counts.
+cuts quads along their higher diagonals, ends the ground a cell beyond the outermost middles, and is judged by that; for each
+other tool the better of both cuts counts, and its ground ends with the outermost middles.
 `Wrong as it is` is beside the horizon on the round earth over the higher diagonals, which may be negative. Memory is the peak of
 the largest process. `~`: {AZIMUTH_COUNT // SAMPLE_STRIDE} of the azimuths were measured, every \
 {360 * SAMPLE_STRIDE // AZIMUTH_COUNT} degrees from {360 * FIRST_SAMPLE // AZIMUTH_COUNT} on, and the seconds of

@@ -6,7 +6,7 @@
     PYTHON raster_programs.py sky_view dem.tif out.npy COUNT KIND
     PYTHON raster_programs.py TOOL_horizons dem.tif out.npy COUNT [FIRST STRIDE]
     PYTHON raster_programs.py TOOL_sky_view dem.tif out.npy COUNT [RADIUS]
-    PYTHON raster_programs.py r.horizon dem.tif out.npy COUNT FIRST STRIDE POINTS
+    PYTHON raster_programs.py r.horizon dem.tif out.npy COUNT POINTS
     PYTHON raster_programs.py r.skyview dem.tif out.tif COUNT
 
 COUNT azimuths go clockwise round the grid's north, the first of them north. A program for horizons computes the azimuths FIRST,
@@ -168,22 +168,17 @@ def _import_dem(path: str) -> None:
     _grass("g.region", "raster=dem")
 
 
-def r_horizon(path: str, out: str, count: str, first: str, stride: str, points: str) -> float:
+def r_horizon(path: str, out: str, count: str, points: str) -> float:
     """Compute GRASS's horizons as raster maps, and write those of n points, degrees (n, azimuths).
 
     A line of the file ``points`` has an easting and a northing. The directions of GRASS are 0 in the east and grow anticlockwise.
-    Each azimuth of a sample is a call, because GRASS 8.2 leaves out the last of several that do not begin with 0.
     """
     import numpy as np
 
     _import_dem(path)
-    directions = [(90.0 - azimuth) % 360.0 for azimuth in _azimuths(count, first, stride)]
+    directions = [(90.0 - azimuth) % 360.0 for azimuth in _azimuths(count, "0", "1")]
     start = time.perf_counter()
-    if stride == "1":
-        _grass("r.horizon", "-d", "--quiet", "elevation=dem", "output=horizon", f"step={360.0 / int(count):g}")
-    else:
-        for direction in directions:
-            _grass("r.horizon", "-d", "--quiet", "elevation=dem", "output=horizon", f"direction={direction:g}")
+    _grass("r.horizon", "-d", "--quiet", "elevation=dem", "output=horizon", f"step={360.0 / int(count):g}")
     taken_s = time.perf_counter() - start
     maps = ",".join(f"horizon_{direction:03.0f}" for direction in directions)
     table = _grass("r.what", f"map={maps}", "separator=,", "null_value=nan", stdin=Path(points).read_text("utf-8"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +97,28 @@ def plane_rises(height_m: np.ndarray, row: np.ndarray, col: np.ndarray, cell_m: 
     return east[:, None] * np.sin(azimuth) + north[:, None] * np.cos(azimuth)
 
 
+@dataclass(frozen=True)
+class RayGround:
+    """The ground that rays see.
+
+    Attributes
+    ----------
+    is_earth_round
+        Whether the earth is round.
+    reach_cells
+        Distance up to which ground counts in a flat world, cells; infinite for the raster's rim.
+    cuts_lower
+        Whether quads are cut along their lower diagonals (``exact_horizon``).
+    extends_beyond_nodes
+        Whether the outermost rows and columns go on for a cell beyond the outermost nodes.
+    """
+
+    is_earth_round: bool = False
+    reach_cells: float = np.inf
+    cuts_lower: bool = False
+    extends_beyond_nodes: bool = False
+
+
 class RasterTruth:
     """Horizons of rays at n random cells of a raster, degrees (n, azimuths). ``row`` and ``col`` (n,) are the cells."""
 
@@ -104,27 +126,25 @@ class RasterTruth:
         self._dem = dem
         rng = np.random.default_rng(1)
         self.row, self.col = (rng.integers(MARGIN_CELLS, length - MARGIN_CELLS, cells) for length in dem.height_m.shape)
-        self._horizons: dict[tuple[bool, float, bool], np.ndarray] = {}
+        self._horizons: dict[RayGround, np.ndarray] = {}
 
-    def horizons_deg(self, is_earth_round: bool, reach_cells: float = np.inf, cuts_lower: bool = False) -> np.ndarray:
-        """Return horizons in a flat world towards azimuths from the grid's north, or on the round earth from true north.
-
-        In a flat world ground counts that is at most ``reach_cells`` away. ``cuts_lower`` is explained in ``exact_horizon``.
-        """
-        key = is_earth_round, reach_cells, cuts_lower
-        if key not in self._horizons:
-            self._horizons[key] = np.stack([
-                true_horizon(self._dem, row, col, AZIMUTHS_DEG, cuts_lower)
-                if is_earth_round
-                else flat_horizon(self._dem, row, col, AZIMUTHS_DEG, reach_cells, cuts_lower)
-                for row, col in zip(self.row, self.col, strict=True)
+    def horizons_deg(self, ground: RayGround) -> np.ndarray:
+        """Return horizons in a flat world towards azimuths from the grid's north, or on the round earth from true north."""
+        if ground not in self._horizons:
+            dem, rim = self._dem, 1 if ground.extends_beyond_nodes else 0
+            dem = replace(dem, height_m=np.pad(dem.height_m, rim, mode="edge"))
+            self._horizons[ground] = np.stack([
+                true_horizon(dem, row, col, AZIMUTHS_DEG, ground.cuts_lower)
+                if ground.is_earth_round
+                else flat_horizon(dem, row, col, AZIMUTHS_DEG, ground.reach_cells, ground.cuts_lower)
+                for row, col in zip(self.row + rim, self.col + rim, strict=True)
             ])  # fmt: skip
-        return self._horizons[key]
+        return self._horizons[ground]
 
     @property
     def mean_cut_deg(self) -> float:
         """Mean difference of the horizons over quads that are cut along their higher and their lower diagonals, degrees."""
-        return float(np.abs(self.horizons_deg(False) - self.horizons_deg(False, cuts_lower=True)).mean())
+        return float(np.abs(self.horizons_deg(RayGround()) - self.horizons_deg(RayGround(cuts_lower=True))).mean())
 
     def rises(self, side_weight: float) -> np.ndarray:
         """Return the rises of the cells' planes (n, azimuths). See ``plane_rises``."""
@@ -134,6 +154,10 @@ class RasterTruth:
         """Write eastings and northings of the cells, a line each."""
         points = [self._dem.xy(row, col) for row, col in zip(self.row, self.col, strict=True)]
         path.write_text("".join(f"{x:.6f} {y:.6f}\n" for x, y in points), "utf-8")
+
+
+SKUGGA_GROUND = RayGround(extends_beyond_nodes=True)
+"""The ground of arrays in Skugga, by its documentation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,22 +215,30 @@ class RasterTool:
             return np.asarray(values)
         return np.asarray(values[..., truth.row, truth.col]).T
 
-    def errors(self, values: np.ndarray, truth: RasterTruth, reach_cells: float, cuts_lower: bool) -> np.ndarray:
-        """Return the absolute errors of its answers at the sampled cells, degrees or per cent of the sky.
-
-        ``reach_cells`` and ``cuts_lower`` are those of the rays (``RasterTruth.horizons_deg``).
-        """
-        horizon_deg = truth.horizons_deg(self.is_earth_round, reach_cells, cuts_lower)
+    def errors(self, values: np.ndarray, truth: RasterTruth, ground: RayGround) -> np.ndarray:
+        """Return the absolute errors of its answers at the sampled cells, degrees or per cent of the sky. Rays see ``ground``."""
+        horizon_deg = truth.horizons_deg(ground)
         if self.formula is not None:
             return 100.0 * np.abs(values - self.formula(horizon_deg, truth.rises(self.side_weight)))
         horizon_deg = horizon_deg[:, self.azimuth_indices]
         return np.abs(values - (np.maximum(horizon_deg, 0.0) if self.is_clamped else horizon_deg))
 
     def errors_by_its_ground(self, values: np.ndarray, truth: RasterTruth, reach_cells: float = np.inf) -> np.ndarray:
-        """Return its errors over the quads, cut along their higher or their lower diagonals, that suit it better."""
+        """Return its errors over its own ground.
+
+        That is documented of Skugga. Of others it is the one of quads cut along their higher or lower diagonals that suits them.
+        """
         if self.is_skugga:
-            return self.errors(values, truth, reach_cells, False)
-        return min((self.errors(values, truth, reach_cells, cuts_lower) for cuts_lower in (False, True)), key=np.mean)
+            return self.errors(values, truth, SKUGGA_GROUND)
+        grounds = [RayGround(self.is_earth_round, reach_cells, cuts_lower) for cuts_lower in (False, True)]
+        return min((self.errors(values, truth, ground) for ground in grounds), key=np.mean)
+
+    def errors_as_is(self, values: np.ndarray, truth: RasterTruth) -> np.ndarray | None:
+        """Return its errors against horizons on the round earth over higher diagonals; ``None`` if it computes no horizons."""
+        if self.formula is not None:
+            return None
+        ground = RayGround(is_earth_round=True, extends_beyond_nodes=self.is_skugga)
+        return np.abs(values - truth.horizons_deg(ground)[:, self.azimuth_indices])
 
 
 def horizon_raster_tools(python: str) -> list[RasterTool]:
@@ -229,12 +261,12 @@ def horizon_raster_tools(python: str) -> list[RasterTool]:
             is_clamped=False,
         ),
         package("topocalc", "topocalc_horizons"),
-        package("SurtGIS horizon_angle_map", "surtgis_horizons"),
+        package("SurtGIS horizon_angle_map", "surtgis_horizons", is_sampled=True),
         package("Whitebox horizon_angle", "whitebox_horizons", is_sampled=True, is_clamped=False),
         RasterTool(
             "GRASS r.horizon", False,
-            lambda dem, out, points: [*grass_command(dem), "r.horizon", str(dem.path), str(out), count, *sample, str(points)],
-            is_earth_round=True, is_clamped=False, is_sampled=True, writes_points=True,
+            lambda dem, out, points: [*grass_command(dem), "r.horizon", str(dem.path), str(out), count, str(points)],
+            is_earth_round=True, is_clamped=False, writes_points=True,
         ),
     ]  # fmt: skip
 
@@ -314,7 +346,7 @@ def measure_raster(
         values = tool.read(out, truth)
         errors = tool.errors_by_its_ground(values, truth)
         in_reach = None if np.isinf(tool.reach_cells) else tool.errors_by_its_ground(values, truth, tool.reach_cells)
-        as_is = np.abs(values - truth.horizons_deg(True)[:, tool.azimuth_indices]) if tool.formula is None else None
+        as_is = tool.errors_as_is(values, truth)
         out.unlink()
         compute_s = run.compute_s or 0.0
         unmeasured_s = compute_s * (AZIMUTH_COUNT / len(tool.azimuth_indices) - 1.0)
