@@ -24,11 +24,19 @@ SKUGGA_PYTHON = ["env", f"PYTHONPATH={ROOT}", sys.executable]
 
 SKUGGA_COMMAND = [*SKUGGA_PYTHON, "-c", "from skugga.api.cli.main import main; main()"]
 
+SKUGGA_RASTER_COMMAND = [*SKUGGA_PYTHON, str(Path(__file__).with_name("raster_programs.py"))]
+"""Command that computes horizons or sky view factors of a whole raster with Skugga, with the arguments of ``raster_programs``."""
+
 RASTERS = {
     "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),
     "Essen": ("urban/essen_dom1_32_356_5699_1_nw_2020.tif", "EPSG:25832", "surface model of a part of Essen, Germany"),
 }
 """File below the folder of data, CRS of its UTM zone, and description, by name of the raster."""
+
+WHOLE_RASTERS = RASTERS | {
+    "Quebec": ("forest/quebec_DSM.tif", "EPSG:32619", "surface model of a forest in Quebec"),
+}
+"""The same of the rasters whose horizons and sky view factors are computed."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +91,11 @@ def write_question_dem(name: str, height_m: np.ndarray, cell_m: float, crs: str,
 
 
 def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionDem | None:
-    """Read a raster of ``RASTERS``, or its middle of at most ``side`` x ``side`` cells; ``None`` if its file is absent.
+    """Read a raster of ``WHOLE_RASTERS``, or its middle of at most ``side`` x ``side`` cells; ``None`` if its file is absent.
 
     The result is written into ``folder`` as a raster on the central meridian.
     """
-    file, crs, _ = RASTERS[name]
+    file, crs, _ = WHOLE_RASTERS[name]
     if not (data / file).exists():
         return None
     with rasterio.open(data / file) as source:
@@ -102,12 +110,19 @@ def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionD
 
 def tool_versions(python: str) -> dict[str, str]:
     """Return the versions of the available tools by name. Python packages are those of the interpreter ``python``."""
-    packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
+    packages = {
+        "Whitebox Workflows": "whitebox-workflows whitebox_workflows",
+        "topocalc": "topocalc topocalc.horizon",
+        "xarray-spatial": "xarray-spatial xrspatial",
+        "RVT": "rvt-py rvt.vis",
+        "SurtGIS": "surtgis surtgis",
+    }
     commands = {
         name: [python, str(PEERS_PROGRAMS), "--version", *packages_of_tool.split()] for name, packages_of_tool in packages.items()
     }
     commands |= {
         "GRASS": ["grass", "--version"],
+        "SAGA": ["saga_cmd", "--version"],
         "Skugga": [sys.executable, str(PEERS_PROGRAMS), "--version", "skugga", "numpy"],
     }
     versions = {name: installed_version(command) for name, command in commands.items()}

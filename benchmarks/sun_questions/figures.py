@@ -1,4 +1,4 @@
-"""Results of `sun_questions`: the tools' answers to three questions about the sun, and which tools are faster and more accurate."""
+"""Results of `sun_questions`: the tools' answers to questions about the sun, and which tools are faster and more accurate."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ class SunAnswer:
     work.
 
     ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile. Their truth uses the tool's own solar positions, shape of the
-    earth and north. ``wrong_as_is`` is the mean error against NREL's solar positions on the round earth. The unit of errors is
-    minutes, degrees or shares of cells, depending on the question.
+    earth and north. ``wrong_as_is`` is the mean error against NREL's solar positions on the round earth. ``wrong_in_reach`` is that
+    against ground within the distance up to which the tool looks, if it looks less far than the raster's rim. The unit of errors is
+    minutes, degrees, shares of cells or per cent of the sky, depending on the question. ``peak_mb`` is the peak memory of the
+    largest process, MB.
     """
 
     question: str
@@ -33,6 +35,8 @@ class SunAnswer:
     wrong_p99: float | None
     wrong_as_is: float | None = None
     scaled: bool = False
+    wrong_in_reach: float | None = None
+    peak_mb: float | None = None
 
 
 @dataclass(frozen=True)

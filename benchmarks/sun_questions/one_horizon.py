@@ -39,15 +39,24 @@ MAX_WALL_DISTANCE_CELLS = 15
 
 
 def exact_horizon(
-    height_m: np.ndarray, row: int, col: int, col_direction: float, row_direction: float, cell_m: float, radius_m: float = np.inf
+    height_m: np.ndarray,
+    row: int,
+    col: int,
+    col_direction: float,
+    row_direction: float,
+    cell_m: float,
+    radius_m: float = np.inf,
+    reach_cells: float = np.inf,
+    cuts_lower: bool = False,
 ) -> float:
     """Return the exact horizon angle of a node in a direction, degrees.
 
     ``height_m`` are the heights of nodes (rows, cols). ``col_direction`` and ``row_direction`` are the unit vector of the direction
-    in columns and rows. A column is ``cell_m`` metres wide, and ``radius_m`` is the earth's radius R. The result uses every
-    crossing of the direction with edges of triangles: rows, columns and both diagonals of quads. Only one diagonal is an edge;
-    crossings with the other do no harm. At a distance s, the tangent of the angle of a point of height h is ((R + h) cos(s/R) - (R
-    + h0)) / ((R + h) sin(s/R)), where h0 is the height of the node.
+    in columns and rows. A column is ``cell_m`` metres wide, and ``radius_m`` is the earth's radius R. Ground counts up to the rim,
+    at most ``reach_cells`` away; where there is none the horizon is level. Quads are cut along their higher diagonals, with
+    ``cuts_lower`` along the lower ones. The result uses every crossing of the direction with edges of triangles: rows, columns and
+    both diagonals of quads. Only one diagonal is an edge; crossings with the other do no harm. At a distance s, the tangent of the
+    angle of a point of height h is ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)), where h0 is the height of the node.
     """
     rows, cols = height_m.shape
     rim_distances = [
@@ -55,14 +64,16 @@ def exact_horizon(
         for at, rate, length in ((col, col_direction, cols), (row, row_direction, rows))
         if rate
     ]
-    end = min(rim_distances)
+    end = min([*rim_distances, reach_cells])
     crossing_rates = [
         abs(rate)
         for rate in (col_direction, row_direction, col_direction - row_direction, col_direction + row_direction)
         if abs(rate) > EPSILON
     ]
     crossings = np.concatenate([np.arange(1.0, np.floor(end * rate + EPSILON) + 1.0) / rate for rate in crossing_rates])
-    z_m = triangle_heights_m(height_m, row + crossings * row_direction, col + crossings * col_direction)
+    if not len(crossings):
+        return 0.0
+    z_m = triangle_heights_m(height_m, row + crossings * row_direction, col + crossings * col_direction, cuts_lower)
     distance_m, z0_m = crossings * cell_m, float(height_m[row, col])
     if np.isinf(radius_m):
         return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
@@ -72,10 +83,10 @@ def exact_horizon(
     return float(np.degrees(np.arctan((rise_m / ((radius_m + z_m) * np.sin(angle))).max())))
 
 
-def triangle_heights_m(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def triangle_heights_m(height_m: np.ndarray, row: np.ndarray, col: np.ndarray, cuts_lower: bool = False) -> np.ndarray:
     """Return the heights (n,) of a triangle mesh at fractional rows and columns.
 
-    The triangles join nodes (rows, cols). Quads are cut along their higher diagonals.
+    The triangles join nodes (rows, cols). Quads are cut along their higher diagonals, with ``cuts_lower`` along the lower ones.
     """
     rows, cols = height_m.shape
     r0, c0 = np.clip(np.floor(row).astype(int), 0, rows - 2), np.clip(np.floor(col).astype(int), 0, cols - 2)
@@ -83,13 +94,14 @@ def triangle_heights_m(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -
     u, v = col - c0, row - r0
     falling = np.where(v <= u, nw + u * (ne - nw) + v * (se - ne), nw + v * (sw - nw) + u * (se - sw))
     rising = np.where(u + v <= 1.0, nw + u * (ne - nw) + v * (sw - nw), se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se))
-    return np.where(nw + se > ne + sw, falling, rising)
+    is_falling_higher = nw + se > ne + sw
+    return np.where(is_falling_higher ^ cuts_lower, falling, rising)
 
 
-def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
+def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray, cuts_lower: bool = False) -> np.ndarray:
     """Return the horizon angles (n,) towards azimuths from true north on the round earth, degrees.
 
-    Ground counts up to the raster's rim.
+    Ground counts up to the raster's rim. ``cuts_lower`` is explained in ``exact_horizon``.
     """
     to_degrees = Transformer.from_crs(dem.crs, "EPSG:4326", always_xy=True)
     x, y = dem.xy(row, col)
@@ -102,16 +114,25 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
     length = np.hypot(east, north)
     radius = _radius_m(lat, azimuth_deg)
     return np.array([
-        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * BEARING_DISTANCE_M / step_length, r)
+        exact_horizon(
+            dem.height_m, row, col, e, -n, dem.cell_m * BEARING_DISTANCE_M / step_length, r, cuts_lower=cuts_lower
+        )
         for e, n, step_length, r in zip(east / length, north / length, length, radius, strict=True)
     ])  # fmt: skip
 
 
-def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Return the horizon angles (n,) towards azimuths from the grid's north in a flat world, degrees."""
+def flat_horizon(
+    dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray, reach_cells: float = np.inf, cuts_lower: bool = False
+) -> np.ndarray:
+    """Return the horizon angles (n,) towards azimuths from the grid's north in a flat world, degrees.
+
+    ``reach_cells`` and ``cuts_lower`` are explained in ``exact_horizon``.
+    """
     azimuth = np.radians(azimuth_deg)
-    directions = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
-    return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in directions])
+    return np.array([
+        exact_horizon(dem.height_m, row, col, right, down, dem.cell_m, reach_cells=reach_cells, cuts_lower=cuts_lower)
+        for right, down in zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
+    ])  # fmt: skip
 
 
 def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:

@@ -9,14 +9,30 @@ from benchmarks.sun_questions.day_hours import HOURS_QUESTION
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, tool_standings
 from benchmarks.sun_questions.many_masks import ALTITUDE_TOLERANCE_DEG, MASKS_QUESTION
 from benchmarks.sun_questions.one_horizon import AZIMUTH_STEP_DEG, HORIZON_QUESTION, TOPOCALC_AZIMUTH_STEP_DEG
+from benchmarks.sun_questions.whole_rasters import (
+    AZIMUTH_COUNT,
+    FIRST_SAMPLE,
+    RASTER_HORIZONS_QUESTION,
+    REACHES_CELLS,
+    SAMPLE_STRIDE,
+    SKY_VIEW_QUESTION,
+)
 
 TITLES = {
     HOURS_QUESTION: "1. Hours of sun of a day",
     HORIZON_QUESTION: "2. The horizon at a point",
     MASKS_QUESTION: "3. 31 masks of a day",
+    RASTER_HORIZONS_QUESTION: "4. Horizons of a whole raster",
+    SKY_VIEW_QUESTION: "5. Sky view factors of a whole raster",
 }
 
-UNIT_BY_QUESTION = {HOURS_QUESTION: "minutes", HORIZON_QUESTION: "degrees", MASKS_QUESTION: "% of the cells"}
+UNIT_BY_QUESTION = {
+    HOURS_QUESTION: "minutes",
+    HORIZON_QUESTION: "degrees",
+    MASKS_QUESTION: "% of the cells",
+    RASTER_HORIZONS_QUESTION: "degrees",
+    SKY_VIEW_QUESTION: "% of the sky",
+}
 
 
 def format_error(question: str, value: float | None) -> str:
@@ -36,19 +52,25 @@ def _format_seconds(value: float | None, answer: SunAnswer) -> str:
 def answer_table(comparison: SunComparison, question: str) -> list[str]:
     """Format a line for each tool in each case."""
     rows = []
-    for answer in comparison.answers_to(question):
+    answers = comparison.answers_to(question)
+    for answer in answers:
         name = f"**{answer.tool}**" if answer.ours else answer.tool
         row = {"case": answer.case, "tool": name}
-        if any(sun_answer.compute_s is not None for sun_answer in comparison.answers_to(question)):
+        if any(sun_answer.compute_s is not None for sun_answer in answers):
             row["computing, s"] = _format_seconds(answer.compute_s, answer)
         row["whole process, s"], row["its CPU time, s"] = (
             _format_seconds(answer.whole_s, answer),
             _format_seconds(answer.cpu_s, answer),
         )
+        if any(sun_answer.peak_mb is not None for sun_answer in answers):
+            row["memory, MB"] = "-" if answer.peak_mb is None else f"{answer.peak_mb:.0f}"
         row[f"wrong, {UNIT_BY_QUESTION[question]}"] = format_error(question, answer.wrong)
-        if any(sun_answer.wrong_p99 is not None for sun_answer in comparison.answers_to(question)):
+        if any(sun_answer.wrong_p99 is not None for sun_answer in answers):
             row["99 % under"] = format_error(question, answer.wrong_p99)
-        row["wrong as it is"] = format_error(question, answer.wrong_as_is)
+        if any(sun_answer.wrong_in_reach is not None for sun_answer in answers):
+            row["wrong within its reach"] = format_error(question, answer.wrong_in_reach)
+        if any(sun_answer.wrong_as_is is not None for sun_answer in answers):
+            row["wrong as it is"] = format_error(question, answer.wrong_as_is)
         rows.append(row)
     return markdown_table(rows)
 
@@ -131,7 +153,11 @@ the sampled cells of the minutes by which a tool differs from rays under *its ow
 and steps of time are judged; `wrong as it is` the same beside astronomy's sun (NREL's, with refraction) on the round earth,
 which is what a user gets. Computing: Skugga's `level.sun_hours` as an array, the second time; the call of `time_in_daylight`,
 without reading; the modules r.sun and r.horizon on two threads, without import and export. Whitebox's share of the day is made
-hours by the length of its own day.""",
+hours by the length of its own day.
+
+GRASS is Debian's 8.2. Its r.horizon has a known fault: it returns negative horizons, some of them wrong, and r.sun is wrong
+with such maps (OSGeo/grass, issue 2935). From 8.3 on it returns no negative horizons (pull request 2955). The row *horizons every
+5°* is that of 8.2.""",
     HORIZON_QUESTION: f"""\
 720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
 crossing of the direction with the triangles' edges, to the raster's rim, on the round earth (for topocalc, which knows none, in
@@ -139,7 +165,8 @@ a flat world). Computing: one point of a level that is open and whose loops are 
 `skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters:
 {360.0 / TOPOCALC_AZIMUTH_STEP_DEG:.0f} directions are measured, and the seconds multiplied by \
 {TOPOCALC_AZIMUTH_STEP_DEG / AZIMUTH_STEP_DEG:.0f} (`~`).
-r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
+r.horizon takes a sample every `distance` cells' sides; 1 is its default. At a point GRASS 8.2 has a second fault, variables that
+are not set, which later versions mend (OSGeo/grass, pull requests 3288 and 3441).""",
     MASKS_QUESTION: f"""\
 31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
 azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns \
@@ -148,6 +175,35 @@ lower and higher) at the sampled cells, beside rays: of each cell's sun on the r
 world for the others. *One process at best* is a bound, not a run: the computing of all masks and the least of everything else,
 once. gdaldem hillshade casts no shadows, and is what a process costs. `~`: some of the suns were measured, and their seconds
 multiplied; of *31 runs* one in three or five.""",
+    RASTER_HORIZONS_QUESTION: f"""\
+The horizon of every cell towards {AZIMUTH_COUNT} azimuths, one run of each tool. A process reads the raster, computes, and writes
+all horizons (GRASS: as its own maps). Truth are rays from the middles of the sampled cells, as in question 2: all crossings with
+rows, columns and both diagonals, to the rim. `Wrong` is beside rays as a tool defines its horizons: in a flat world, or on the
+round earth for GRASS; and not below the level for topocalc and SurtGIS. Between four cells the ground is a convention: Skugga
+cuts quads along their higher diagonals, ends the ground a cell beyond the outermost middles, and is judged by that; for each
+other tool the better of both cuts counts, and its ground ends with the outermost middles.
+`Wrong as it is` is beside the horizon on the round earth over the higher diagonals, which may be negative. Memory is the peak of
+the largest process. `~`: {AZIMUTH_COUNT // SAMPLE_STRIDE} of the azimuths were measured, every \
+{360 * SAMPLE_STRIDE // AZIMUTH_COUNT} degrees from {360 * FIRST_SAMPLE // AZIMUTH_COUNT} on, and the seconds of
+computing multiplied; their errors and memory are those of these azimuths. GRASS is 8.2, whose r.horizon has a known fault with
+negative horizons, mended in 8.3 (see question 1).""",
+    SKY_VIEW_QUESTION: f"""\
+{AZIMUTH_COUNT} azimuths for every tool, one run each. Each is judged by its own definition, of rays at the same azimuths. With h
+the horizon, not below the level:
+
+- `solid_angle`, 1 - mean sin h: Skugga, GRASS r.skyview, RVT, xarray-spatial.
+- `cosine`, mean cos² h: Skugga, and SurtGIS, whose type stubs do not tell; it is close to that of its own horizons.
+- `tilted`, the sky of the cell's own plane after Dozier and Frew (1990): Skugga, whose horizon is also that of the plane; SAGA;
+  topocalc, which leaves out azimuths whose part is negative. Planes are as a tool fits them: Horn's for topocalc, central
+  differences for SAGA and Skugga.
+
+The earth is flat, but round for GRASS. Quads are cut as in question 4. `Wrong` is in hundredths of the whole sky, beside rays to
+the rim. A tool's *cells* are how far it looks: RVT, xarray-spatial and SurtGIS look {REACHES_CELLS[0]} cells far unless told, and
+their seconds grow with the distance; `wrong within its reach` is beside rays that end there. RVT mirrors the ground beyond the rim,
+which counts as wrong. Memory is the peak of the largest process. r.skyview is an addon that could not be installed here: its two
+steps, r.horizon and r.mapcalc, were run instead, by GRASS 8.2, whose r.horizon has a known fault with negative horizons, mended in
+8.3 (see question 1). xarray-spatial compiles its loops in each process; Skugga's were compiled before. HORAYZON was not
+measured.""",
 }
 
 CONVENTIONS = """What "hours" mean differs, and was looked at before: on a level floor a tool's hours must be the length of its day,
