@@ -55,6 +55,20 @@ def georeferenced_hills(crs: str) -> xarray.DataArray:
         return xarray.DataArray(hills(), dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs(crs)
 
 
+def assert_chunks_equal(product: str, lazy: xarray.DataArray, whole: xarray.DataArray) -> None:
+    """Check that a result in chunks is that of the whole array.
+
+    Horizons are computed in the plane that touches each block's centre. True north differs a little from block to block, so a ray
+    may just meet a step, or just miss it.
+    """
+    if product not in ("sky view", "horizons"):
+        xarray.testing.assert_equal(lazy, whole)
+        return
+    np.testing.assert_array_equal(np.isnan(lazy), np.isnan(whole))
+    error, (mean, largest) = np.abs(lazy - whole), {"sky view": (1e-4, 0.01), "horizons": (0.02, 5.0)}[product]
+    assert float(error.mean()) < mean and float(error.max()) < largest
+
+
 @IGNORE_NOT_GEOREFERENCED
 @pytest.mark.parametrize("crs", GRIDS_BY_CRS)
 @pytest.mark.parametrize("product", PRODUCTS)
@@ -63,7 +77,7 @@ def test_chunks_equal_the_whole_in_any_crs(crs, product):
     assert full_result.rio.crs.to_string() == crs and full_result.notnull().any()
     lazy = PRODUCTS[product](georeferenced_hills(crs).chunk({"y": 40, "x": 70}))
     assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50)) and lazy.dtype == full_result.dtype
-    xarray.testing.assert_equal(lazy.compute(), full_result)
+    assert_chunks_equal(product, lazy.compute(), full_result)
 
 
 ROTATED_POLE = "+proj=ob_tran +o_proj=longlat +o_lat_p=39.25 +o_lon_p=0 +lon_0=18 +datum=WGS84"
@@ -110,7 +124,7 @@ def test_chunks_of_a_rotated_pole_equal_the_whole(crs_form, product):
     assert full_result.rio.crs == array.rio.crs
     lazy = PRODUCTS[product](array.chunk(dict(zip(array.dims, (40, 70), strict=True))))
     assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50))
-    xarray.testing.assert_equal(lazy.compute(), full_result)
+    assert_chunks_equal(product, lazy.compute(), full_result)
     np.testing.assert_array_equal(full_result, PRODUCTS[product](ROTATED_POLES["PROJ"]()))
 
 
@@ -172,7 +186,7 @@ def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
         answer = PRODUCTS[product](flipped if chunks is None else flipped.chunk(chunks)).compute()
         xarray.testing.assert_equal(answer.y, flipped.y)
         xarray.testing.assert_equal(answer.x, flipped.x)
-        xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](upright))
+        assert_chunks_equal(product, answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](upright))
 
 
 @IGNORE_NOT_GEOREFERENCED
@@ -184,7 +198,8 @@ def test_horizons_have_azimuth_as_their_first_dimension(chunks):
     assert horizons.name == "horizons" and horizons.rio.crs.to_epsg() == 32633 and horizons.dtype == np.float32
     transform = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
     with skugga.open_heights(hills(), transform, "EPSG:32633") as level:
-        np.testing.assert_array_equal(horizons.sel(azimuth=90.0).transpose("y", "x"), level.horizons(8)[2])
+        error = np.abs(horizons.sel(azimuth=90.0).transpose("y", "x").to_numpy() - level.horizons(8)[2])
+        assert np.nanmean(error) < 0.02 and np.nanpercentile(error, 99) < 0.1
         np.testing.assert_array_equal(np.isnan(horizons).all("azimuth").transpose("y", "x"), np.isnan(hills()))
 
 
