@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import datetime
-from typing import cast
+from typing import Any, cast
+
+import numpy as np
 
 from skugga.api.library.argument_types import CrsLike, Date, Time, validate_arguments
 from skugga.api.library.level_state import LevelState, requested_sun
+from skugga.api.point.horizons import DEFAULT_AZIMUTHS, horizons_at_points
 from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport
 from skugga.shadows.point.horizon import PointHorizon, horizon_profile
@@ -84,3 +87,33 @@ class LevelPoints(LevelState):
         query = PointQuery(lon=lon, lat=lat, height=height)
         self._issue_object_warnings()
         return horizon_profile(point_surroundings(self._scene, query, crs))
+
+    @validate_arguments
+    def point_horizons(
+        self, points: Any, azimuths: int = DEFAULT_AZIMUTHS, *, height: Any = 0.0, crs: CrsLike | None = None
+    ) -> np.ndarray:
+        """Return the horizons of many points, computed on all cores: those that ``horizon`` gives for each of them.
+
+        Parameters
+        ----------
+        points
+            (points, 2): longitudes and latitudes in degrees, or x and y in ``crs``.
+        azimuths
+            The number of azimuths, evenly spaced from true north, clockwise.
+        height
+            Metres above the ground, for all points or for each.
+        crs
+            The CRS of ``points``, in any form that pyproj accepts.
+
+        Returns
+        -------
+        numpy.ndarray
+            Degrees (points, azimuths); -90 where nothing is in the way.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
+        """
+        self._issue_object_warnings()
+        return horizons_at_points(self._scene, points, azimuths, height, crs).horizon_deg

@@ -115,7 +115,7 @@ def _checked_points(points: ArrayLike, height_m: ArrayLike, name: str) -> tuple[
     """Return points (p, 2) and heights (p,) as arrays. ``name`` names the points in the message of an ``InputError``."""
     try:
         coordinates = np.array(points, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(name, Problem("not an array of numbers"), "Give pairs of longitude and latitude, (n, 2)") from None
     if coordinates.size == 0 and coordinates.ndim > 0:
         raise InputError(name, Problem("no points"), "Give at least one")
@@ -125,7 +125,7 @@ def _checked_points(points: ArrayLike, height_m: ArrayLike, name: str) -> tuple[
         raise InputError.over_limit(name, f"{len(coordinates)} points", str(MAX_POINTS), "Use several calls")
     try:
         heights = np.broadcast_to(np.array(height_m, np.float64), (len(coordinates),))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         allowed = f"a number, or one for each of the {len(coordinates)} points"
         raise InputError("height", str(height_m)[:60], allowed) from None
     return coordinates, heights

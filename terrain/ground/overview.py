@@ -145,7 +145,7 @@ def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
         fine_maxima_m, lowest_m = _estimated_maxima(
             ground, fine_lod, _finest_lod(rows, cols, fine_lod, MAX_EXACT_MAXIMA_CELLS), lod
         )
-        high = _block_maxima(fine_maxima_m, 2 ** (lod - fine_lod))
+        high = _block_maxima(fine_maxima_m, 2 ** (lod - fine_lod), shape)
         means = ground.read(lod, 0, shape[0], 0, shape[1])
         return Overview(means, high, lod, lowest_m, *((fine_maxima_m, fine_lod) if fine_lod < lod else ()))
     high, lowest_m = _exact_maxima(ground, lod, rows, cols)
@@ -156,15 +156,13 @@ def read_overview(ground: LodReader, rows: int, cols: int) -> Overview:
 def _exact_maxima(ground: LodReader, lod: int, rows: int, cols: int) -> tuple[np.ndarray, float]:
     """Return the maximum heights (m, n) in the cells of a level of detail, and the minimum of all ground, metres.
 
-    They are exact: every cell of the raster is read.
+    They are exact: every cell of the raster is read. Cells of the raster beyond the last whole cell belong to the last one.
     """
     (m, n), factor = ground.lod_shape(lod), 2**lod
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
-    block_rows, block_cols = min(factor, rows), min(factor, cols)
     for row in range(m):
-        strip = ground.read(0, row * block_rows, row * block_rows + block_rows, 0, n * block_cols)
-        top = np.nan_to_num(strip, nan=-np.inf).reshape(block_rows, n, block_cols).max(axis=(0, 2))
-        high[row] = np.where(np.isfinite(top), top, np.nan)
+        strip = ground.read(0, row * factor, rows if row == m - 1 else (row + 1) * factor, 0, cols)
+        high[row] = _block_maxima(strip, factor, (1, n))[0]
         lowest_m = float(np.fmin(lowest_m, _lowest(strip)))
     return high, lowest_m
 
@@ -188,25 +186,25 @@ def _estimated_maxima(ground: LodReader, fine_lod: int, mean_lod: int, lod: int)
     count = max(MEAN_ROWS_PER_READ // block, 1)
     for first in range(0, m, count):
         last = min(first + count, m)
-        top, bottom = max(first * block - 1, 0), min(last * block + 1, rows)
+        top, bottom = max(first * block - 1, 0), rows if last == m else last * block + 1
         mean = ground.read(mean_lod, top, bottom, 0, ground.lod_shape(mean_lod)[1])
         above = maximum_filter(np.nan_to_num(mean, nan=-np.inf), size=3, mode="nearest")
         below = minimum_filter(np.nan_to_num(mean, nan=np.inf), size=3, mode="nearest")
         half_range = np.where(np.isfinite(above), above - below, 0.0) / 2
-        inner = slice(first * block - top, last * block - top), slice(0, n * block)
-        high[first:last] = _block_maxima((above + half_range)[inner], block)
+        inner = slice(first * block - top, None if last == m else last * block - top)
+        high[first:last] = _block_maxima((above + half_range)[inner], block, (last - first, n))
         lowest_m = float(np.fmin(lowest_m, _lowest(np.where(np.isfinite(below), below - half_range, np.nan))))
     return high, lowest_m
 
 
-def _block_maxima(heights_m: np.ndarray, block_side: int) -> np.ndarray:
-    """Return the maximum of each block of ``block_side`` x ``block_side`` cells, NaN where no cell is finite."""
-    rows, cols = heights_m.shape
-    top = (
-        np.where(np.isfinite(heights_m), heights_m, -np.inf)
-        .reshape(rows // block_side, block_side, cols // block_side, block_side)
-        .max(axis=(1, 3))
-    )
+def _block_maxima(heights_m: np.ndarray, block_side: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return the maximum of each of (m, n) blocks of ``block_side`` x ``block_side`` cells, NaN where no cell is finite.
+
+    The last blocks include the cells beyond them.
+    """
+    known = np.where(np.isfinite(heights_m), heights_m, -np.inf)
+    of_rows = np.maximum.reduceat(known, np.arange(shape[0]) * block_side, axis=0)
+    top = np.maximum.reduceat(of_rows, np.arange(shape[1]) * block_side, axis=1)
     return np.where(np.isfinite(top), top, np.nan).astype(np.float32)
 
 

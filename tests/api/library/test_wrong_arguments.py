@@ -104,6 +104,7 @@ LEVEL_METHODS: dict[str, dict[str, Any]] = {
         "year": None,
     },
     "horizon": {"lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "height": 0.0},
+    "point_horizons": {"points": [[500100.0, 5199900.0]], "azimuths": 8, "height": 0.0, "crs": "EPSG:32633"},
     "film": {
         "view": "map", "start": "2024-03-21T10:00Z", "end": "2024-03-21T12:00Z", "step": "1h", "path": None, "fps": 25.0,
         "size": (8, 8), "bounds": None, "crs": None, "seconds": None, "style": None, "slope_exaggeration": None,

@@ -93,3 +93,18 @@ def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypat
     assert f"'skugga overviews {path}'" in warning
     with skugga.open_heights(np.zeros((600, 700), np.float32), (30.0, 0.0, 5e5, 0.0, -30.0, 5.3e6), "EPSG:32633") as level:
         assert level.warnings == (), "no command makes overviews in memory"
+
+
+@pytest.mark.parametrize("max_exact_cells", [10**9, 64 * 64])
+@pytest.mark.parametrize("peak", [(642, 300), (200, 1196), (642, 1196), (0, 0)])
+def test_the_last_cells_hold_the_ground_beyond_the_last_whole_one(write_raster, monkeypatch, peak, max_exact_cells):
+    """A ridge on the edge of a raster whose sides are no multiples of the overview's cells."""
+    monkeypatch.setattr(overview, "MAX_EXACT_MAXIMA_CELLS", max_exact_cells)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.MAX_EXACT_MAXIMA_CELLS", max_exact_cells)
+    heights = np.full((643, 1197), 500.0, np.float32)
+    heights[max(peak[0] - 31, 0) : peak[0] + 32, max(peak[1] - 31, 0) : peak[1] + 32] = 900.0
+    heights[peak] = 2000.0 if max_exact_cells > heights.size else 900.0
+    raster = Elevation(str(write_raster(heights, "EPSG:32633", 500_000, 5_300_000, 30.0)))
+    (m, n), cell = raster.overview.max_heights_m.shape, 2**raster.overview.lod
+    at = min(peak[0] // cell, m - 1), min(peak[1] // cell, n - 1)
+    assert raster.overview.max_heights_m[at] >= heights[peak]
