@@ -163,14 +163,14 @@ def test_parts_add_up_to_the_total(open_scene):
 def test_a_wall_takes_the_hours_that_hours_of_sun_say(open_scene):
     """South of the cells runs a wall, and the light of each hour is there or not as its sun is."""
     heights = np.zeros((40, 61))
-    heights[30] = 60.0
+    heights[30, 23:38] = 60.0
     scene = open_scene(heights)
     view, cell = cells_of(scene), (18, 30)
-    (day,) = days_of(scene)
+    (day,) = days_of(scene, WINTER)
     open_beam = pvlib_parts_by_hour(scene, day)
     seen, hidden = 0, 0
     for hour, expected in open_beam.items():
-        (window,) = windows_between(scene.world, SPRING, SPRING, 1, (60.0 * hour, 60.0 * hour + 60.0), SOLAR)
+        (window,) = windows_between(scene.world, WINTER, WINTER, 1, (60.0 * hour, 60.0 * hour + 60.0), SOLAR)
         rules = IrradiationRules(part="beam", plane="level")
         value = float(irradiation(scene, view, [window], rules)[cell])
         (sun,) = window_suns(scene.world, [window])
@@ -193,7 +193,7 @@ def no_plan(_: Scene):
 
 def pvlib_parts_by_hour(scene: Scene, day: DailyWindow) -> dict[int, float]:
     """Return direct sunlight on open level ground in the hours between sunrise and sunset of a day, by solar hour, kWh/m2."""
-    hours = range(7, 17)
+    hours = range(8, 16)
     windows = {
         hour: windows_between(scene.world, day.date, day.date, 1, (60.0 * hour, 60.0 * hour + 60.0), SOLAR) for hour in hours
     }
