@@ -36,8 +36,8 @@ from skugga.terrain.scene import Scene
 Part = Literal["total", "beam", "circumsolar", "sky", "horizon_band", "reflected"]
 """The parts of irradiation, and their total."""
 
-MIN_HEIGHT_RANGE_M = 1.0
-"""Minimum range of heights between which light is interpolated."""
+HEIGHT_STEP_M = 50.0
+"""Maximum metres between two heights for which light is computed. Between them it is interpolated linearly."""
 
 
 @dataclass(frozen=True)
@@ -84,20 +84,16 @@ def irradiation(
     row, col = view.centre_node
     lon, lat = scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row))
     suns = sun_intervals(windows, rules.step_minutes, float(lon), float(lat))
-    low_m, high_m = scene.height_range_m
-    high_m = max(high_m, low_m + MIN_HEIGHT_RANGE_M)
-    heights_m = np.array([low_m, (low_m + high_m) / 2.0, high_m])
+    heights_m = _light_heights_m(*scene.height_range_m)
     light = clear_sky_light(suns, float(lon), float(lat), heights_m, rules.linke_turbidity)
-    share_of_height = ((nodes.height_m - np.float32(low_m)) / np.float32(high_m - low_m)).astype(np.float32)
+    height_index = np.interp(np.nan_to_num(nodes.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
     grid = block_grid(scene, view)
     slopes = ground_slopes(grid) if rules.plane == "ground" else _level_slopes(grid)
     total = np.zeros(out.shape, np.float32)
     if rules.part in ("total", "sky", "horizon_band", "reflected"):
-        total += _sky_irradiation(grid, slopes, share_of_height, suns, light, rules)
+        total += _sky_irradiation(grid, slopes, height_index, suns, light, rules)
     if rules.part in ("total", "beam", "circumsolar"):
-        total += _sun_irradiation(
-            scene, nodes, slopes, share_of_height, suns, _direct_light(light, rules.part), len(windows), on_day
-        )
+        total += _sun_irradiation(scene, nodes, slopes, height_index, suns, _direct_light(light, rules.part), len(windows), on_day)
     elif on_day is not None:
         for _ in windows:
             on_day()
@@ -134,7 +130,7 @@ def _level_slopes(grid: HorizonGrid) -> tuple[np.ndarray, np.ndarray]:
 def _sky_irradiation(
     grid: HorizonGrid,
     slopes: tuple[np.ndarray, np.ndarray],
-    share_of_height: np.ndarray,
+    height_index: np.ndarray,
     suns: SunIntervals,
     light: SkyLight,
     rules: IrradiationRules,
@@ -146,22 +142,21 @@ def _sky_irradiation(
     out = np.zeros(sky_view.shape, np.float32)
     for part, factor in factors.items():
         if rules.part in ("total", part):
-            c0, c1, c2 = _quadratic(sums[part][:, None])[:, 0]
-            out += factor * (c0 + share_of_height * (c1 + share_of_height * c2))
+            out += factor * np.interp(height_index, np.arange(len(sums[part])), sums[part]).astype(np.float32)
     return out
 
 
-def _quadratic(values: np.ndarray) -> np.ndarray:
-    """Return the coefficients (3, n), constant first, of the parabolas through values (3, n) at 0, 1/2 and 1, float32."""
-    low, middle, high = values
-    return np.stack([low, 4.0 * middle - 3.0 * low - high, 2.0 * (low + high) - 4.0 * middle]).astype(np.float32)
+def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:
+    """Return at least two evenly spaced heights (k,) from the lowest to the highest ground, metres."""
+    high_m = max(high_m, low_m + 1.0)
+    return np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / HEIGHT_STEP_M)) + 1)
 
 
 def _sun_irradiation(
     scene: Scene,
     nodes: BareNodes,
     slopes: tuple[np.ndarray, np.ndarray],
-    share_of_height: np.ndarray,
+    height_index: np.ndarray,
     suns: SunIntervals,
     light: np.ndarray,
     days: int,
@@ -174,9 +169,9 @@ def _sun_irradiation(
     scene = _under_clear_sky(scene)
     plane = block_plane(scene.world, nodes.view, *nodes.view.centre_node)
     slopes = _slopes_in_plane(slopes, plane.east_north_of_cell_m, scene.world.curvature)
-    weights = _quadratic(light * suns.hours / 1000.0)
+    weights = np.ascontiguousarray((light * suns.hours / 1000.0).T, np.float32)
     has_all_ground = _holds_all_ground(scene, nodes.view)
-    sums = _TurnedSums(slopes, share_of_height)
+    sums = _TurnedSums(slopes, height_index)
     reported = 0
     for count, number in enumerate(np.argsort(suns.azimuth_deg, kind="stable").tolist(), 1):
         towards = direction_enu(float(suns.azimuth_deg[number]), float(suns.altitude_deg[number]))
@@ -186,7 +181,7 @@ def _sun_irradiation(
         patches = () if has_all_ground else find_sun_casters(lit, nodes)
         clearance = clearance_of_nodes(nodes, lit, patches, LINES_PER_COLUMN)
         sums.turn(clearance.orientation)
-        sums.add(clearance.ray_height_m, clearance.shadow_ray_height_m, towards.astype(np.float32), weights[:, number])
+        sums.add(clearance.ray_height_m, clearance.shadow_ray_height_m, towards.astype(np.float32), weights[number])
         while on_day is not None and reported < days * count // len(suns):
             on_day()
             reported += 1
@@ -236,9 +231,9 @@ class _TurnedSums:
     Sums are over the normals' upward component, by which the total is multiplied once.
     """
 
-    def __init__(self, slopes: tuple[np.ndarray, np.ndarray], share_of_height: np.ndarray) -> None:
-        self._rasters = (*slopes, share_of_height)
-        self._total = np.zeros(share_of_height.shape, np.float32)
+    def __init__(self, slopes: tuple[np.ndarray, np.ndarray], height_index: np.ndarray) -> None:
+        self._rasters = (*slopes, height_index)
+        self._total = np.zeros(height_index.shape, np.float32)
         self._orientation: GridOrientation | None = None
         self._turned: tuple[np.ndarray, ...] = ()
         self._sum = np.empty((0, 0), np.float32)
@@ -253,7 +248,7 @@ class _TurnedSums:
         self._sum = np.zeros(self._turned[0].shape, np.float32)
 
     def add(self, ray_height_m: np.ndarray, shadow_ray_height_m: np.ndarray, towards: np.ndarray, weights: np.ndarray) -> None:
-        """Add the light of a sun in the direction ``towards`` (east, north, up), with a parabola of its light by height."""
+        """Add the light of a sun in the direction ``towards`` (east, north, up), whose light at each height is ``weights``."""
         run_in_chunks(
             len(self._sum), _add_direct_light, ray_height_m, shadow_ray_height_m, *self._turned, towards, weights, self._sum
         )
@@ -280,17 +275,20 @@ def _contiguous(values: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _add_direct_light(first, last, ray_height, shadow_ray_height, east, north, share_of_height, towards, weights, out):
+def _add_direct_light(first, last, ray_height, shadow_ray_height, east, north, height_index, towards, weights, out):
     """Add the light of one sun of rows [first, last) to ``out``, over the upward component of the normals.
 
     A cell sees the sun if ``ray_height`` is not below ``shadow_ray_height``. ``east`` and ``north`` are slopes, ``towards`` (3,) is
-    the direction to the sun in east, north and up. ``weights`` (3,) are coefficients of the light by ``share_of_height``.
+    the direction to the sun in east, north and up. ``weights`` (k,) is its light at heights, whose (fractional) number
+    is ``height_index``.
     """
     to_east, to_north, to_up = towards[0], towards[1], towards[2]
-    w0, w1, w2 = weights[0], weights[1], weights[2]
+    last_step = len(weights) - 2
     for row in range(first, last):
         for col in range(out.shape[1]):
-            share = share_of_height[row, col]
+            index = height_index[row, col]
+            step = min(int(index), last_step)
+            share = index - np.float32(step)
             cosine = max(to_up - east[row, col] * to_east - north[row, col] * to_north, np.float32(0.0))
-            power = cosine * (w0 + share * (w1 + share * w2))
+            power = cosine * (weights[step] + share * (weights[step + 1] - weights[step]))
             out[row, col] += power if ray_height[row, col] >= shadow_ray_height[row, col] else np.float32(0.0)

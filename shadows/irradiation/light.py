@@ -5,8 +5,7 @@ a band at the horizon (A. Driesse, A. Jensen and R. Perez 2024, "A continuous fo
 reverse transposition", Solar Energy 267). On a plane under an open sky each part is a number for the sun times a number for the
 plane. These numbers for the suns are read from pvlib's own results for level, vertical and sun-facing planes.
 
-Light depends on the height of the ground, since the air above is thinner. It is computed for three heights, and interpolated
-between them.
+Light depends on the height of the ground, since the air above is thinner. It is computed for several heights.
 """
 
 from __future__ import annotations
