@@ -36,6 +36,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "sunhours:sun_hours_raster",
         "Write hours of sun, first or last sun as a raster of any size, over dates and daily windows.",
     ),
+    "irradiation": (
+        "irradiation:irradiation_raster",
+        "Write the irradiation of a year or of dates, kWh/m2, as a raster of any size, under a clear sky, with terrain in the way.",
+    ),
     "select": ("select:select", "Choose algorithms and settings for one view or all views of a level, and give the reasons."),
     "calibrate": ("calibrate:calibrate", "Calibrate this device for the policy `predict`."),
     "compare": ("compare:compare", "Compare algorithms and settings with ray-traced truth: error against time."),

@@ -15,6 +15,8 @@ MODULES_WITHOUT_RECORDS = {
     "skugga.shadows.horizons.far": "horizons of rasters",
     "skugga.shadows.horizons.march": "horizons of rasters",
     "skugga.shadows.horizons.sky_view": "sky view factors of rasters",
+    "skugga.shadows.irradiation.irradiation": "irradiation",
+    "skugga.shadows.irradiation.sky": "irradiation",
     "skugga.shadows.sweep.columns": "levels of blocks",
     "skugga.shadows.sweep.grid": "`skugga.shadow`",
     "skugga.shadows.sweep.horizon": "horizons of arrays",

@@ -1,0 +1,105 @@
+"""The suns of a period: one for each interval of time in which the sun is up, such as an hour.
+
+Each date is divided into intervals of equal length. The sun of an interval stands where it is in the middle of the time that it is
+up in the interval: in its middle by day, and in the middle of the rest after sunrise and before sunset. The sun is up while the
+middle of its disc, with refraction, is above the level horizon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC
+
+import numpy as np
+
+from skugga.shadows.sun_hours.suns import MIN_REFRACTED_DEG, refracted_sine
+from skugga.terrain.geo.daily_windows import DailyWindow
+from skugga.terrain.geo.sun_path import sun_path
+
+PIECES_PER_INTERVAL = 6
+"""Pieces of an interval. The altitude is interpolated in each; with pieces of ten minutes a sunrise is accurate to seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class SunIntervals:
+    """The intervals of a period in which the sun is up, n of them.
+
+    Attributes
+    ----------
+    moments
+        (n,), datetime64[us] in UTC: the moments of the suns.
+    hours
+        (n,): how long the sun is up in each interval.
+    azimuth_deg, altitude_deg
+        (n,), degrees: azimuths, and altitudes with refraction, at one position.
+    refraction_deg
+        (n,), degrees: refraction, which the altitudes include.
+    """
+
+    moments: np.ndarray
+    hours: np.ndarray
+    azimuth_deg: np.ndarray
+    altitude_deg: np.ndarray
+    refraction_deg: np.ndarray
+
+    def __len__(self) -> int:
+        """Return the number of intervals."""
+        return len(self.moments)
+
+
+def sun_intervals(windows: Sequence[DailyWindow], step_minutes: float, lon_deg: float, lat_deg: float) -> SunIntervals:
+    """Return the suns of some windows of time, in intervals of about ``step_minutes``, at a position.
+
+    Raises ``InputError`` for years outside of the sun's ephemeris.
+    """
+    starts = np.array([window.start.astimezone(UTC).replace(tzinfo=None) for window in windows], "datetime64[us]")
+    lengths = np.array([window.length_min for window in windows])
+    counts = np.maximum(np.rint(lengths / step_minutes), 1).astype(int)
+    window_of = np.repeat(np.arange(len(windows)), counts)
+    number = np.arange(len(window_of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    interval_minutes = (lengths / counts)[window_of]
+    ends = number[:, None] + np.arange(PIECES_PER_INTERVAL + 1) / PIECES_PER_INTERVAL
+    minutes = ends * interval_minutes[:, None]
+    path = sun_path((starts[window_of, None] + _microseconds(minutes)).ravel(), lon_deg, lat_deg)
+    above_rise_deg = path.altitude_deg - path.refraction_deg - _unrefracted_rise_deg()
+    up_minutes, middle_minutes = _sun_up(minutes, above_rise_deg.reshape(minutes.shape))
+    moments = starts[window_of] + _microseconds(middle_minutes)
+    path = sun_path(moments, lon_deg, lat_deg)
+    is_up = (up_minutes > 0.0) & (path.altitude_deg > 0.0)
+    return SunIntervals(
+        moments[is_up], up_minutes[is_up] / 60.0, path.azimuth_deg[is_up], path.altitude_deg[is_up], path.refraction_deg[is_up]
+    )
+
+
+def _unrefracted_rise_deg() -> float:
+    """Return the altitude without refraction at which the sun rises.
+
+    Between two times it is interpolated better than the altitude with refraction, which has a jump below the horizon.
+    """
+    altitude_deg = np.linspace(MIN_REFRACTED_DEG, 0.0, 1001)
+    return float(np.interp(0.0, refracted_sine(np.sin(np.radians(altitude_deg))), altitude_deg))
+
+
+def _sun_up(minutes: np.ndarray, above_rise_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how long the sun is up in each interval, and the mean of the time that it is up (the middle of a night): (n,) each.
+
+    ``minutes`` (n, PIECES_PER_INTERVAL + 1) are the ends of the pieces, ``above_rise_deg`` the sun's altitudes above that of its
+    rise there.
+    """
+    begin, end = above_rise_deg[:, :-1], above_rise_deg[:, 1:]
+    share_up = np.clip(np.maximum(begin, end) / np.maximum(np.abs(end - begin), 1e-9), 0.0, 1.0)
+    share_up = np.where((begin > 0.0) & (end > 0.0), 1.0, share_up)
+    piece_minutes = np.diff(minutes, axis=1)
+    middle = np.where(
+        end > begin, minutes[:, 1:] - share_up * piece_minutes / 2.0, minutes[:, :-1] + share_up * piece_minutes / 2.0
+    )
+    up_minutes = share_up * piece_minutes
+    total = up_minutes.sum(axis=1)
+    mean = (up_minutes * middle).sum(axis=1) / np.maximum(total, 1e-9)
+    return total, np.where(total > 0.0, mean, minutes.mean(axis=1))
+
+
+def _microseconds(minutes: np.ndarray) -> np.ndarray:
+    """Return minutes as timedelta64[us]."""
+    return np.rint(minutes * 60e6).astype("timedelta64[us]")
