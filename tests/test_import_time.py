@@ -70,7 +70,7 @@ INSTANT_ARGUMENTS: dict[str, tuple[list[str], int, frozenset[str]]] = {
 
 HELP_MODULES: dict[str, frozenset[str]] = {
     **dict.fromkeys(COMMANDS, TYPER_MODULES),
-    **dict.fromkeys(["compute", "point", "render", "seed", "shade", "sunhours"], TYPER_MODULES | {"numpy"}),
+    **dict.fromkeys(["compute", "irradiation", "point", "render", "seed", "shade", "sunhours"], TYPER_MODULES | {"numpy"}),
 }
 """Command -> allowed imports of its help. The lists of formats and products are in modules that use arrays."""
 
@@ -100,6 +100,10 @@ COMMAND_ARGUMENTS: dict[str, tuple[list[str], frozenset[str]]] = {
     ),
     "sunhours": (
         ["sunhours", "hills.tif", "--date", "2024-03-21", "-o", "hours.tif"],
+        RASTER_MODULES | LOOP_MODULES | SUN_MODULES | {"moderngl"},
+    ),
+    "irradiation": (
+        ["irradiation", "hills.tif", "--date", "2024-03-21", "-o", "kwh.tif"],
         RASTER_MODULES | LOOP_MODULES | SUN_MODULES | {"moderngl"},
     ),
     "compute": (

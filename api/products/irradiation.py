@@ -59,11 +59,17 @@ class IrradiationOptions(ProductOptions):
     to: Date | None = Field(default=None, description="The last of several dates.", examples=["2024-06-21"])
     part: IrradiationPart = Field(default="total", description="The part of the light; default: `total`.", examples=["beam"])
     plane: Literal["ground", "level"] = Field(
-        default="ground", description="The plane that receives light: `ground`, its own slope (the default), or `level`."
+        default="ground",
+        description="The plane that receives light: `ground`, its own slope (the default), or `level`.",
+        examples=["level"],
     )
     albedo: float = Field(default=0.2, ge=0.0, le=1.0, description="Albedo of the ground around.", examples=[0.6])
     linke: float | None = Field(
-        default=None, ge=1.0, le=20.0, description="Linke's turbidity of the air; default: the place's monthly climate."
+        default=None,
+        ge=1.0,
+        le=20.0,
+        description="Linke's turbidity of the air; default: the place's monthly climate.",
+        examples=[3],
     )
     clock: str = Field(
         default="solar", max_length=60, examples=["Europe/Oslo"],
