@@ -123,7 +123,7 @@ def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
         tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE"
     ).subdatasets
     assert [subdataset.partition("LAYERS=")[2].partition("&")[0] for subdataset in listed] == [
-        f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "sky_view", "sunhours")
+        f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "irradiation", "sky_view", "sunhours")
     ]
     listed_source = next(subdataset for subdataset in listed if f"timed%3A{layer}&" in subdataset)
     source = listed_source.replace(

@@ -100,10 +100,10 @@ def test_tiles_of_four_blocks_equal_one_map(client: Client, hills_level):
 @pytest.mark.parametrize("layer", MAP_PRODUCTS)
 def test_tiles_equal_the_pixels_of_a_larger_map(client: Client, layer: str):
     """For every product, tiles of four blocks; for hours of sun, whose blocks take seconds, tiles of one block."""
-    columns, rows = ((X, X + 1), (Y,)) if layer == "sunhours" else ((X - 1, X), (Y - 1, Y))
+    columns, rows = ((X, X + 1), (Y,)) if layer in ("irradiation", "sunhours") else ((X - 1, X), (Y - 1, Y))
     matrix_set, format = matrix_sets.get("WebMercatorQuad"), "npy" if "npy" in PRODUCTS[layer].map_formats else "png"
     first, last = matrix_set.xy_bounds(columns[0], rows[0], ZOOM), matrix_set.xy_bounds(columns[-1], rows[-1], ZOOM)
-    query = {"layer": layer, **({"date": "2024-12-21"} if layer == "sunhours" else {})}
+    query = {"layer": layer, **({"date": "2024-12-21"} if layer in ("irradiation", "sunhours") else {})}
     extent = {"bbox": f"{first.left},{last.bottom},{last.right},{first.top}", "crs": "EPSG:3857", "width": 512}
 
     def read(path: str, **parameters: object) -> np.ndarray:

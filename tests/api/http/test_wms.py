@@ -71,7 +71,9 @@ def test_wms_capabilities_follow_the_schema(client: Client, root: ElementTree.El
     assert root.get("version") == "1.3.0"
     layers = layers_of(root)
     assert set(layers) == {
-        f"{level}:{layer}" for level in ("hills", "timed") for layer in ("color", "shadow", "mask", "sky_view", "sunhours")
+        f"{level}:{layer}"
+        for level in ("hills", "timed")
+        for layer in ("color", "shadow", "mask", "irradiation", "sky_view", "sunhours")
     }
     color = layers["timed:color"]
     assert {element.text for element in color.iterfind("w:CRS", NAMESPACES)} >= {"EPSG:3857", "EPSG:4326", "CRS:84"}
