@@ -22,7 +22,7 @@ from skugga.shadows.horizons.sky_view import ground_slopes
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, reflected_light
 from skugga.shadows.irradiation.sky import Plane, sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
-from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, ground_extent
+from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, holds_all_ground, under_clear_sky
 from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.reach import find_sun_casters
@@ -166,11 +166,11 @@ def _sun_irradiation(
 
     ``light`` (heights, n) is that on planes that face the sun, W/m2.
     """
-    scene = _under_clear_sky(scene)
+    scene = under_clear_sky(scene)
     plane = block_plane(scene.world, nodes.view, *nodes.view.centre_node)
     slopes = _slopes_in_plane(slopes, plane.east_north_of_cell_m, scene.world.curvature)
     weights = np.ascontiguousarray((light * suns.hours / 1000.0).T, np.float32)
-    has_all_ground = _holds_all_ground(scene, nodes.view)
+    has_all_ground = holds_all_ground(scene, nodes.view)
     sums = _TurnedSums(slopes, height_index)
     reported = 0
     for count, number in enumerate(np.argsort(suns.azimuth_deg, kind="stable").tolist(), 1):
@@ -189,24 +189,6 @@ def _sun_irradiation(
         on_day()
         reported += 1
     return sums.total()
-
-
-def _under_clear_sky(scene: Scene) -> Scene:
-    """Return the scene with the cloud cover set to 0, so that its sun casts shadows."""
-    level = scene.loaded.level
-    if not level.weather.is_overcast:
-        return scene
-    clear = level.model_copy(update={"weather": level.weather.model_copy(update={"cloud_cover": 0.0})})
-    return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))
-
-
-def _holds_all_ground(scene: Scene, view: MapView) -> bool:
-    """Return whether a block contains the whole raster of its level, so that no ground lies beside it."""
-    tolerance = 1e-6
-    return all(
-        low >= -0.5 - tolerance and high <= count - 0.5 + tolerance
-        for (low, high), count in zip(ground_extent(scene, view), (view.rows, view.cols), strict=True)
-    )
 
 
 def _slopes_in_plane(

@@ -159,7 +159,7 @@ def sun_hours(
     UnsupportedError, RenderError
         The errors of the algorithms.
     """
-    scene = _under_clear_sky(scene)
+    scene = under_clear_sky(scene)
     if is_terrain_only(scene) and view.is_on_nodes:
         block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
@@ -261,7 +261,7 @@ class _TerrainBlock:
 
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._rules, self._height_m = scene, nodes, rules, rules.height_m
-        self._has_all_ground = _holds_all_ground(scene, nodes.view)
+        self._has_all_ground = holds_all_ground(scene, nodes.view)
         self._recent_patches: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
 
@@ -374,7 +374,7 @@ class _RenderedBlock:
         return render_frame(scene, self._view, self._plan_of(scene))
 
 
-def _under_clear_sky(scene: Scene) -> Scene:
+def under_clear_sky(scene: Scene) -> Scene:
     """Return the scene, with the cloud cover set to 0 if it is overcast."""
     level = scene.loaded.level
     if not level.weather.is_overcast:
@@ -383,7 +383,7 @@ def _under_clear_sky(scene: Scene) -> Scene:
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))
 
 
-def _holds_all_ground(scene: Scene, view: MapView) -> bool:
+def holds_all_ground(scene: Scene, view: MapView) -> bool:
     """Return whether a block contains the whole raster of its level, so that no ground lies beside it."""
     (top, bottom), (left, right) = ground_extent(scene, view)
     rows, cols = (
