@@ -6,12 +6,15 @@ down to the ground. Objects count up to ``OBJECT_NODES`` from a block, the bare 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from skugga.shadows.horizons.block_ground import block_grid
 from skugga.shadows.horizons.grid import HorizonGrid
+from skugga.terrain.gbuffer.ground_normals import directions_enu
+from skugga.terrain.gbuffer.resolve import MESHES
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.scene import Scene
@@ -56,6 +59,20 @@ def is_under_crown(solid: HorizonGrid, wooded: HorizonGrid) -> np.ndarray:
     return wooded.height_m[wooded.eyes] > solid.height_m[solid.eyes] + np.float32(MIN_CROWN_M)
 
 
+def roof_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
+    """Return the unit normals of buildings that a map shows without trees, float32 (rows, cols, 3): east, north and up.
+
+    They are NaN elsewhere.
+    """
+    scene, out = _without_trees(scene), np.full((view.rows, view.cols, 3), np.nan, np.float32)
+    for row, col, part in _drawn_parts(view):
+        buffer = geometry_buffer(scene, part)
+        normals = directions_enu(scene, part, buffer.frame, buffer.normal_frame)
+        is_building = (buffer.surface_kind == MESHES)[..., None]
+        out[row : row + part.rows, col : col + part.cols] = np.where(is_building, normals, np.float32(np.nan))
+    return out
+
+
 def _with_surface(grid: HorizonGrid, place: tuple[slice, slice], surface_m: np.ndarray) -> HorizonGrid:
     """Return a grid whose ground is raised to a surface, float32, at the nodes of ``place``; NaN leaves it as it is."""
     height_m = grid.height_m.copy()
@@ -66,12 +83,17 @@ def _with_surface(grid: HorizonGrid, place: tuple[slice, slice], surface_m: np.n
 def _surface_height_m(scene: Scene, window: MapView) -> np.ndarray:
     """Return the heights of the drawn surface at the pixels of a map, float32 (rows, cols), metres; NaN without a surface."""
     out = np.full((window.rows, window.cols), np.nan, np.float32)
-    for row in range(0, window.rows, BLOCK_PX):
-        for col in range(0, window.cols, BLOCK_PX):
-            part = window.part(row, col, min(BLOCK_PX, window.rows - row), min(BLOCK_PX, window.cols - col))
-            buffer = geometry_buffer(scene, part)
-            out[row : row + part.rows, col : col + part.cols] = np.where(buffer.valid, buffer.height_m, np.float32(np.nan))
+    for row, col, part in _drawn_parts(window):
+        buffer = geometry_buffer(scene, part)
+        out[row : row + part.rows, col : col + part.cols] = np.where(buffer.valid, buffer.height_m, np.float32(np.nan))
     return out
+
+
+def _drawn_parts(view: MapView) -> Iterator[tuple[int, int, MapView]]:
+    """Yield the parts of a map in which its surface is drawn, with their first row and column."""
+    for row in range(0, view.rows, BLOCK_PX):
+        for col in range(0, view.cols, BLOCK_PX):
+            yield row, col, view.part(row, col, min(BLOCK_PX, view.rows - row), min(BLOCK_PX, view.cols - col))
 
 
 def _without_trees(scene: Scene) -> Scene:

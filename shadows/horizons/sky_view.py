@@ -149,7 +149,7 @@ def _add_zenith_angle(first, last, tangent, out):
     for row in range(first, last):
         for col in range(out.shape[1]):
             rise = tangent[row, col]
-            out[row, col] += HALF_PI - _arctan(rise if rise > NO_GROUND_TANGENT else np.float32(0.0))
+            out[row, col] += HALF_PI - arctan(rise if rise > NO_GROUND_TANGENT else np.float32(0.0))
 
 
 @compiled
@@ -164,11 +164,11 @@ def _add_tilted(first, last, tangent, east, north, sine, cosine, out):
             own = east[row, col] * sine + north[row, col] * cosine
             rise = max(max(tangent[row, col], own), np.float32(0.0))
             cosine_2 = np.float32(1.0) / (np.float32(1.0) + rise * rise)
-            out[row, col] += cosine_2 - own * (HALF_PI - _arctan(rise) - rise * cosine_2)
+            out[row, col] += cosine_2 - own * (HALF_PI - arctan(rise) - rise * cosine_2)
 
 
 @internal
-def _arctan(x):
+def arctan(x):
     """Return the arc tangent to 2e-8 radians, without a call that would keep loops from vector instructions.
 
     The series is that of M. Abramowitz and I. A. Stegun 1964, *Handbook of Mathematical Functions*, 4.4.49.

@@ -1,40 +1,36 @@
-"""The irradiation of a block of bare ground over a period: direct light sun by sun, and the light of the sky from sums.
+"""The irradiation of a block over a period: direct light sun by sun, and the light of the sky from sums.
 
-For each sun the line sweep (``skugga.shadows.sweep``) says which cells see it. Its light, and the circumsolar light around it,
-count there by the cosine of the angle of incidence. All other parts are products: the sum over the suns of light on an open plane,
-times what a cell sees of the sky or of its horizon. So a sun costs one sweep and one pass over the block.
+Direct light counts where the line sweep sees the sun (``skugga.shadows.irradiation.direct``). All other parts are products: the sum
+over the suns of light on an open plane, times what a cell sees of the sky or of its horizon. So a sun costs one sweep and one pass
+over the block.
 
-Suns are sorted by the orientation of the sweep's grid, and their light is added up in the order of that grid. The vertical leans
-over a wide block: slopes are those against the plane at the block's centre, whose suns serve all cells.
+The vertical leans over a wide block: planes are those against the vertical at the block's centre, whose suns serve all cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
-from skugga.shadows.horizons.block_ground import block_grid, block_plane
-from skugga.shadows.horizons.grid import HorizonGrid
-from skugga.shadows.horizons.sky_view import ground_slopes
+from skugga.shadows.irradiation.dates import Dates
+from skugga.shadows.irradiation.direct import DirectLight
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, reflected_light
-from skugga.shadows.irradiation.sky import Plane, sky_of_grid
+from skugga.shadows.irradiation.planes import Plane
+from skugga.shadows.irradiation.sky import sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
-from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, holds_all_ground, under_clear_sky
-from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
-from skugga.shadows.sweep.sweep import clearance_of_nodes
-from skugga.terrain.casters.reach import find_sun_casters
-from skugga.terrain.compiled import compiled, run_in_chunks
-from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
-from skugga.terrain.geo.daily_windows import DailyWindow
+from skugga.shadows.irradiation.surfaces import BlockSurfaces, block_surfaces
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, direction_enu
 from skugga.terrain.scene import Scene
 
 Part = Literal["total", "beam", "circumsolar", "sky", "horizon_band", "reflected"]
 """The parts of irradiation, and their total."""
+
+SUN_PARTS: tuple[Part, ...] = ("beam", "circumsolar")
+SKY_PARTS: tuple[Part, ...] = ("sky", "horizon_band", "reflected")
+ALL_PARTS: tuple[Part, ...] = ("total", *SUN_PARTS, *SKY_PARTS)
 
 HEIGHT_STEP_M = 50.0
 """Maximum metres between two heights for which light is computed. Between them it is interpolated linearly."""
@@ -46,8 +42,8 @@ class IrradiationRules:
 
     Attributes
     ----------
-    part
-        The part of the light.
+    parts
+        The parts of the light; each is a value of its own.
     plane
         The plane that receives it.
     albedo
@@ -56,62 +52,120 @@ class IrradiationRules:
         Linke's turbidity of the air; ``None``: pvlib's monthly climate.
     step_minutes
         Minutes between two suns.
+    transmissivity
+        Share of the light that comes through crowns of trees, 0 to 1.
     """
 
-    part: Part = "total"
+    parts: tuple[Part, ...] = ("total",)
     plane: Plane = "ground"
     albedo: float = 0.2
     linke_turbidity: float | None = None
     step_minutes: float = 60.0
+    transmissivity: float = 0.0
+
+
+class MonthStore(Protocol):
+    """Keeps the direct light of finished months of a block, so that a run can continue after it was stopped."""
+
+    def load(self, month: str) -> np.ndarray | None:
+        """Return the array of a month; ``None`` if it is not there."""
+
+    def save(self, month: str, array: np.ndarray) -> None:
+        """Keep the array of a month."""
 
 
 def irradiation(
     scene: Scene,
     view: MapView,
-    windows: Sequence[DailyWindow],
+    dates: Dates,
     rules: IrradiationRules,
-    on_day: Callable[[], None] | None = None,
+    on_date: Callable[[], None] = lambda: None,
+    store: MonthStore | None = None,
 ) -> np.ndarray:
-    """Return the irradiation of a block's cells under a clear sky, float32 (rows, cols), kWh/m2; NaN without ground.
+    """Return the irradiation of a block's cells, float32 (values, rows, cols), kWh/m2; NaN without ground.
 
-    ``view`` has a node in each pixel. ``windows`` are those of the dates. ``on_day`` is called as often as there are windows. Only
-    ground casts shadows, as the caller checks. Raises ``InputError`` for years outside of the sun's ephemeris.
+    Parameters
+    ----------
+    scene, view
+        The scene, and the block, with a node in each pixel. Buildings and trees count (``skugga.shadows.irradiation.surfaces``).
+    dates
+        The dates, and the periods that light is added up over.
+    rules
+        What counts.
+    on_date
+        Called as often as there are dates.
+    store
+        Keeps the months that are finished.
+
+    Returns
+    -------
+    np.ndarray
+        The periods one after the other, and in each of them the parts.
+
+    Raises
+    ------
+    InputError
+        Years outside of the sun's ephemeris.
     """
-    nodes = bare_nodes(scene, view, 1)
-    out = np.full((view.rows, view.cols), np.nan, np.float32)
-    if not nodes.shows_ground.any():
-        return out
+    surfaces = block_surfaces(scene, view, rules.plane, rules.transmissivity)
+    periods = len(dates.periods)
+    out = np.full((periods, len(rules.parts), view.rows, view.cols), np.nan, np.float32)
+    shown = np.isfinite(surfaces.height_m)
+    if not shown.any():
+        return out.reshape(-1, view.rows, view.cols)
     row, col = view.centre_node
-    lon, lat = scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row))
-    suns = sun_intervals(windows, rules.step_minutes, float(lon), float(lat))
+    lon, lat = (float(axis) for axis in scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row)))
+    suns = sun_intervals(dates.windows, rules.step_minutes, lon, lat)
     heights_m = _light_heights_m(*scene.height_range_m)
-    light = clear_sky_light(suns, float(lon), float(lat), heights_m, rules.linke_turbidity)
-    height_index = np.interp(np.nan_to_num(nodes.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
-    grid = block_grid(scene, view)
-    slopes = ground_slopes(grid) if rules.plane == "ground" else _level_slopes(grid)
-    total = np.zeros(out.shape, np.float32)
-    if rules.part in ("total", "sky", "horizon_band", "reflected"):
-        total += _sky_irradiation(grid, slopes, height_index, suns, light, rules)
-    if rules.part in ("total", "beam", "circumsolar"):
-        total += _sun_irradiation(scene, nodes, slopes, height_index, suns, _direct_light(light, rules.part), len(windows), on_day)
-    elif on_day is not None:
-        for _ in windows:
-            on_day()
-    out[nodes.shows_ground] = total[nodes.shows_ground]
-    return out
+    light = clear_sky_light(suns, lon, lat, heights_m, rules.linke_turbidity)
+    suns = replace(suns, hours=suns.hours * dates.days_represented(suns.moments))
+    height_index = np.interp(np.nan_to_num(surfaces.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
+    values = {part: np.zeros((periods, view.rows, view.cols), np.float32) for part in _computed_parts(rules.parts)}
+    for period, numbers in enumerate(_numbers_by_period(dates, suns)):
+        sums = light_sums_kwh(_selected(light, numbers), suns.hours[numbers], rules.albedo)
+        if period == 0 and any(part in values for part in SKY_PARTS):
+            factors = _sky_factors(surfaces)
+        for part in SKY_PARTS:
+            if part in values:
+                by_height = np.interp(height_index, np.arange(len(heights_m)), sums[part]).astype(np.float32)
+                values[part][period] = factors[part] * by_height
+    sun_parts = [part for part in values if part not in SKY_PARTS]
+    if sun_parts:
+        lights = [_direct_light(light, part) for part in sun_parts]
+        direct = _direct_by_period(scene, surfaces, height_index, dates, suns, lights, on_date, store)
+        for number, part in enumerate(sun_parts):
+            values[part] = direct[:, number]
+    else:
+        for _ in dates.windows:
+            on_date()
+    for number, part in enumerate(rules.parts):
+        parts = [values[name] for name in values] if part == "total" else [values[part]]
+        out[:, number] = np.where(shown, sum(parts[1:], parts[0]), np.float32(np.nan))
+    return out.reshape(-1, view.rows, view.cols)
 
 
-def light_sums_kwh(light: SkyLight, suns: SunIntervals, albedo: float) -> dict[Part, np.ndarray]:
+def light_sums_kwh(light: SkyLight, hours: np.ndarray, albedo: float) -> dict[Part, np.ndarray]:
     """Return the light of all suns together by part, (heights,) kWh/m2, on the plane on which each part is given.
 
     These are planes that face the sun for beam and circumsolar light, level ones for the light of the sky, vertical ones for that
-    of the horizon's band, and planes that face down for reflected light; ``total`` is all light on a level plane.
+    of the horizon's band, and planes that face down for reflected light; ``total`` is all light on a level plane. ``hours`` (n,) is
+    how long each sun shines.
     """
     values: dict[Part, np.ndarray] = {
         "total": light.level, "beam": light.beam, "circumsolar": light.circumsolar, "sky": light.isotropic,
         "horizon_band": light.horizon_band, "reflected": reflected_light(light, albedo),
     }  # fmt: skip
-    return {part: power @ suns.hours / 1000.0 for part, power in values.items()}
+    return {part: power @ hours / 1000.0 for part, power in values.items()}
+
+
+def _computed_parts(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """Return the parts that are computed for parts that are asked for.
+
+    If the ``total`` is asked for without beam and circumsolar light, these two are computed together, under the name ``total``.
+    """
+    if "total" not in parts:
+        return parts
+    return (*SUN_PARTS, *SKY_PARTS) if set(SUN_PARTS) & set(parts) else ("total", *SKY_PARTS)
 
 
 def _direct_light(light: SkyLight, part: Part) -> np.ndarray:
@@ -121,29 +175,28 @@ def _direct_light(light: SkyLight, part: Part) -> np.ndarray:
     return light.beam if part == "beam" else light.circumsolar
 
 
-def _level_slopes(grid: HorizonGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slopes of level planes at a grid's eyes: 0."""
-    zeros = np.zeros(grid.eye_heights_m.shape, np.float32)
-    return zeros, zeros
+def _selected(light: SkyLight, numbers: np.ndarray) -> SkyLight:
+    """Return the light of some suns."""
+    return SkyLight(*(getattr(light, name)[:, numbers] for name in ("beam", "circumsolar", "isotropic", "horizon_band", "level")))
 
 
-def _sky_irradiation(
-    grid: HorizonGrid,
-    slopes: tuple[np.ndarray, np.ndarray],
-    height_index: np.ndarray,
-    suns: SunIntervals,
-    light: SkyLight,
-    rules: IrradiationRules,
-) -> np.ndarray:
-    """Return the irradiation from the sky, its horizon and the ground around, or that of one of them, (rows, cols), kWh/m2."""
-    sky_view, band = sky_of_grid(grid, rules.plane, slopes)
-    sums = light_sums_kwh(light, suns, rules.albedo)
-    factors: dict[Part, np.ndarray] = {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
-    out = np.zeros(sky_view.shape, np.float32)
-    for part, factor in factors.items():
-        if rules.part in ("total", part):
-            out += factor * np.interp(height_index, np.arange(len(sums[part])), sums[part]).astype(np.float32)
-    return out
+def _numbers_by_period(dates: Dates, suns: SunIntervals) -> Iterator[np.ndarray]:
+    """Yield the numbers of the suns of each period."""
+    period_of = dates.period_numbers(suns.moments)
+    for period in range(len(dates.periods)):
+        yield np.flatnonzero(period_of == period)
+
+
+def _sky_factors(surfaces: BlockSurfaces) -> dict[Part, np.ndarray]:
+    """Return what the cells see of each part of the light that does not come from the sun's direction, (rows, cols)."""
+    sky_view, band = np.float32(0.0), np.float32(0.0)
+    for surface in surfaces.shading:
+        under_surface = sky_of_grid(surface.grid, surfaces.normals)
+        if surface.lift_m is not None:
+            under_surface = tuple(np.where(np.isinf(surface.lift_m), np.float32(0.0), factor) for factor in under_surface)
+        sky_view = sky_view + np.float32(surface.share) * under_surface[0]
+        band = band + np.float32(surface.share) * under_surface[1]
+    return {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
 
 
 def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:
@@ -152,125 +205,63 @@ def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:
     return np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / HEIGHT_STEP_M)) + 1)
 
 
-def _sun_irradiation(
+def _direct_by_period(
     scene: Scene,
-    nodes: BareNodes,
-    slopes: tuple[np.ndarray, np.ndarray],
+    surfaces: BlockSurfaces,
     height_index: np.ndarray,
+    dates: Dates,
     suns: SunIntervals,
-    light: np.ndarray,
-    days: int,
-    on_day: Callable[[], None] | None,
+    lights: list[np.ndarray],
+    on_date: Callable[[], None],
+    store: MonthStore | None,
 ) -> np.ndarray:
-    """Return the irradiation from the suns' directions, float32 (rows, cols), kWh/m2.
+    """Return the irradiation from the suns' directions, float32 (periods, lights, rows, cols), kWh/m2.
 
-    ``light`` (heights, n) is that on planes that face the sun, W/m2.
+    Months are computed one after the other. ``store`` keeps those that are finished.
     """
-    scene = under_clear_sky(scene)
-    plane = block_plane(scene.world, nodes.view, *nodes.view.centre_node)
-    slopes = _slopes_in_plane(slopes, plane.east_north_of_cell_m, scene.world.curvature)
-    weights = np.ascontiguousarray((light * suns.hours / 1000.0).T, np.float32)
-    has_all_ground = holds_all_ground(scene, nodes.view)
-    sums = _TurnedSums(slopes, height_index)
-    reported = 0
-    for count, number in enumerate(np.argsort(suns.azimuth_deg, kind="stable").tolist(), 1):
-        towards = direction_enu(float(suns.azimuth_deg[number]), float(suns.altitude_deg[number]))
-        to_sun_earth = plane.earth_from_enu @ towards
-        at_anchor = azimuth_and_altitude(to_sun_earth, scene.world.earth_from_anchor)
-        lit = replace(scene, sun=Sun(*at_anchor, to_sun_earth, None, float(suns.refraction_deg[number])))
-        patches = () if has_all_ground else find_sun_casters(lit, nodes)
-        clearance = clearance_of_nodes(nodes, lit, patches, LINES_PER_COLUMN)
-        sums.turn(clearance.orientation)
-        sums.add(clearance.ray_height_m, clearance.shadow_ray_height_m, towards.astype(np.float32), weights[number])
-        while on_day is not None and reported < days * count // len(suns):
-            on_day()
-            reported += 1
-    while on_day is not None and reported < days:
-        on_day()
-        reported += 1
-    return sums.total()
-
-
-def _slopes_in_plane(
-    slopes: tuple[np.ndarray, np.ndarray], east_north_of_cell_m: np.ndarray, curvature_per_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return slopes (rows, cols) to the east and to the north against the plane at a block's centre, float32.
-
-    The level falls away from that plane with the distance from the centre.
-    """
-    rows, cols = slopes[0].shape
-    down, right = np.arange(rows) - (rows - 1) / 2.0, np.arange(cols) - (cols - 1) / 2.0
-    out = []
-    for slope, (per_row, per_col) in zip(slopes, east_north_of_cell_m, strict=True):
-        distance_m = (per_row * down)[:, None] + (per_col * right)[None, :]
-        out.append((slope - curvature_per_m * distance_m).astype(np.float32))
-    return out[0], out[1]
-
-
-class _TurnedSums:
-    """Sums of direct light over suns, in the order of the sun-aligned grid of the current orientation.
-
-    Sums are over the normals' upward component, by which the total is multiplied once.
-    """
-
-    def __init__(self, slopes: tuple[np.ndarray, np.ndarray], height_index: np.ndarray) -> None:
-        self._rasters = (*slopes, height_index)
-        self._total = np.zeros(height_index.shape, np.float32)
-        self._orientation: GridOrientation | None = None
-        self._turned: tuple[np.ndarray, ...] = ()
-        self._sum = np.empty((0, 0), np.float32)
-
-    def turn(self, orientation: GridOrientation) -> None:
-        """Continue in the order of another orientation."""
-        if orientation == self._orientation:
-            return
-        self._flush()
-        self._orientation = orientation
-        self._turned = tuple(_contiguous(orientation.sun_aligned_view(raster)) for raster in self._rasters)
-        self._sum = np.zeros(self._turned[0].shape, np.float32)
-
-    def add(self, ray_height_m: np.ndarray, shadow_ray_height_m: np.ndarray, towards: np.ndarray, weights: np.ndarray) -> None:
-        """Add the light of a sun in the direction ``towards`` (east, north, up), whose light at each height is ``weights``."""
-        run_in_chunks(
-            len(self._sum), _add_direct_light, ray_height_m, shadow_ray_height_m, *self._turned, towards, weights, self._sum
-        )
-
-    def total(self) -> np.ndarray:
-        """Return the light of all suns, float32 (rows, cols)."""
-        self._flush()
-        east, north, _ = self._rasters
-        out: np.ndarray = self._total / np.sqrt(np.float32(1.0) + east**2 + north**2)
-        return out
-
-    def _flush(self) -> None:
-        """Add the sum of the current orientation to the total."""
-        if self._orientation is not None:
-            self._total += self._orientation.grid_order_view(self._sum)
-        self._orientation = None
-
-
-def _contiguous(values: np.ndarray) -> np.ndarray:
-    """Return a contiguous copy of values (n, m)."""
-    out = np.empty(values.shape, values.dtype)
-    copy_in_blocks(values, out)
+    out = np.zeros((len(dates.periods), len(lights), *height_index.shape), np.float32)
+    period_of, date_of = dates.period_numbers(suns.moments), dates.date_numbers(suns.moments)
+    direct = DirectLight(scene, surfaces, height_index)
+    first_date = first_period = 0
+    for month in dates.months():
+        numbers_of_month = np.flatnonzero((date_of >= first_date) & (date_of < first_date + len(month.windows)))
+        periods = [0] if dates.per == "period" else list(range(first_period, first_period + len(month.periods)))
+        first_date, first_period = first_date + len(month.windows), first_period + len(month.periods)
+        month_name = f"{month.windows[0].date:%Y-%m}"
+        kept = None if store is None else store.load(month_name)
+        if kept is None:
+            progress = _DateProgress(len(month.windows), len(numbers_of_month), on_date)
+            of_periods = [numbers_of_month[period_of[numbers_of_month] == period] for period in periods]
+            kept = np.stack([np.stack(direct.irradiation(suns, lights, numbers, progress.add_sun)) for numbers in of_periods])
+            progress.finish()
+            if store is not None:
+                store.save(month_name, kept)
+        else:
+            for _ in month.windows:
+                on_date()
+        for period, of_period in zip(periods, kept, strict=True):
+            out[period] += of_period
     return out
 
 
-@compiled
-def _add_direct_light(first, last, ray_height, shadow_ray_height, east, north, height_index, towards, weights, out):
-    """Add the light of one sun of rows [first, last) to ``out``, over the upward component of the normals.
+class _DateProgress:
+    """Reports dates while suns are added, in proportion, since suns are not sorted by date."""
 
-    A cell sees the sun if ``ray_height`` is not below ``shadow_ray_height``. ``east`` and ``north`` are slopes, ``towards`` (3,) is
-    the direction to the sun in east, north and up. ``weights`` (k,) is its light at heights, whose (fractional) number
-    is ``height_index``.
-    """
-    to_east, to_north, to_up = towards[0], towards[1], towards[2]
-    last_step = len(weights) - 2
-    for row in range(first, last):
-        for col in range(out.shape[1]):
-            index = height_index[row, col]
-            step = min(int(index), last_step)
-            share = index - np.float32(step)
-            cosine = max(to_up - east[row, col] * to_east - north[row, col] * to_north, np.float32(0.0))
-            power = cosine * (weights[step] + share * (weights[step + 1] - weights[step]))
-            out[row, col] += power if ray_height[row, col] >= shadow_ray_height[row, col] else np.float32(0.0)
+    def __init__(self, dates: int, suns: int, on_date: Callable[[], None]) -> None:
+        self._dates, self._suns, self._on_date = dates, suns, on_date
+        self._reported, self._added = 0, 0
+
+    def add_sun(self) -> None:
+        """Count one sun."""
+        self._added += 1
+        self._report(self._dates * self._added // self._suns)
+
+    def finish(self) -> None:
+        """Report the dates that are left."""
+        self._report(self._dates)
+
+    def _report(self, count: int) -> None:
+        """Report dates up to a count."""
+        for _ in range(count - self._reported):
+            self._on_date()
+        self._reported = max(self._reported, count)

@@ -1,20 +1,20 @@
-"""What a block's ground sees of the sky and of its horizon, for the light that does not come from the sun's direction."""
+"""What planes on a block's ground see of the sky and of its horizon, for the light that does not come from the sun's direction.
+
+A plane sees, towards each azimuth, the sky above the terrain and above the level horizon that lies on its own side. So the factor of
+the sky is that of J. Dozier and J. Frew (1990), equation 7b, for planes of any tilt: (1 + cos tilt) / 2 in the open.
+"""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, evenly_spaced_azimuths_deg
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.scan import AzimuthHorizons, horizons_towards
-from skugga.shadows.horizons.sky_view import SkyViewSums
+from skugga.shadows.horizons.sky_view import HALF_PI, arctan
+from skugga.shadows.irradiation.planes import PlaneNormals
 from skugga.shadows.sweep.orientation import GridOrientation
-from skugga.terrain.compiled import compiled, run_in_chunks
-
-Plane = Literal["ground", "level"]
-"""The planes on which light is measured: the ground's own slope, or level planes on it."""
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 
 HORIZON_BAND_DEG = 6.5
 """Height of the horizon's band (R. Perez et al. 1986, "An anisotropic hourly diffuse radiation model for sloping surfaces").
@@ -23,74 +23,91 @@ Terrain in front of the band hides it from below.
 """
 
 
-def sky_of_grid(
-    grid: HorizonGrid, plane: Plane, slopes: tuple[np.ndarray, np.ndarray], azimuths: int = DEFAULT_AZIMUTHS
-) -> tuple[np.ndarray, np.ndarray]:
+def sky_of_grid(grid: HorizonGrid, normals: PlaneNormals, azimuths: int = DEFAULT_AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:
     """Return the sky view factor and the factor of the horizon's band at a grid's eyes, float32 (rows, cols) each.
 
-    The factor of the band is the sine of the plane's tilt where the horizon is open. ``slopes`` are the rises of the planes to the
-    east and to the north.
+    ``normals`` are those of the planes at the eyes. The factor of the band is the sine of a plane's tilt where the horizon is open.
     """
-    sky_view = SkyViewSums(grid, "tilted" if plane == "ground" else "cosine")
-    band = None if plane == "level" else _BandSums(slopes)
+    sums = _SkySums(normals)
     for horizons in horizons_towards(grid, evenly_spaced_azimuths_deg(azimuths)):
-        sky_view.add(horizons)
-        if band is not None:
-            band.add(horizons)
-    factor = sky_view.factor(azimuths)
-    return factor, np.zeros_like(factor) if band is None else band.factor(azimuths)
+        sums.add(horizons)
+    return sums.factors(azimuths)
 
 
-class _BandSums:
-    """The sum of the light of the horizon's band over azimuths, for planes with slopes (rows, cols) to the east and north.
+class _SkySums:
+    """The sums of what planes see of the sky and of the horizon's band, over azimuths.
 
-    A plane receives the light of an azimuth in proportion to its fall towards it.
+    Horizons come orientation by orientation. They are added in the order of the turned grid, and the sums are turned once.
     """
 
-    def __init__(self, slopes: tuple[np.ndarray, np.ndarray]) -> None:
-        self._slopes = slopes
-        self._total = np.zeros(slopes[0].shape, np.float32)
+    def __init__(self, normals: PlaneNormals) -> None:
+        self._normals = normals
+        self._sky, self._band = (np.zeros(normals.up.shape, np.float32) for _ in range(2))
         self._orientation: GridOrientation | None = None
-        self._sum = np.empty((0, 0), np.float32)
-        self._turned_slopes: tuple[np.ndarray, ...] = ()
+        self._turned_normals: tuple[np.ndarray, ...] = ()
+        self._turned_sky, self._turned_band = (np.empty((0, 0), np.float32) for _ in range(2))
 
     def add(self, horizons: AzimuthHorizons) -> None:
-        """Add the light of one azimuth."""
+        """Add what planes see towards one azimuth."""
         if horizons.orientation != self._orientation:
             self._flush()
             self._orientation = horizons.orientation
-            self._sum = np.zeros(horizons.tangent.shape, np.float32)
-            self._turned_slopes = tuple(
-                np.ascontiguousarray(horizons.orientation.sun_aligned_view(slope)) for slope in self._slopes
+            self._turned_sky, self._turned_band = (np.zeros(horizons.tangent.shape, np.float32) for _ in range(2))
+            self._turned_normals = tuple(
+                np.ascontiguousarray(horizons.orientation.sun_aligned_view(component)) for component in self._normals.components
             )
         azimuth = np.radians(horizons.azimuth_deg)
         per_tangent = np.float32(1.0 / np.tan(np.radians(HORIZON_BAND_DEG)))
         sine, cosine = np.float32(np.sin(azimuth)), np.float32(np.cos(azimuth))
-        run_in_chunks(len(self._sum), _add_open_band, horizons.tangent, *self._turned_slopes, sine, cosine, per_tangent, self._sum)
+        run_in_chunks(
+            len(self._turned_sky), _add_sky_and_band, horizons.tangent, *self._turned_normals, sine, cosine, per_tangent,
+            self._turned_sky, self._turned_band,
+        )  # fmt: skip
 
-    def factor(self, azimuths: int) -> np.ndarray:
-        """Return the factor of the band after all of a number of azimuths, float32 (rows, cols)."""
+    def factors(self, azimuths: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factors of the sky and of the band after all of a number of azimuths, float32 (rows, cols) each."""
         self._flush()
-        east, north = self._slopes
-        factor: np.ndarray = self._total * np.float32(np.pi / azimuths) / np.sqrt(np.float32(1.0) + east**2 + north**2)
-        return factor
+        return self._sky / np.float32(azimuths), self._band * np.float32(np.pi / azimuths)
 
     def _flush(self) -> None:
-        """Add the sum of the current orientation to the total."""
+        """Add the sums of the current orientation to the totals."""
         if self._orientation is not None:
-            self._total += self._orientation.grid_order_view(self._sum)
+            self._sky += self._orientation.grid_order_view(self._turned_sky)
+            self._band += self._orientation.grid_order_view(self._turned_band)
         self._orientation = None
 
 
 @compiled
-def _add_open_band(first, last, tangent, east, north, sine, cosine, per_tangent, out):
-    """Add the fall of planes towards an azimuth, times the open share of the band, of rows [first, last) to ``out``.
+def _add_sky_and_band(first, last, tangent, east, north, up, sine, cosine, per_tangent, sky, band):
+    """Add what planes of rows [first, last) see towards an azimuth of the sky and of the horizon's band.
 
-    ``tangent`` is that of the horizon angle, ``per_tangent`` 1 over that of the band's height. ``sine`` and ``cosine`` are those of
-    the azimuth.
+    ``tangent`` is that of the horizon angle, ``per_tangent`` 1 over that of the band's height. ``east``, ``north`` and ``up`` are
+    the planes' unit normals. ``sine`` and ``cosine`` are those of the azimuth.
     """
     for row in range(first, last):
-        for col in range(out.shape[1]):
-            fall = max(-(east[row, col] * sine + north[row, col] * cosine), np.float32(0.0))
-            hidden = min(max(tangent[row, col] * per_tangent, np.float32(0.0)), np.float32(1.0))
-            out[row, col] += fall * (np.float32(1.0) - hidden)
+        for col in range(sky.shape[1]):
+            towards = east[row, col] * sine + north[row, col] * cosine
+            upwards = up[row, col]
+            horizon = max(tangent[row, col], np.float32(0.0))
+            open_share = np.float32(1.0) - min(horizon * per_tangent, np.float32(1.0))
+            band[row, col] += max(towards, np.float32(0.0)) * open_share
+            if upwards > np.float32(0.0):  # the plane's own horizon hides the sky below it
+                own = max(horizon, -towards / upwards)
+                sky[row, col] += towards * HALF_PI + upwards - _light_below(own, towards, upwards)
+            elif towards > np.float32(0.0):  # the plane hides the sky above it
+                top = HALF_PI * towards
+                if upwards < np.float32(0.0):
+                    own = -towards / upwards
+                    top = _light_below(max(own, horizon), towards, upwards)
+                sky[row, col] += top - _light_below(horizon, towards, upwards)
+
+
+@internal
+def _light_below(tangent, towards, upwards):
+    """Return the light from a uniform sky between the level and an elevation angle, towards one azimuth, on a plane.
+
+    ``tangent`` is that of the angle h; ``towards`` and ``upwards`` are the components of the plane's normal. This is the integral of
+    twice the cosine of incidence times cos h, towards (h + sin h cos h) + upwards sin2 h.
+    """
+    cosine_2 = np.float32(1.0) / (np.float32(1.0) + tangent * tangent)
+    return towards * (arctan(tangent) + tangent * cosine_2) + upwards * (np.float32(1.0) - cosine_2)

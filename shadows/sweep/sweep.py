@@ -53,6 +53,7 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
 
@@ -190,14 +191,17 @@ class NodeClearance:
     ray_height_per_metre: float
 
 
-def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
+def clearance_of_nodes(
+    nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int, surface: NodeHeights | None = None
+) -> NodeClearance:
     """Return the ray heights that decide whether nodes of ground without objects see the sun.
 
-    ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. Raises the
-    errors of ``find_lit_nodes``.
+    ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. ``surface`` is a
+    surface round the nodes on which these stand instead of on their ground; no patch at full detail lies in it. Raises the errors
+    of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface, patches)
+    grounds = grounds_of_block(rays, nodes.surface if surface is None else surface, patches)
     ground = grounds[-1]
     targets = targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range

@@ -82,12 +82,20 @@ def _bare_nodes(world: World, elevation: Elevation, view: MapView, nodes_per_pix
     heights = surface.height_window(
         row0 - HALO_NODES, col0 - HALO_NODES, view.rows + 2 * HALO_NODES, view.cols + 2 * HALO_NODES, includes_rim=True
     )
+    source_height = heights.coarser_window.height_m if isinstance(heights, RefinedWindow) else heights.height_m
+    ends = float(np.nanmin(source_height)), float(np.nanmax(source_height))
+    return BareNodes(view, nodes_per_pixel, frame, heights, *bounding_positions(surface, view, frame, ends))
+
+
+def bounding_positions(
+    surface: Surface, view: MapView, frame: LocalFrame, height_range_m: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``BareNodes.position_frame_m`` and ``BareNodes.valid`` of a view whose surface lies between two heights, metres."""
     row, col = (
         np.unique(np.rint(np.linspace(first, first + count - 1, MAX_BOUNDING_NODES_PER_SIDE)).astype(np.int64))
-        for first, count in ((row0, view.rows), (col0, view.cols))
+        for first, count in ((int(view.row0), view.rows), (int(view.col0), view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
-    source_height = heights.coarser_window.height_m if isinstance(heights, RefinedWindow) else heights.height_m
-    ends = np.nanmin(source_height), np.nanmax(source_height)
-    position = np.stack([surface.node_positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
-    return BareNodes(view, nodes_per_pixel, frame, heights, position, np.isfinite(position[..., 2]))
+    ends = (np.full(row.size, end, np.float32) for end in height_range_m)
+    position = np.stack([surface.node_positions(row, col, heights, frame) for heights in ends])
+    return position, np.isfinite(position[..., 2])

@@ -43,14 +43,22 @@ def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
     the ellipsoid.
     """
     normal_frame, frame = ground_normals(scene, view)
+    return directions_enu(scene, view, frame, normal_frame)
+
+
+def directions_enu(scene: Scene, view: MapView, frame: LocalFrame, direction_frame: np.ndarray) -> np.ndarray:
+    """Return directions in a map's pixels, float32 (rows, cols, 3), in the axes east, true north and up at each pixel.
+
+    ``direction_frame`` (rows, cols, 3) are their components in a local frame.
+    """
     if scene.world.is_flat:
-        return normal_frame
+        return direction_frame
     rows, cols = np.mgrid[: view.rows, : view.cols]
     x = view.grid.x(view.col0 + cols * view.col_step)
     y = view.grid.y(view.row0 + rows * view.row_step)
     lon_deg, lat_deg = scene.world.lon_lat(view.grid.crs, x, y)
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    earth = frame.directions_to_earth(normal_frame.astype(np.float64))
+    earth = frame.directions_to_earth(direction_frame.astype(np.float64))
     east = earth[..., 1] * np.cos(lon) - earth[..., 0] * np.sin(lon)
     outwards = earth[..., 0] * np.cos(lon) + earth[..., 1] * np.sin(lon)  # away from the earth's axis
     north = earth[..., 2] * np.cos(lat) - outwards * np.sin(lat)

@@ -6,7 +6,7 @@ import pytest
 from skugga.shadows.horizons import turned
 from skugga.shadows.horizons.azimuths import SKY_VIEW_KINDS
 from skugga.shadows.horizons.grid import HorizonGrid, north_up_cell
-from skugga.shadows.horizons.sky_view import _arctan, ground_slopes, sky_view_factor
+from skugga.shadows.horizons.sky_view import arctan, ground_slopes, sky_view_factor
 from skugga.terrain.compiled import compiled
 
 ANGLES_DEG = (20.0, 45.0, 60.0)
@@ -105,7 +105,7 @@ def test_slopes_of_a_turned_grid_are_east_and_north():
 def arctan_of(values, out):
     """Write the arc tangents of values (n,) to ``out``."""
     for n in range(len(values)):
-        out[n] = _arctan(values[n])
+        out[n] = arctan(values[n])
 
 
 def test_arc_tangent_series():
