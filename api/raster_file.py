@@ -93,7 +93,9 @@ class RasterMetadata:
         dataset.descriptions = self.band_descriptions
         dataset.units = [self.unit] * dataset.count
         dataset.colorinterp = (
-            RGBA_INTERPRETATION if dataset.count == len(RGBA_INTERPRETATION) else [ColorInterp.gray] * dataset.count
+            RGBA_INTERPRETATION
+            if dataset.count == len(RGBA_INTERPRETATION) and dataset.dtypes[0] == "uint8"
+            else [ColorInterp.gray] * dataset.count
         )
 
 

@@ -3,45 +3,63 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import dataclass
+from pathlib import Path
 
 from skugga.api.cli.times import read_duration
 from skugga.api.products import PRODUCTS
-from skugga.api.products.irradiation import PARTS, PLANES, PRODUCT_NAME
+from skugga.api.products.irradiation import PARTS, PERIODS, PLANES, PRODUCT_NAME
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.clock import parse_clock, parse_date
 from skugga.terrain.geo.sun_path import SUPPORTED_YEARS
 
 
-def irradiation_request(
-    period: tuple[int | None, str | None, str | None],
-    quantity: tuple[str, str],
-    air_and_ground: tuple[float, float | None],
-    clock: str,
-    step: str,
-) -> ProductRequest:
-    """Return the request for irradiation over a period.
+@dataclass(frozen=True)
+class IrradiationArguments:
+    """The options of ``skugga irradiation``, by the names of the product's options (``IrradiationOptions``)."""
 
-    ``period`` is the year, or the first and the last date. ``quantity`` is the part of the light and the plane, ``air_and_ground``
-    the albedo and Linke's turbidity. Raises ``InputError``.
-    """
-    part, plane = quantity
-    albedo, linke = air_and_ground
-    first, last = _dates(*period)
-    if part not in PARTS:
-        raise InputError("--part", part, ", ".join(PARTS))
-    if plane not in PLANES:
-        raise InputError("--plane", plane, ", ".join(PLANES))
-    if not 0.0 <= albedo <= 1.0:
-        raise InputError("--albedo", albedo, "0 to 1")
-    if linke is not None and not 1.0 <= linke <= 20.0:
-        raise InputError("--linke", linke, "1 to 20")
-    minutes = read_duration("--step", step) / datetime.timedelta(minutes=1)
+    year: int | None
+    date: str | None
+    last: str | None
+    days: str
+    per: str
+    part: str
+    plane: str
+    tilt: float | None
+    azimuth: float | None
+    albedo: float
+    linke: float | None
+    transmissivity: float
+    clock: str
+    step: str
+    checkpoint: Path | None
+
+
+def irradiation_request(arguments: IrradiationArguments) -> ProductRequest:
+    """Return the request for irradiation over a period. Raises ``InputError``, which names options as the command does."""
+    first, last = _dates(arguments.year, arguments.date, arguments.last)
+    for name, value, allowed in (
+        ("--part", arguments.part, ("all", *PARTS)), ("--plane", arguments.plane, PLANES), ("--per", arguments.per, PERIODS),
+        ("--days", arguments.days, ("all", "mean")),
+    ):  # fmt: skip
+        if value not in allowed:
+            raise InputError(name, value, ", ".join(allowed))
+    minutes = read_duration("--step", arguments.step) / datetime.timedelta(minutes=1)
     if not 1.0 <= minutes <= 60.0:
-        raise InputError("--step", step, "1m to 1h")
-    parse_clock("--clock", clock)
-    values = {"date": first, "to": last, "part": part, "plane": plane, "albedo": albedo, "linke": linke, "clock": clock}
-    options = PRODUCTS[PRODUCT_NAME].options_of({**values, "step_min": minutes})
+        raise InputError("--step", arguments.step, "1m to 1h")
+    parse_clock("--clock", arguments.clock)
+    values = {
+        "date": first, "to": last, "days": arguments.days, "per": arguments.per,
+        "part": "total" if arguments.part == "all" else arguments.part, "by_part": arguments.part == "all",
+        "plane": arguments.plane, "tilt": arguments.tilt, "plane_azimuth": arguments.azimuth, "albedo": arguments.albedo,
+        "linke": arguments.linke, "transmissivity": arguments.transmissivity, "clock": arguments.clock, "step_min": minutes,
+        "checkpoint": arguments.checkpoint,
+    }  # fmt: skip
+    try:
+        options = PRODUCTS[PRODUCT_NAME].options_of(values)
+    except InputError as error:
+        raise error.renamed("--azimuth" if error.name == "plane_azimuth" else f"--{error.name}") from None
     return ProductRequest(product=PRODUCT_NAME, options=options)
 
 

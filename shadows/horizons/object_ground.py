@@ -1,7 +1,8 @@
 """The ground of a block with the objects that stand on it: buildings as part of the surface, trees as crowns above it.
 
-Heights are those of a map's drawn surface, seen from above. So the wall of a building stands between two nodes, and a crown reaches
-down to the ground. Objects count up to ``OBJECT_NODES`` from a block, the bare ground beyond.
+Buildings have the heights of a map's drawn surface, seen from above, so a wall stands between two nodes. A crown has the outline of
+its tree's picture (``skugga.terrain.trees.crown_tops``) and reaches down to the ground. Objects count up to ``OBJECT_NODES`` from a
+block, the bare ground beyond.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from skugga.shadows.horizons.block_ground import block_grid
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.terrain.gbuffer.ground_normals import directions_enu
 from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.scene import Scene
+from skugga.terrain.trees.crown_tops import crown_profiles, raise_to_crowns
 
 OBJECT_NODES = 512
 """Distance from a block, in nodes, up to which objects count."""
@@ -50,8 +53,8 @@ def object_grids(scene: Scene, block: MapView) -> tuple[HorizonGrid, HorizonGrid
     solid = _with_surface(bare, place, _surface_height_m(_without_trees(scene), window))
     if "forest" not in scene.objects.caster_kinds:
         return solid, None
-    wooded = _with_surface(solid, place, _surface_height_m(scene, window))
-    return solid, replace(wooded, eye_height_m=solid.eye_heights_m)
+    wooded = replace(solid, height_m=_with_crowns(scene, block, solid), eye_height_m=solid.eye_heights_m)
+    return solid, wooded
 
 
 def is_under_crown(solid: HorizonGrid, wooded: HorizonGrid) -> np.ndarray:
@@ -78,6 +81,28 @@ def _with_surface(grid: HorizonGrid, place: tuple[slice, slice], surface_m: np.n
     height_m = grid.height_m.copy()
     height_m[place] = np.fmax(height_m[place], surface_m)
     return replace(grid, height_m=height_m)
+
+
+def _with_crowns(scene: Scene, block: MapView, solid: HorizonGrid) -> np.ndarray:
+    """Return the heights of a block's ground and buildings, float32 (rows, cols), metres, raised to the tops of crowns.
+
+    Where cells are so wide that maps draw fewer and wider trees, crowns are as wide as those, and as high as the trees are.
+    """
+    height_m, grid, trees = solid.height_m.copy(), block.grid, scene.objects.trees
+    pixel_m = float(np.sqrt(abs(np.linalg.det(solid.east_north_of_cell_m))))
+    drawn = tree_instances_in_map(scene.objects, scene.world.frame_near(grid.crs, *block.centre), pixel_m)
+    if trees is None or drawn is None:
+        return height_m
+    x, y, base_height_m = scene.objects.trees_in_crs(grid.crs)[drawn.tree_number].T
+    row, col = (
+        (index - start) / step
+        for index, start, step in ((grid.row(y), block.row0, block.row_step), (grid.col(x), block.col0, block.col_step))
+    )
+    raise_to_crowns(
+        height_m, row + solid.eyes[0].start, col + solid.eyes[1].start, drawn.quad_sizes_m[:, 0].astype(np.float64), base_height_m,
+        trees.height_m[drawn.tree_number].astype(np.float64), drawn.variant, crown_profiles(), solid.east_north_of_cell_m,
+    )  # fmt: skip
+    return height_m
 
 
 def _surface_height_m(scene: Scene, window: MapView) -> np.ndarray:

@@ -117,8 +117,8 @@ def mean_days(first: datetime.date, last: datetime.date) -> dict[datetime.date, 
 
 
 def _hours(window: DailyWindow) -> list[Period]:
-    """Return the hours of a date, counted from the start of its window."""
-    hours = int(np.ceil(window.length_min / 60.0 - 1e-6))
+    """Return the hours of a date, counted from the start of its window. Solar days are some seconds longer or shorter than 24 h."""
+    hours = round(window.length_min / 60.0)
     start = _utc(window)
     return [
         Period(f"{window.date.isoformat()} {clock_text(window.clock_time_min(60.0 * hour))}", start + np.timedelta64(hour, "h"))

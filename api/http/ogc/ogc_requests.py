@@ -120,7 +120,8 @@ def format_of_media_type(media_type: str) -> MapFormat:
 def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> ProductOptions:
     """Return the options of a layer's product from the keys of a request.
 
-    The key of an option is its name. A product of whole dates, such as hours of sun, takes its date from TIME. Raises
+    The key of an option is its name. A product of whole dates, such as hours of sun, takes its date from TIME, unless a
+    YEAR is given. Raises
     ``InputError``.
     """
     product = PRODUCTS[layer]
@@ -130,7 +131,7 @@ def layer_options(level: ServedLevel, layer: str, parameters: KeyValuePairs) -> 
         if name not in names and key not in RESERVED_KEYS and parameters.get(key) is not None:
             raise InputError(key, Problem(f"layer {layer} has no such option"), "Omit it")
     values: dict[str, object] = {name: value for name in names if (value := parameters.get(name.upper())) is not None}
-    if product.when == "days":
+    if product.when == "days" and "year" not in values:
         values["date"] = requested_date(parameters.get("TIME"), default_date(level, current_year()))
     try:
         return product.options_of({**product.options.UNSERVED, **values})

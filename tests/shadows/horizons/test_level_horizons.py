@@ -1,10 +1,7 @@
 """Horizons and sky view factors of levels: against the exact horizons of points, over seams, with far ground and objects."""
 
-import json
-
 import numpy as np
 import pytest
-import yaml
 from pyproj import Proj
 
 import skugga
@@ -122,35 +119,6 @@ def test_blocks_are_small_where_meridians_converge(tmp_path):
         assert len(horizon_blocks(scene, raster_view(scene).view)) > 1
 
 
-@pytest.fixture
-def level_with_objects(tmp_path):
-    """Return an open level: flat ground with a block of 20 x 20 x 10 m, and a wood of trees 8 m high."""
-    write_geotiff(tmp_path / "flat.tif", np.full((200, 200), 100.0, np.float32), "EPSG:32633", 500_000.0, 5_200_200.0, 1.0)
-
-    def polygon(west, south, east, north, **properties):
-        ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
-        return {
-            "type": "FeatureCollection", "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}},
-            "features": [{"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}],
-        }  # fmt: skip
-
-    (tmp_path / "house.geojson").write_text(json.dumps(polygon(500_080.0, 5_200_090.0, 500_100.0, 5_200_110.0, height=10.0)))
-    (tmp_path / "wood.geojson").write_text(json.dumps(polygon(500_140.0, 5_200_040.0, 500_180.0, 5_200_160.0)))
-    level = {
-        "version": 1,
-        "terrain": {"source": "flat.tif"},
-        "meshes": [{"source": "house.geojson", "height": "height"}],
-        "forest": [
-            {"source": "wood.geojson", "density": 900, "height": [8, 8], "crown": [5, 5], "species": "broadleaf", "seed": 1}
-        ],
-        "sun": {"azimuth": 200, "altitude": 30},
-    }
-    path = tmp_path / "village.yaml"
-    path.write_text(yaml.safe_dump(level))
-    with skugga.open_level(path) as opened:
-        yield opened
-
-
 def test_a_house_and_trees_hide_the_sky(level_with_objects):
     scene = level_with_objects._scene
     view = raster_view(scene).view
@@ -169,3 +137,14 @@ def test_a_house_and_trees_hide_the_sky(level_with_objects):
     assert 0.4 < opaque[beside_wood].mean() < 0.85 < clear[beside_wood].mean()
     np.testing.assert_allclose(half, 0.5 * (opaque + clear), atol=1e-6)
     assert (opaque <= clear + 1e-6).all()
+
+
+def test_crowns_are_as_high_as_those_of_points(level_with_objects):
+    """Beside a wood, horizons over crowns as columns are those over the trees' pictures but for gaps between leaves."""
+    scene = level_with_objects._scene
+    angles = horizons_of_block(scene, raster_view(scene).view, AZIMUTHS)
+    cells = [(100, 136), (100, 130), (90, 134), (120, 188), (30, 160)]
+    exact = exact_angles(level_with_objects, np.array(cells))
+    differences = np.stack([angles[cell] for cell in cells]) - exact
+    assert abs(differences.mean()) < 2.0 and exact.max() > 45.0
+    assert np.abs(differences).mean() < 4.0

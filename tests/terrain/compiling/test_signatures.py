@@ -15,7 +15,7 @@ MODULES_WITHOUT_RECORDS = {
     "skugga.shadows.horizons.far": "horizons of rasters",
     "skugga.shadows.horizons.march": "horizons of rasters",
     "skugga.shadows.horizons.sky_view": "sky view factors of rasters",
-    "skugga.shadows.irradiation.irradiation": "irradiation",
+    "skugga.shadows.irradiation.direct": "irradiation",
     "skugga.shadows.irradiation.sky": "irradiation",
     "skugga.shadows.sweep.columns": "levels of blocks",
     "skugga.shadows.sweep.grid": "`skugga.shadow`",
