@@ -25,6 +25,8 @@ from skugga.api.library.argument_types import AltitudeDeg, AzimuthCount, Azimuth
 from skugga.api.library.grids import grid_of_heights
 from skugga.api.library.north_up_grid import NorthUpGrid, north_up_grid
 from skugga.api.library.opened_level import ARRAY_NAME, OpenLevel, level_of_source
+from skugga.api.products import product_named
+from skugga.api.products.irradiation import IrradiationOptions
 from skugga.api.raster_file import TILE_SIDE_CELLS
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, SkyViewKind, evenly_spaced_azimuths_deg
 from skugga.shadows.registry import ALGORITHMS
@@ -119,6 +121,37 @@ class SkuggaAccessor:
             return level.sun_hours(date, **cells, **rules)
 
         return self._compute_data_array("sun_hours", compute_array, np.float32)
+
+    @validate_arguments
+    def irradiation(self, date: Date | None = None, **options: Any) -> xarray.DataArray:
+        """Return the energy of sunlight and skylight over dates, kWh/m2.
+
+        Parameters
+        ----------
+        date
+            The date, or the first of several dates.
+        **options
+            ``to``, ``year``, ``per``, ``part``, ``tilt`` and other parameters of ``OpenLevel.irradiation``.
+
+        Returns
+        -------
+        xarray.DataArray
+            float32, NaN without ground. With several periods or parts the first dimension is ``band``, their names.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
+        """
+        options_model = product_named("irradiation").options_of({"date": date, **options})
+        assert isinstance(options_model, IrradiationOptions)
+        names = options_model.band_names
+
+        def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
+            return level.irradiation(date, **cells, **options)
+
+        bands = xarray.DataArray(list(names), dims="band", name="band") if len(names) > 1 else None
+        return self._compute_data_array("irradiation", compute_array, np.float32, bands)
 
     @validate_arguments
     def sky_view(self, kind: SkyViewKind = "solid_angle", azimuths: AzimuthCount = DEFAULT_AZIMUTHS) -> xarray.DataArray:

@@ -212,6 +212,55 @@ class LevelRasters(LevelState):
         return self._compute_raster(request, (bounds, crs, resolution, like, cells), {})
 
     @validate_arguments
+    def irradiation(
+        self,
+        date: Date | None = None,
+        *,
+        to: Date | None = None,
+        year: int | None = None,
+        bounds: Bounds | None = None,
+        crs: CrsLike | None = None,
+        resolution: Resolution | None = None,
+        like: Path | None = None,
+        cells: Cells | None = None,
+        **options: Any,
+    ) -> np.ndarray:
+        """Compute the energy of sunlight and skylight over dates as a raster.
+
+        Parameters
+        ----------
+        date
+            The date, or the first of several dates.
+        to
+            The last of several dates.
+        year
+            A whole year instead of dates.
+        bounds, crs, resolution, like, cells
+            As in ``shade``.
+        **options
+            ``days="mean"`` computes one day for each month. ``per`` is ``period``, ``month``, ``day`` or ``hour``. ``part`` is
+            ``total``, ``beam``, ``circumsolar``, ``sky``, ``horizon_band`` or ``reflected``, and ``by_part=True`` gives a band for
+            each. ``plane`` is ``ground`` or ``level``, or ``tilt`` and ``plane_azimuth`` give a plane in degrees. ``albedo``,
+            ``linke`` (turbidity), ``transmissivity`` of trees, ``clock``, ``step_min`` and ``checkpoint`` are those of the command.
+
+        Returns
+        -------
+        numpy.ndarray
+            kWh/m2, float32 (rows, cols), or (bands, rows, cols) with several periods or parts; NaN without ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
+        """
+        product = product_named("irradiation")
+        request = ProductRequest(
+            product="irradiation", options=product.options_of({"date": date, "to": to, "year": year, **options})
+        )
+        array = self._compute_raster(request, (bounds, crs, resolution, like, cells), {})
+        return array if array.ndim == 2 else np.moveaxis(array, -1, 0)
+
+    @validate_arguments
     def sky_view(
         self,
         kind: SkyViewKind = "solid_angle",

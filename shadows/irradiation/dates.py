@@ -16,8 +16,8 @@ Per = Literal["period", "month", "day", "hour"]
 """What one value is the irradiation of: all dates together, or each of their months, days or hours."""
 
 MEAN_DAYS = (17, 16, 16, 15, 15, 11, 17, 16, 15, 15, 14, 10)
-"""The mean day of each month, whose declination is nearest to that of the month's mean extraterrestrial radiation (S. A. Klein 1977,
-"Calculation of monthly average insolation on tilted surfaces")."""
+"""The mean day of each month: that whose extraterrestrial radiation is nearest to the month's mean (S. A. Klein 1977, "Calculation
+of monthly average insolation on tilted surfaces")."""
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class _TurnedSums:
         self._sums: list[np.ndarray] = []
 
     def add(self, clearance: NodeClearance, towards: np.ndarray, weights: Sequence[np.ndarray]) -> None:
-        """Add the light of a sun in the direction ``towards`` (east, north, up); each light at the heights is one of ``weights``."""
+        """Add the light of a sun in the direction ``towards`` (east, north, up); ``weights`` are each light at the heights."""
         self._turn(clearance.orientation)
         ray_height_m = clearance.ray_height_m
         if self._turned_lift_m is not None:

@@ -189,13 +189,12 @@ def _numbers_by_period(dates: Dates, suns: SunIntervals) -> Iterator[np.ndarray]
 
 def _sky_factors(surfaces: BlockSurfaces) -> dict[Part, np.ndarray]:
     """Return what the cells see of each part of the light that does not come from the sun's direction, (rows, cols)."""
-    sky_view, band = np.float32(0.0), np.float32(0.0)
+    sky_view, band = (np.zeros(surfaces.height_m.shape, np.float32) for _ in range(2))
     for surface in surfaces.shading:
-        under_surface = sky_of_grid(surface.grid, surfaces.normals)
-        if surface.lift_m is not None:
-            under_surface = tuple(np.where(np.isinf(surface.lift_m), np.float32(0.0), factor) for factor in under_surface)
-        sky_view = sky_view + np.float32(surface.share) * under_surface[0]
-        band = band + np.float32(surface.share) * under_surface[1]
+        for total, factor in zip((sky_view, band), sky_of_grid(surface.grid, surfaces.normals), strict=True):
+            if surface.lift_m is not None:
+                factor[np.isinf(surface.lift_m)] = 0.0
+            total += np.float32(surface.share) * factor
     return {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
 
 

@@ -33,7 +33,7 @@ Plane = Literal["ground", "level"] | TiltedPlane
 
 @dataclass(frozen=True, eq=False)
 class PlaneNormals:
-    """Unit normals of the planes of a block's cells, float32 (rows, cols) each: their components to the east, to the north and up."""
+    """Unit normals of the planes of a block's cells: their components to the east, to the north and up, float32 (rows, cols)."""
 
     east: np.ndarray
     north: np.ndarray

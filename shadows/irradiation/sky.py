@@ -1,7 +1,7 @@
 """What planes on a block's ground see of the sky and of its horizon, for the light that does not come from the sun's direction.
 
-A plane sees, towards each azimuth, the sky above the terrain and above the level horizon that lies on its own side. So the factor of
-the sky is that of J. Dozier and J. Frew (1990), equation 7b, for planes of any tilt: (1 + cos tilt) / 2 in the open.
+A plane sees, towards each azimuth, the sky above the terrain and above the level horizon that lies on its own side. So the factor
+of the sky is that of J. Dozier and J. Frew (1990), equation 7b, for planes of any tilt: (1 + cos tilt) / 2 in the open.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class _SkySums:
         self._sky, self._band = (np.zeros(normals.up.shape, np.float32) for _ in range(2))
         self._orientation: GridOrientation | None = None
         self._turned_normals: tuple[np.ndarray, ...] = ()
-        self._turned_sky, self._turned_band = (np.empty((0, 0), np.float32) for _ in range(2))
+        self._turned_sky: np.ndarray = np.empty((0, 0), np.float32)
+        self._turned_band: np.ndarray = np.empty((0, 0), np.float32)
 
     def add(self, horizons: AzimuthHorizons) -> None:
         """Add what planes see towards one azimuth."""
@@ -106,8 +107,8 @@ def _add_sky_and_band(first, last, tangent, east, north, up, sine, cosine, per_t
 def _light_below(tangent, towards, upwards):
     """Return the light from a uniform sky between the level and an elevation angle, towards one azimuth, on a plane.
 
-    ``tangent`` is that of the angle h; ``towards`` and ``upwards`` are the components of the plane's normal. This is the integral of
-    twice the cosine of incidence times cos h, towards (h + sin h cos h) + upwards sin2 h.
+    ``tangent`` is that of the angle h; ``towards`` and ``upwards`` are the components of the plane's normal. This is the integral
+    of twice the cosine of incidence times cos h, towards (h + sin h cos h) + upwards sin2 h.
     """
     cosine_2 = np.float32(1.0) / (np.float32(1.0) + tangent * tangent)
     return towards * (arctan(tangent) + tangent * cosine_2) + upwards * (np.float32(1.0) - cosine_2)

@@ -196,9 +196,9 @@ def clearance_of_nodes(
 ) -> NodeClearance:
     """Return the ray heights that decide whether nodes of ground without objects see the sun.
 
-    ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. ``surface`` is a
-    surface round the nodes on which these stand instead of on their ground; no patch at full detail lies in it. Raises the errors
-    of ``find_lit_nodes``.
+    ``patches`` are the ground beside the nodes that may cast shadows on them, ``lines`` the sweep lines per column. ``surface`` is
+    the surface round the nodes, on which these stand instead of on their ground; no patch at full detail lies in it. Raises the
+    errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
     grounds = grounds_of_block(rays, nodes.surface if surface is None else surface, patches)

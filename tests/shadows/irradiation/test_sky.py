@@ -41,7 +41,7 @@ def test_a_wall_before_a_plane_takes_its_half_of_the_sky(tilt_deg, share):
 
 @pytest.mark.parametrize("tilt_deg", [95.0, 120.0, 150.0])
 def test_a_plane_that_faces_down_sees_the_strip_above_a_wall(tilt_deg):
-    """Before an infinitely long wall, towards each azimuth the sky lies between the wall's top and the plane: a closed form in 2D."""
+    """Before an infinitely long wall, towards each azimuth the sky lies between the wall's top and the plane."""
     distance_m, top_m = 10.0, 3.0
     heights = np.zeros((SIDE, 4 * SIDE + 1))
     heights[: MIDDLE[0]] = top_m

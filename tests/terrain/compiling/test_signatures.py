@@ -35,6 +35,7 @@ MODULES_WITHOUT_RECORDS = {
     "skugga.terrain.ground.surface_loops": "points on magnified ground",
     "skugga.terrain.sky": "levels with water",
     "skugga.terrain.trees.canopy": "levels with a canopy",
+    "skugga.terrain.trees.crown_tops": "horizons of levels with trees",
     "skugga.terrain.viewpoint": "cameras that Skugga places",
 }
 """Modules with stored loops that no product records, and what needs them: their loops are compiled on the first call."""
