@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import datetime
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
+
+from skugga.api.cli.outputs import check_output_files
+from skugga.api.cli.shading import OutputGrid
 from skugga.api.cli.times import read_duration
+from skugga.api.cli.warnings import print_warnings
 from skugga.api.products import PRODUCTS
-from skugga.api.products.irradiation import PARTS, PERIODS, PLANES, PRODUCT_NAME
+from skugga.api.products.irradiation import PARTS, PERIODS, PLANES, PRODUCT_NAME, IrradiationOptions
 from skugga.api.request import ProductRequest
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, printable
 from skugga.terrain.geo.clock import parse_clock, parse_date
 from skugga.terrain.geo.sun_path import SUPPORTED_YEARS
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import build_scene
 
 
 @dataclass(frozen=True)
@@ -79,3 +89,37 @@ def _dates(year: int | None, date: str | None, last: str | None) -> tuple[dateti
     if not low <= year <= high:
         raise InputError("--year", year, f"years {low} to {high}")
     return datetime.date(year, 1, 1), datetime.date(year, 12, 31)
+
+
+def write_polygons(
+    level: LevelSource,
+    output: Path,
+    polygons: Path,
+    request: ProductRequest,
+    output_grid: OutputGrid,
+    on_step: Callable[[int, int], None],
+) -> None:
+    """Write the irradiation of polygons, computed on the cells of a level's raster. Raises ``SkuggaError`` and ``OSError``."""
+    from skugga.api.polygon_irradiation import DRIVER_BY_SUFFIX, polygon_irradiation, read_polygons, write_polygon_irradiation
+
+    if output.suffix.lower() not in DRIVER_BY_SUFFIX:
+        raise InputError("--output", str(output), f"a table of polygons: {', '.join(DRIVER_BY_SUFFIX)}")
+    for name, value in (
+        ("--bounds", output_grid.bounds), ("--crs", output_grid.crs), ("--resolution", output_grid.resolution),
+        ("--like", output_grid.like),
+    ):  # fmt: skip
+        if value is not None:
+            raise InputError.conflict(name, "--polygons")
+    check_output_files(level, [("--output", output)], polygons)
+    options = request.options
+    assert isinstance(options, IrradiationOptions)
+    scene = build_scene(load_level(level))
+    print_warnings(scene)
+    try:
+        PRODUCTS[PRODUCT_NAME].check(scene)
+        answer = polygon_irradiation(scene, read_polygons(polygons, scene), options, on_step)
+        write_polygon_irradiation(output, answer)
+    finally:
+        scene.close()
+    if sys.stderr.isatty():
+        typer.echo(printable(f"skugga: wrote {output}: irradiation of {len(answer.cells)} polygons"), err=True)

@@ -17,6 +17,7 @@ from skugga.terrain.errors import InputError, UnsupportedError
 from skugga.terrain.geo.sun_path import SUPPORTED_YEARS
 
 if TYPE_CHECKING:
+    from skugga.api.month_folder import MonthFolder
     from skugga.shadows.irradiation.dates import Dates
     from skugga.shadows.irradiation.irradiation import IrradiationRules
     from skugga.terrain.geo.grid import MapView
@@ -186,6 +187,18 @@ class IrradiationOptions(ProductOptions):
         plane: Plane = self.plane if self.tilt is None else TiltedPlane(self.tilt, azimuth_deg)
         return IrradiationRules(self.parts, plane, self.albedo, self.linke, self.step_min, self.transmissivity)
 
+    def blocks(self, scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
+        """Return the blocks of a map, in the form that ``blocks_of`` returns; all bands of a block are in memory."""
+        from skugga.shadows.horizons.level_horizons import horizon_blocks
+
+        return horizon_blocks(scene, view, BYTES_PER_BAND * len(self.band_names) // 4)
+
+    def store_of(self, scene: Scene, block: MapView) -> MonthFolder | None:
+        """Return where finished months of a block are kept; ``None`` if they are not."""
+        from skugga.api.month_folder import MonthFolder
+
+        return None if self.checkpoint is None else MonthFolder.of_request(self.checkpoint, scene.loaded, block, self)
+
     @property
     def plane_text(self) -> str:
         """The plane in words."""
@@ -215,12 +228,11 @@ class IrradiationOptions(ProductOptions):
 
 def _compute(product_input: ProductInput) -> np.ndarray:
     """Return irradiation, float32 (rows, cols) or (rows, cols, bands), kWh/m2."""
-    from skugga.api.month_folder import MonthFolder
     from skugga.shadows.irradiation.irradiation import irradiation
 
     scene, view, options = product_input.scene, product_input.map_view, product_input.options
     _check_map(scene, view)
-    store = None if options.checkpoint is None else MonthFolder.of_request(options.checkpoint, scene.loaded, view, options)
+    store = options.store_of(scene, view)
     bands = irradiation(scene, view, options.dates(scene.world), options.rules, product_input.on_step, store)
     return bands[0] if len(bands) == 1 else np.moveaxis(bands, 0, -1)
 
@@ -242,13 +254,6 @@ def _profile(options: IrradiationOptions) -> RasterProfile:
     """Return the form of rasters: a band for each period and part."""
     names = options.band_names
     return RasterProfile(bands=len(names), band_names=names if len(names) > 1 else ())
-
-
-def _blocks(scene: Scene, view: MapView, options: IrradiationOptions) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a map, in the form that ``blocks_of`` returns."""
-    from skugga.shadows.horizons.level_horizons import horizon_blocks
-
-    return horizon_blocks(scene, view, BYTES_PER_BAND * len(options.band_names) // 4)
 
 
 def _color_scale(options: IrradiationOptions, world: World) -> ColorScale:
@@ -295,5 +300,5 @@ PRODUCT = Product(
     name=PRODUCT_NAME, description="irradiation of a `date` or a `year` under a clear sky, with the terrain in the way",
     formats=("png", "webp", "tif", "npy"), compute=_compute, view_kinds=("map",), when="days", options=IrradiationOptions,
     unit=UNIT, color_scale=_color_scale, describe=lambda options: (f"{PARTS[options.part]} under a clear sky", UNIT),
-    profile=_profile, blocks=_blocks, step_count=lambda options: options.date_count, tags=_tags, check=_check,
+    profile=_profile, blocks=lambda scene, view, options: options.blocks(scene, view), step_count=lambda options: options.date_count, tags=_tags, check=_check,
 )  # fmt: skip

@@ -81,6 +81,7 @@ def irradiation(
     rules: IrradiationRules,
     on_date: Callable[[], None] = lambda: None,
     store: MonthStore | None = None,
+    surfaces: BlockSurfaces | None = None,
 ) -> np.ndarray:
     """Return the irradiation of a block's cells, float32 (values, rows, cols), kWh/m2; NaN without ground.
 
@@ -96,6 +97,8 @@ def irradiation(
         Called as often as there are dates.
     store
         Keeps the months that are finished.
+    surfaces
+        The surfaces of the block (``block_surfaces``), if they are known.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def irradiation(
     InputError
         Years outside of the sun's ephemeris.
     """
-    surfaces = block_surfaces(scene, view, rules.plane, rules.transmissivity)
+    surfaces = surfaces or block_surfaces(scene, view, rules.plane, rules.transmissivity)
     periods = len(dates.periods)
     out = np.full((periods, len(rules.parts), view.rows, view.cols), np.nan, np.float32)
     shown = np.isfinite(surfaces.height_m)

@@ -62,6 +62,8 @@ class BlockSurfaces:
         float32 (rows, cols), metres: the height of the surface that receives light; NaN without one.
     normals
         The planes that receive light.
+    plane
+        Which planes these are.
     shading
         The surfaces that shade it.
     """
@@ -69,6 +71,7 @@ class BlockSurfaces:
     nodes: BareNodes
     height_m: np.ndarray
     normals: PlaneNormals
+    plane: Plane
     shading: tuple[ShadingSurface, ...]
 
 
@@ -81,7 +84,7 @@ def block_surfaces(scene: Scene, view: MapView, plane: Plane, transmissivity: fl
     if not has_objects(scene):
         grid = block_grid(scene, view)
         height_m = np.where(nodes.shows_ground, nodes.height_m, np.float32(np.nan))
-        return BlockSurfaces(nodes, height_m, _normals(grid, plane), (ShadingSurface(grid),))
+        return BlockSurfaces(nodes, height_m, _normals(grid, plane), plane, (ShadingSurface(grid),))
     solid, wooded = object_grids(scene, view)
     window = _aligned_window(scene, view)
     under_sky = ShadingSurface(solid, transmissivity if wooded is not None else 1.0, _raised(window, view, solid))
@@ -99,7 +102,7 @@ def block_surfaces(scene: Scene, view: MapView, plane: Plane, transmissivity: fl
     if plane == "ground":
         normals = _with_roofs(normals, roof_normals_enu(scene, view))
     height_m = np.where(nodes.shows_ground, solid.eye_heights_m, np.float32(np.nan))
-    return BlockSurfaces(nodes, height_m, normals, tuple(shading))
+    return BlockSurfaces(nodes, height_m, normals, plane, tuple(shading))
 
 
 def _normals(grid: HorizonGrid, plane: Plane) -> PlaneNormals:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 @with_level_argument
 def irradiation_raster(
     level: LevelSource,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF to write.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF; with --polygons .gpkg, .geojson or .csv.")
+    ],
     year: Annotated[int | None, typer.Option(metavar="YYYY", help="A whole year.")] = None,
     date: Annotated[str | None, typer.Option(metavar="DATE", help="One date, or the first of many: 2024-03-21.")] = None,
     last: Annotated[str | None, typer.Option("--to", metavar="DATE", help="Last of many dates.")] = None,
@@ -61,6 +63,10 @@ def irradiation_raster(
         typer.Option(help="Clock of dates: solar (true solar time), utc, an offset or a zone (Europe/Oslo)."),
     ] = "solar",
     step: Annotated[str, typer.Option(metavar="1h", help="Time between two suns.")] = "1h",
+    polygons: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Roofs, fields or other polygons: write their means and sums instead of a raster."),
+    ] = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="Keep finished months here. After a stop the same command continues with them."),
@@ -70,11 +76,11 @@ def irradiation_raster(
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
 ) -> None:
-    """Write the irradiation of a year or of dates, kWh/m2, as a raster of any size, under a clear sky.
+    """Write the irradiation of a year or of dates, kWh/m2, as a raster or for polygons, under a clear sky.
 
     Terrain, buildings and trees are in the way.
     """
-    from skugga.api.cli.irradiation_options import IrradiationArguments, irradiation_request
+    from skugga.api.cli.irradiation_options import IrradiationArguments, irradiation_request, write_polygons
     from skugga.api.cli.shading import OutputGrid, write_product
 
     arguments = IrradiationArguments(
@@ -83,4 +89,7 @@ def irradiation_raster(
     request = irradiation_request(arguments)
     output_grid = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Adding up sunlight") as advance:
-        write_product(level, output, [request], output_grid, {}, advance)
+        if polygons is None:
+            write_product(level, output, [request], output_grid, {}, advance)
+        else:
+            write_polygons(level, output, polygons, request, output_grid, advance)

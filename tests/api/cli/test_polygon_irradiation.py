@@ -1,0 +1,106 @@
+"""``skugga irradiation --polygons``: means, sums, slopes and azimuths of polygons, and what has none."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+
+from tests.rasters import write_geotiff
+
+WEST, NORTH, CELL_M, SIDE = 500_000.0, 5_200_000.0, 10.0, 40
+TILT_DEG = 30.0
+
+
+@pytest.fixture
+def slope(tmp_path: Path) -> Path:
+    """File of a plane that falls to the east, with a hole in a corner."""
+    heights = np.tile(np.float32(500.0 - np.tan(np.radians(TILT_DEG)) * CELL_M / 0.9996 * np.arange(SIDE)), (SIDE, 1))
+    heights[:4, :4] = np.nan
+    return write_geotiff(tmp_path / "slope.tif", heights, "EPSG:32632", WEST, NORTH, CELL_M)
+
+
+def square(west: float, north: float, side: float) -> dict:
+    """Return a square as a GeoJSON feature; west and north are cells from the raster's corner, the side is cells too."""
+    box = shapely.box(WEST + west * CELL_M, NORTH - (north + side) * CELL_M, WEST + (west + side) * CELL_M, NORTH - north * CELL_M)
+    return {"type": "Feature", "properties": {}, "geometry": json.loads(shapely.to_geojson(box))}
+
+
+def write_squares(path: Path, *squares: dict) -> Path:
+    """Write squares as a GeoJSON file in the raster's CRS."""
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": list(squares)}), "utf-8")
+    return path
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV."""
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
+    squares = write_squares(
+        tmp_path / "squares.geojson", square(10, 12, 5), square(20.2, 20.2, 0.4), square(60, 5, 5), square(0, 0, 4)
+    )
+    options = ["--date", "2024-06-21"]
+    status, _, error = run("irradiation", str(slope), "-o", str(tmp_path / "day.tif"), *options)
+    assert status == 0, error
+    status, _, error = run("irradiation", str(slope), "--polygons", str(squares), "-o", str(tmp_path / "day.csv"), *options)
+    assert status == 0, error
+    with rasterio.open(tmp_path / "day.tif") as dataset:
+        values = dataset.read(1)
+    whole, small, outside, hole = table(tmp_path / "day.csv")
+    mean = values[12:17, 10:15].mean()
+    cell_m2 = (CELL_M / 0.9996) ** 2 / np.cos(np.radians(TILT_DEG))
+    assert whole["cells"] == "25" and float(whole["kwh_m2"]) == pytest.approx(mean, rel=1e-5)
+    assert float(whole["area_m2"]) == pytest.approx(25 * cell_m2, rel=1e-3)
+    assert float(whole["kwh"]) == pytest.approx(25 * cell_m2 * mean, rel=1e-3)
+    assert float(whole["slope_deg"]) == pytest.approx(TILT_DEG, abs=0.05)
+    assert float(whole["azimuth_deg"]) == pytest.approx(90.0, abs=0.1)
+    assert small["cells"] == "1" and float(small["kwh_m2"]) == pytest.approx(values[20, 20], rel=1e-5)
+    for row in (outside, hole):
+        assert row["cells"] == "0" and row["kwh_m2"] == "" and row["remark"] == "outside of the level's ground"
+
+
+def test_polygons_have_a_column_for_each_month(run, slope, tmp_path):
+    squares = write_squares(tmp_path / "squares.geojson", square(10, 12, 5))
+    output = tmp_path / "months.geojson"
+    status, _, error = run(
+        "irradiation", str(slope), "--polygons", str(squares), "-o", str(output), "--year", "2023", "--days", "mean", "--per",
+        "month", "--tilt", "35",
+    )  # fmt: skip
+    assert status == 0, error
+    meta, _, geometry, columns = pyogrio.raw.read(output)
+    values = {name: column[0] for name, column in zip(meta["fields"], columns, strict=True)}
+    months = [values[f"kwh_m2 irradiation 2023-{month:02d}"] for month in range(1, 13)]
+    assert min(months) == months[11] or min(months) == months[0]
+    assert 1200.0 < sum(months) < 2600.0 and values["slope_deg"] == pytest.approx(35.0, abs=0.01)
+    assert shapely.bounds(shapely.from_wkb(geometry[0]))[0] == pytest.approx(9.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["-o", "year.tif"], "--output: 'year.tif' is not allowed. Allowed: a table of polygons: .gpkg, .geojson, .csv"),
+        (["-o", "year.csv", "--resolution", "5"], "--resolution: cannot be combined with --polygons"),
+    ],
+)
+def test_wrong_options_are_one_line(run, slope, tmp_path, options, message):
+    squares = write_squares(tmp_path / "squares.geojson", square(10, 12, 5))
+    status, _, error = run("irradiation", str(slope), "--polygons", str(squares), "--date", "2024-06-21", *options)
+    assert status == 2 and message in error and len(error.strip().splitlines()) == 1
+
+
+def test_polygons_off_the_data_are_one_line(run, slope, tmp_path):
+    squares = write_squares(tmp_path / "squares.geojson", square(400, 12, 5))
+    arguments = ["--polygons", str(squares), "--date", "2024-06-21", "-o", str(tmp_path / "day.csv")]
+    status, _, error = run("irradiation", str(slope), *arguments)
+    assert status == 2 and "squares.geojson" in error and len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "day.csv").exists()
