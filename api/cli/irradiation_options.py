@@ -55,6 +55,9 @@ def irradiation_request(arguments: IrradiationArguments) -> ProductRequest:
     ):  # fmt: skip
         if value not in allowed:
             raise InputError(name, value, ", ".join(allowed))
+    for name, share in (("--albedo", arguments.albedo), ("--transmissivity", arguments.transmissivity)):
+        if not 0.0 <= share <= 1.0:
+            raise InputError(name, share, "0 to 1")
     minutes = read_duration("--step", arguments.step) / datetime.timedelta(minutes=1)
     if not 1.0 <= minutes <= 60.0:
         raise InputError("--step", arguments.step, "1m to 1h")

@@ -300,5 +300,7 @@ PRODUCT = Product(
     name=PRODUCT_NAME, description="irradiation of a `date` or a `year` under a clear sky, with the terrain in the way",
     formats=("png", "webp", "tif", "npy"), compute=_compute, view_kinds=("map",), when="days", options=IrradiationOptions,
     unit=UNIT, color_scale=_color_scale, describe=lambda options: (f"{PARTS[options.part]} under a clear sky", UNIT),
-    profile=_profile, blocks=lambda scene, view, options: options.blocks(scene, view), step_count=lambda options: options.date_count, tags=_tags, check=_check,
+    profile=_profile,
+    blocks=lambda scene, view, options: options.blocks(scene, view), step_count=lambda options: options.date_count, tags=_tags,
+    check=_check,
 )  # fmt: skip

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @with_level_argument
 def irradiation_raster(
     level: LevelSource,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF; with --polygons .gpkg, .geojson or .csv.")
-    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write; with --polygons .gpkg, .geojson, .csv.")],
     year: Annotated[int | None, typer.Option(metavar="YYYY", help="A whole year.")] = None,
     date: Annotated[str | None, typer.Option(metavar="DATE", help="One date, or the first of many: 2024-03-21.")] = None,
     last: Annotated[str | None, typer.Option("--to", metavar="DATE", help="Last of many dates.")] = None,

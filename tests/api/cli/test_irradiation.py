@@ -113,7 +113,7 @@ def test_flat_tops_of_cells_are_refused(run, tmp_path):
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\nterrain: {source: flat.tif, surface: blocks}\nsun: none\n", encoding="utf-8")
     status, _, error = run("irradiation", str(level), "-o", str(tmp_path / "y.tif"), "--year", "2023")
-    assert status == 2 and "bare ground" in error and len(error.strip().splitlines()) == 1
+    assert status == 2 and "smooth ground" in error and len(error.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(("part", "low", "high"), [("total", 8.0, 20.0), ("reflected", 1.0, 4.0), ("beam", 8.0, 20.0)])

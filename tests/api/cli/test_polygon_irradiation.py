@@ -80,7 +80,7 @@ def test_polygons_have_a_column_for_each_month(run, slope, tmp_path):
     meta, _, geometry, columns = pyogrio.raw.read(output)
     values = {name: column[0] for name, column in zip(meta["fields"], columns, strict=True)}
     months = [values[f"kwh_m2 irradiation 2023-{month:02d}"] for month in range(1, 13)]
-    assert min(months) == months[11] or min(months) == months[0]
+    assert min(months) in (months[0], *months[10:])
     assert 1200.0 < sum(months) < 2600.0 and values["slope_deg"] == pytest.approx(35.0, abs=0.01)
     assert shapely.bounds(shapely.from_wkb(geometry[0]))[0] == pytest.approx(9.0, abs=0.01)
 
