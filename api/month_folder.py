@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from skugga.api.file_stamps import file_stamps, level_version, watched_files
-from skugga.api.products.product import ProductOptions
 from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import LoadedLevel
@@ -33,11 +32,11 @@ class MonthFolder:
     digest: str
 
     @classmethod
-    def of_request(cls, folder: Path, loaded: LoadedLevel, view: MapView, options: ProductOptions) -> MonthFolder:
-        """Return the months of a block of a level's map for a product's options."""
+    def of_request(cls, folder: Path, loaded: LoadedLevel, view: MapView, options: str) -> MonthFolder:
+        """Return the months of a block of a level's map. ``options`` is a text that tells requests apart."""
         version = level_version(loaded, file_stamps(watched_files(loaded)))
         block = view.grid.crs.to_wkt(), view.grid.x0, view.grid.y0, view.grid.step, view.row0, view.col0, view.rows, view.cols
-        text = repr((version, block, options.model_dump_json(exclude={"checkpoint"})))
+        text = repr((version, block, options))
         return cls(folder, hashlib.sha256(text.encode()).hexdigest()[:DIGEST_CHARACTERS])
 
     def load(self, month: str) -> np.ndarray | None:

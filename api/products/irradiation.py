@@ -197,7 +197,9 @@ class IrradiationOptions(ProductOptions):
         """Return where finished months of a block are kept; ``None`` if they are not."""
         from skugga.api.month_folder import MonthFolder
 
-        return None if self.checkpoint is None else MonthFolder.of_request(self.checkpoint, scene.loaded, block, self)
+        if self.checkpoint is None:
+            return None
+        return MonthFolder.of_request(self.checkpoint, scene.loaded, block, self.model_dump_json(exclude={"checkpoint"}))
 
     @property
     def plane_text(self) -> str:
