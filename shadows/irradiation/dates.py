@@ -80,7 +80,12 @@ class Dates:
 
     def date_numbers(self, moments: np.ndarray) -> np.ndarray:
         """Return the number of the date of each moment (n,), datetime64 in UTC."""
-        return np.searchsorted(np.array([_utc(window) for window in self.windows]), moments, side="right") - 1
+        return np.searchsorted(self.starts, moments, side="right") - 1
+
+    @property
+    def starts(self) -> np.ndarray:
+        """When each date starts, (dates,) datetime64[us] in UTC."""
+        return np.array([_utc(window) for window in self.windows])
 
     def period_numbers(self, moments: np.ndarray) -> np.ndarray:
         """Return the number of the period of each moment (n,), datetime64 in UTC."""

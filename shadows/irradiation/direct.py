@@ -6,7 +6,7 @@ incidence. Suns are sorted by azimuth, and their light is added up in the order 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,12 +48,8 @@ class DirectLight:
         weights = [np.ascontiguousarray((light * suns.hours / 1000.0).T, np.float32) for light in lights]
         sums = [_TurnedSums(self._normals, self._height_index, len(lights), surface) for surface in self._surfaces.shading]
         for number in numbers[np.argsort(suns.azimuth_deg[numbers], kind="stable")].tolist():
-            towards = direction_enu(float(suns.azimuth_deg[number]), float(suns.altitude_deg[number]))
-            lit = self._lit_scene(towards, float(suns.refraction_deg[number]))
-            nodes = self._surfaces.nodes
-            patches = () if self._has_all_ground else find_sun_casters(lit, nodes)
-            for surface, surface_sums in zip(self._surfaces.shading, sums, strict=True):
-                clearance = clearance_of_nodes(nodes, lit, surface.patches_beside(patches), LINES_PER_COLUMN, surface.window)
+            towards = _towards_enu(suns, number)
+            for clearance, surface_sums in zip(self._clearances(suns, number), sums, strict=True):
                 surface_sums.add(clearance, towards.astype(np.float32), [light[number] for light in weights])
             on_sun()
         totals = [np.zeros(self._height_index.shape, np.float32) for _ in lights]
@@ -62,11 +58,33 @@ class DirectLight:
                 total += np.float32(surface.share) * light_sum
         return totals
 
+    def lit_cells(self, suns: SunIntervals, number: int) -> np.ndarray:
+        """Return which cells see a sun behind opaque trees, bool (rows, cols). ``number`` is its index."""
+        clearance, surface = list(self._clearances(suns, number))[-1], self._surfaces.shading[-1]
+        ray_height_m = clearance.ray_height_m
+        if surface.lift_m is not None:
+            lift_m = clearance.orientation.sun_aligned_view(surface.lift_m)
+            ray_height_m = ray_height_m - lift_m * np.float32(clearance.ray_height_per_metre)
+        return clearance.orientation.grid_order_view(ray_height_m >= clearance.shadow_ray_height_m)
+
+    def _clearances(self, suns: SunIntervals, number: int) -> Iterator[NodeClearance]:
+        """Yield the ray heights of each shading surface under a sun, whose index is ``number``."""
+        lit = self._lit_scene(_towards_enu(suns, number), float(suns.refraction_deg[number]))
+        nodes = self._surfaces.nodes
+        patches = () if self._has_all_ground else find_sun_casters(lit, nodes)
+        for surface in self._surfaces.shading:
+            yield clearance_of_nodes(nodes, lit, surface.patches_beside(patches), LINES_PER_COLUMN, surface.window)
+
     def _lit_scene(self, towards_enu: np.ndarray, refraction_deg: float) -> Scene:
         """Return the scene under the sun in a direction (3,), east, north and up at the block's centre."""
         to_sun_earth = self._plane.earth_from_enu @ towards_enu
         at_anchor = azimuth_and_altitude(to_sun_earth, self._scene.world.earth_from_anchor)
         return replace(self._scene, sun=Sun(*at_anchor, to_sun_earth, None, refraction_deg))
+
+
+def _towards_enu(suns: SunIntervals, number: int) -> np.ndarray:
+    """Return the direction (3,) to a sun, east, north and up, at the position of the suns. ``number`` is its index."""
+    return direction_enu(float(suns.azimuth_deg[number]), float(suns.altitude_deg[number]))
 
 
 class _TurnedSums:
