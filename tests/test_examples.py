@@ -87,9 +87,30 @@ def check_many_suns(output: str) -> None:
     assert float(shares[0][0]) < float(shares[2][0]), "a low sun reaches less ground than one at noon"
 
 
+def check_garden_year(output: str) -> None:
+    """Check the months that the example prints: the house south of the garden costs winter, not summer."""
+    months = [[float(value) for value in row] for row in re.findall(r"open +([\d.]+) +with .* +([\d.]+) kWh/m2, +(\d+)%", output)]
+    assert len(months) == 12 and months[11][2] > 60.0 > 20.0 > months[5][2]
+    assert 1200.0 < sum(before for before, _, _ in months) < 1500.0, "a clear year at 59 degrees north"
+
+
+def check_vineyard(output: str) -> None:
+    """Check that slopes to the south receive most, and those to the north least."""
+    light = {name: float(value) for name, value in re.findall(r"facing (\w+) +(\d+) kWh", output)}
+    assert light["north"] < light["west"] < light["south"] and light["north"] < light["east"] < light["south"]
+
+
+def check_glacier_melt(output: str) -> None:
+    """Check the light and the ice that the example prints: a kWh melts 12 kg of ice."""
+    rows = [(float(light), float(ice)) for light, ice in re.findall(r"(\d+) kWh/m2, up to +([\d.]+) m of ice", output)]
+    assert len(rows) == 3 and rows[1][0] < rows[0][0] < rows[2][0]
+    assert rows[0][1] == pytest.approx(0.65 * rows[0][0] * 3.6e6 / 334e3 / 900.0, abs=0.1)
+
+
 OUTPUT_CHECKS = {
     "garden": check_garden, "satellite_scene": check_satellite_scene, "roof_panel": check_roof_panel, "first_sun": check_first_sun,
     "large_raster": check_large_raster, "sky_view": check_sky_view, "many_suns": check_many_suns,
+    "garden_year": check_garden_year, "vineyard": check_vineyard, "glacier_melt": check_glacier_melt,
     "a_winters_day": check_winters_day,
 }  # fmt: skip
 
