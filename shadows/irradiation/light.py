@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.irradiation.suns import SunIntervals, suns_at, time_up
-from skugga.shadows.irradiation.weather_records import RecordIntervals, Weather, records_in_windows
+from skugga.shadows.irradiation.weather_records import RecordIntervals, Weather, as_timedelta, records_in_windows
 from skugga.shadows.irradiation.weather_sun import as_index, extraterrestrial_w_m2, without_pvlib_warnings
 from skugga.terrain.geo.daily_windows import DailyWindow
 
@@ -162,13 +162,14 @@ def _dawn_wh(
     weather: Weather, records: RecordIntervals, up_min: np.ndarray, whole_up_min: np.ndarray, is_up: np.ndarray
 ) -> np.ndarray:
     """Return the energy of records without sun that counts with each of the n suns, Wh/m2: with the nearest of the same window."""
-    power = (weather.dhi if weather.ghi is None else weather.ghi)[records.record]  # type: ignore[index]
+    power = weather.dhi if weather.ghi is None else weather.ghi
+    assert power is not None
     whole_min = weather.length_min[records.record]
     share = np.where(whole_up_min > 0.0, up_min * whole_min / np.maximum(whole_up_min, 1e-9), records.length_min)
-    energy = np.where(is_up, 0.0, power * share / 60.0)
+    energy = np.where(is_up, 0.0, power[records.record] * share / 60.0)
     lit, dark = np.flatnonzero(is_up), np.flatnonzero(energy > 0.0)
     after = np.searchsorted(lit, dark)
-    middle = records.start + (records.length_min * 30e6).astype("timedelta64[us]")
+    middle = records.start + as_timedelta(records.length_min / 2.0)
     out, nearest_us = np.zeros(len(lit)), np.full(len(dark), np.inf)
     chosen = np.full(len(dark), -1)
     for candidate in (after - 1, after):

@@ -2,8 +2,8 @@
 
 Columns are ``time`` and ``ghi``, ``dni``, ``dhi`` (or PVGIS's ``G(h)``, ``Gb(n)``, ``Gd(h)``), or those that the user names. Units
 follow the names, as in ``GHI [kJ/m2]`` and ``ghi_wh_m2``, or the user's name of the column, as in ``Global:kJ/m2``; without a unit
-values are W/m2. Energies are those of one record. What no file tells the user must: ``stamp``, whether times are the start, the middle
-or the end of records, and ``clock`` where times have no UTC offset of their own.
+values are W/m2. Energies are those of one record. The user adds what no file tells: ``stamp``, whether times are the start, the
+middle or the end of records, and ``clock`` where times have no UTC offset of their own.
 """
 
 from __future__ import annotations
@@ -190,7 +190,9 @@ def _times(texts: Sequence[str], clock: str | None, name: str) -> np.ndarray:
         index = pandas.DatetimeIndex(pandas.to_datetime(pandas.Series(texts).str.strip(), format="ISO8601", utc=has_offset))
     except ValueError as error:
         reason = " ".join(str(error).split())[:100].rstrip(".")
-        raise InputError(f"{name}: time", Problem(f"cannot be read ({reason})"), "Use times such as 2023-06-21T12:00+02:00") from None
+        raise InputError(
+            f"{name}: time", Problem(f"cannot be read ({reason})"), "Use times such as 2023-06-21T12:00+02:00"
+        ) from None
     if index.hasnans:
         raise InputError(f"{name}: time", texts[int(np.flatnonzero(index.isna())[0])], "times such as 2023-06-21T12:00+02:00")
     if clock is not None:
@@ -219,7 +221,9 @@ def _length_min(stamps: np.ndarray, name: str) -> float:
     lengths, counts = np.unique(np.round(steps, 3), return_counts=True)
     length = float(lengths[np.argmax(counts)])
     if not MIN_LENGTH_MIN <= length <= MAX_LENGTH_MIN:
-        raise InputError(name, Problem(f"has records of {length:g} minutes"), f"Use records of {MIN_LENGTH_MIN:g} to {MAX_LENGTH_MIN:g}")
+        raise InputError(
+            name, Problem(f"has records of {length:g} minutes"), f"Use records of {MIN_LENGTH_MIN:g} to {MAX_LENGTH_MIN:g}"
+        )
     for number in np.flatnonzero(steps < length - LENGTH_TOLERANCE_MIN)[:1]:
         where = f"{steps[number]:g} minutes after {stamps[number].astype('datetime64[s]')} UTC"
         raise InputError(name, Problem(f"has records of {length:g} minutes, and one only {where}"), "Use records of one length")

@@ -4,9 +4,9 @@ What a stamp means differs from format to format, and half an hour moves the sun
 
 - EPW: local standard time. Hours are numbered from 1 to 24 and end at their number. pvlib's index is an hour earlier: their start.
 - TMY3: local standard time. Hours end at their stamp, which is pvlib's index, too.
-- PVGIS's TMY: UTC. Values are those of one moment, which follows the stamp by the file's "irradiance time offset", and stand for the
-  hour around it. Files before 2024 do not have the offset. The EPW of PVGIS has a time zone, but its hours do not follow it
-  everywhere. In both cases the moments are those that fit the sun (``time_shift_min``).
+- PVGIS's TMY: UTC. Values are those of one moment, which follows the stamp by the file's "irradiance time offset". They stand for
+  the hour around it. Old files do not have the offset. In the EPW of PVGIS it is not clear which clock hours follow. For both,
+  moments are those that fit the sun (``time_shift_min``).
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ EPW_MISSING, TMY3_MISSING = 9999.0, -9000.0
 
 MAX_PVGIS_OFFSET_MIN = 60.0
 """Maximum of an irradiance time offset of PVGIS. Larger shifts are no offsets."""
+
+PARTS = ("ghi", "dni", "dhi")
 
 PVGIS_PARTS = ("G(h)", "Gb(n)", "Gd(h)")
 """PVGIS's names of GHI, DNI and DHI."""
@@ -70,7 +72,7 @@ def _epw(text: str, source: str) -> Weather:
     from pvlib.iotools import read_epw
 
     data, place = read_epw(io.StringIO(text.lstrip()))
-    parts = _parts(data, ("ghi", "dni", "dhi"), lambda values: values >= EPW_MISSING)
+    parts = _parts(data, PARTS, lambda values: values >= EPW_MISSING)
     return _weather(source, _stamps(data), place["TZ"] * 60.0, 0.0, parts, _place(place, "altitude"))
 
 
@@ -79,7 +81,7 @@ def _tmy3(text: str, source: str) -> Weather:
     from pvlib.iotools import read_tmy3
 
     data, place = read_tmy3(io.StringIO(text.lstrip()), map_variables=True)
-    parts = _parts(data, ("ghi", "dni", "dhi"), lambda values: values <= TMY3_MISSING)
+    parts = _parts(data, PARTS, lambda values: values <= TMY3_MISSING)
     return _weather(source, _stamps(data), place["TZ"] * 60.0, -HOUR_MIN, parts, _place(place, "altitude"))
 
 
@@ -119,7 +121,7 @@ def _pvgis_epw(text: str, source: str) -> Weather:
     from pvlib.iotools import read_epw
 
     data, place = read_epw(io.StringIO(text.lstrip()))
-    parts = _parts(data, ("ghi", "dni", "dhi"), lambda values: values >= EPW_MISSING)
+    parts = _parts(data, PARTS, lambda values: values >= EPW_MISSING)
     position, stamps, utc_offset_min = _place(place, "altitude"), _stamps(data), place["TZ"] * 60.0
     shift_min = _fitted_shift_min(stamps, utc_offset_min, parts, position)
     if shift_min is None:
@@ -132,7 +134,7 @@ def _fitted_shift_min(
 ) -> float | None:
     """Return the minutes from stamps to the moments at which light fits the sun; ``None`` if none fits."""
     moments, is_kept = typical_starts(stamps, utc_offset_min, 0.0)
-    ghi, dni, dhi = (np.nan_to_num(parts[part][is_kept]) for part in ("ghi", "dni", "dhi"))
+    ghi, dni, dhi = (np.nan_to_num(parts[part][is_kept]) for part in PARTS)
     return time_shift_min(moments, ghi, dni, dhi, place["lon_deg"], place["lat_deg"])
 
 
@@ -141,10 +143,11 @@ def _weather(
 ) -> Weather:
     """Return weather in hours that start ``shift_min`` after their stamps, which are times by the file's clock."""
     starts, is_kept = typical_starts(stamps, utc_offset_min, shift_min)
-    kept = {name: values[is_kept] for name, values in parts.items()}
+    ghi, dni, dhi = (parts[part][is_kept] for part in PARTS)
+    length_min = np.full(len(starts), HOUR_MIN)
     return Weather(
-        source, starts, np.full(len(starts), HOUR_MIN), **kept, is_typical=True, utc_offset_min=utc_offset_min, **place
-    )  # fmt: skip
+        source, starts, length_min, ghi, dni, dhi, True, utc_offset_min, place["lon_deg"], place["lat_deg"], place["height_m"]
+    )
 
 
 def _stamps(data: pandas.DataFrame) -> np.ndarray:
@@ -157,7 +160,7 @@ def _parts(
 ) -> dict[str, np.ndarray]:
     """Return GHI, DNI and DHI from the columns of a table; NaN where they are missing."""
     out = {}
-    for part, column in zip(("ghi", "dni", "dhi"), columns, strict=True):
+    for part, column in zip(PARTS, columns, strict=True):
         values = data[column].to_numpy(float)
         out[part] = np.where(is_missing(values), np.nan, values)
     return out

@@ -1,7 +1,7 @@
 """Records of weather, and those of them that serve windows of time.
 
-Typical years join months of different years. Their records are kept in the year ``TYPICAL_YEAR`` by the file's clock, and serve every
-year: a record of that date and hour. 29 February takes the records of the 28th.
+Typical years join months of different years. Their records are kept in the year ``TYPICAL_YEAR`` by the file's clock. They serve
+the same dates and hours of every year; 29 February takes the records of the 28th.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def records_in_windows(weather: Weather, windows: Sequence[DailyWindow], lon_deg
     index = np.repeat(first, counts) + np.arange(len(window)) - np.repeat(np.cumsum(counts) - counts, counts)
     cut_starts = np.maximum(starts[index], window_starts[window])
     length_min = (np.minimum(ends[index], window_ends[window]) - cut_starts) / np.timedelta64(1, "m")
-    for empty in np.flatnonzero(counts == 0):
+    for empty in np.flatnonzero(counts == 0).tolist():
         if _daylight(window_starts[empty : empty + 1], window_ends[empty : empty + 1], lon_deg, lat_deg)[1] > 0.0:
             raise InputError("weather", windows[empty].date.isoformat(), f"dates of {_dates_text(weather)}")
     return RecordIntervals(number[index], window, cut_starts, length_min, starts[index])
@@ -222,5 +222,6 @@ def _daylight(starts: np.ndarray, ends: np.ndarray, lon_deg: float, lat_deg: flo
 
 def _dates_text(weather: Weather) -> str:
     """Return the source of weather with its first and last date."""
-    first, last = (str(moment.astype("datetime64[D]")) for moment in (weather.start[0], weather.middle[-1]))
+    begin = len("2001-") if weather.is_typical else 0
+    first, last = (str(moment.astype("datetime64[D]"))[begin:] for moment in (weather.start[0], weather.middle[-1]))
     return f"{weather.source}, {first} to {last}"

@@ -19,7 +19,7 @@ MIN_BEAM_RECORDS = 50
 """Number of such records from which times can be fitted."""
 
 FIT_RADIUS = (0.9, 1.1)
-"""Range of the fitted cosine's amplitude (1 for light of this place). Others are those of another latitude or of unrelated parts."""
+"""Range of the fitted cosine's amplitude: 1 for the light of a place, others for another latitude or for unrelated parts."""
 
 
 def extraterrestrial_w_m2(moments: np.ndarray) -> np.ndarray:
