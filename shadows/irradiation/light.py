@@ -105,7 +105,7 @@ def weather_light(
     """
     records = records_in_windows(weather, windows, lon_deg, lat_deg)
     up_min, moments = time_up(records.start, records.length_min, lon_deg, lat_deg)
-    whole_up_min = up_min.copy()
+    whole_up_min = up_min.copy()  # a record's light is shared by the time that the sun is up, also outside of the window
     is_cut = records.length_min < weather.length_min[records.record] - 1e-6
     cut = records.record_start[is_cut], weather.length_min[records.record[is_cut]]
     whole_up_min[is_cut], _ = time_up(*cut, lon_deg, lat_deg)
@@ -123,7 +123,7 @@ def weather_light(
             turbidity = _turbidity(suns, lon_deg, lat_deg, None)
             clear_dni, _, _ = _clear_sky(suns, turbidity, extraterrestrial, weather.height_m or 0.0)
             limit = np.where(suns.altitude_deg < MAX_LOW_SUN_DEG, CLEAR_SKY_TOLERANCE * clear_dni, extraterrestrial)
-        limit = limit / scale
+        limit = limit / scale  # as all powers here: the model of the sky's parts does not know those of an hour within minutes
         dhi = dhi + np.maximum(dni - limit, 0.0) * np.sin(np.radians(suns.altitude_deg))
         parts = _parts(suns, np.minimum(dni, limit), dhi, ghi, extraterrestrial)
     return suns, SkyLight(*(np.tile(scale * values, (2, 1)) for values in parts))

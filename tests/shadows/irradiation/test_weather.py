@@ -311,7 +311,7 @@ def test_sunlight_from_closure_has_no_spikes_at_a_low_sun():
     assert level[0] @ suns.hours == pytest.approx(light.level[0] @ suns.hours, rel=3e-3)
 
 
-def test_measured_sunlight_is_below_that_outside_of_the_atmosphere():
+def test_measured_sunlight_stays_below_the_extraterrestrial():
     ghi, dni, dhi = clear_sky_hours(ALPS)
     sunny = hourly_weather(ghi, np.where(dni > 0.0, 900.0, 0.0), dhi)
     suns, light = weather_light(sunny, days(date(2023, 1, 1), 60, every=6), ALPS.lon_deg, ALPS.lat_deg)
