@@ -59,17 +59,36 @@ def sun_intervals(windows: Sequence[DailyWindow], step_minutes: float, lon_deg: 
     window_of = np.repeat(np.arange(len(windows)), counts)
     number = np.arange(len(window_of)) - np.repeat(np.cumsum(counts) - counts, counts)
     interval_minutes = (lengths / counts)[window_of]
-    ends = number[:, None] + np.arange(PIECES_PER_INTERVAL + 1) / PIECES_PER_INTERVAL
-    minutes = ends * interval_minutes[:, None]
-    path = sun_path((starts[window_of, None] + _microseconds(minutes)).ravel(), lon_deg, lat_deg)
+    interval_starts = starts[window_of] + _microseconds(number * interval_minutes)
+    up_minutes, moments = time_up(interval_starts, interval_minutes, lon_deg, lat_deg)
+    return suns_at(moments, up_minutes, lon_deg, lat_deg)[0]
+
+
+def time_up(starts: np.ndarray, length_min: np.ndarray, lon_deg: float, lat_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how long the sun is up in intervals, in minutes, and the middle of that time (of a night: its own), (n,) each.
+
+    ``starts`` (n,) are datetime64[us] in UTC, ``length_min`` (n,) the intervals' lengths in minutes. Raises ``InputError`` for
+    years outside of the sun's ephemeris.
+    """
+    if not len(starts):
+        return np.zeros(0), starts.astype("datetime64[us]")
+    minutes = np.arange(PIECES_PER_INTERVAL + 1) / PIECES_PER_INTERVAL * length_min[:, None]
+    path = sun_path((starts[:, None] + _microseconds(minutes)).ravel(), lon_deg, lat_deg)
     above_rise_deg = path.altitude_deg - path.refraction_deg - _unrefracted_rise_deg()
     up_minutes, middle_minutes = _sun_up(minutes, above_rise_deg.reshape(minutes.shape))
-    moments = starts[window_of] + _microseconds(middle_minutes)
+    return up_minutes, starts + _microseconds(middle_minutes)
+
+
+def suns_at(moments: np.ndarray, up_minutes: np.ndarray, lon_deg: float, lat_deg: float) -> tuple[SunIntervals, np.ndarray]:
+    """Return the suns of intervals from the results of ``time_up``, and in which of the intervals (n,) the sun is up."""
+    if not len(moments):
+        return SunIntervals(moments, *(np.zeros(0) for _ in range(4))), np.zeros(0, bool)
     path = sun_path(moments, lon_deg, lat_deg)
     is_up = (up_minutes > 0.0) & (path.altitude_deg > 0.0)
-    return SunIntervals(
+    suns = SunIntervals(
         moments[is_up], up_minutes[is_up] / 60.0, path.azimuth_deg[is_up], path.altitude_deg[is_up], path.refraction_deg[is_up]
     )
+    return suns, is_up
 
 
 def _unrefracted_rise_deg() -> float:
