@@ -127,7 +127,9 @@ def polygon_irradiation(
                 report()
             continue
         surfaces = block_surfaces(scene, block, options.rules.plane, options.rules.transmissivity)
-        values = irradiation(scene, block, dates, options.rules, report, options.store_of(scene, block), surfaces)
+        values = irradiation(
+            scene, block, dates, options.rules, report, options.store_of(scene, block), options.read_weather(), surfaces
+        )
         sums.add(block, surfaces, values)
     return sums.result(scene.elevation.crs, options.band_names)
 

@@ -13,7 +13,7 @@ import typer
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.shading import OutputGrid
 from skugga.api.cli.times import read_duration
-from skugga.api.cli.warnings import print_warnings
+from skugga.api.cli.warnings import print_product_warnings, print_warnings
 from skugga.api.products import PRODUCTS
 from skugga.api.products.irradiation import PARTS, PERIODS, PLANES, PRODUCT_NAME, IrradiationOptions
 from skugga.api.request import ProductRequest
@@ -41,6 +41,8 @@ class IrradiationArguments:
     albedo: float
     linke: float | None
     transmissivity: float
+    weather: Path | None
+    weather_columns: str | None
     clock: str
     step: str
     checkpoint: Path | None
@@ -66,13 +68,15 @@ def irradiation_request(arguments: IrradiationArguments) -> ProductRequest:
         "date": first, "to": last, "days": arguments.days, "per": arguments.per,
         "part": "total" if arguments.part == "all" else arguments.part, "by_part": arguments.part == "all",
         "plane": arguments.plane, "tilt": arguments.tilt, "plane_azimuth": arguments.azimuth, "albedo": arguments.albedo,
-        "linke": arguments.linke, "transmissivity": arguments.transmissivity, "clock": arguments.clock, "step_min": minutes,
+        "linke": arguments.linke, "transmissivity": arguments.transmissivity, "weather": arguments.weather,
+        "weather_columns": arguments.weather_columns, "clock": arguments.clock, "step_min": minutes,
         "checkpoint": arguments.checkpoint,
     }  # fmt: skip
     try:
         options = PRODUCTS[PRODUCT_NAME].options_of(values)
     except InputError as error:
-        raise error.renamed("--azimuth" if error.name == "plane_azimuth" else f"--{error.name}") from None
+        names = {"plane_azimuth": "azimuth", "step_min": "step"}
+        raise error.renamed(f"--{names.get(error.name, error.name).replace('_', '-')}") from None
     return ProductRequest(product=PRODUCT_NAME, options=options)
 
 
@@ -120,6 +124,7 @@ def write_polygons(
     print_warnings(scene)
     try:
         PRODUCTS[PRODUCT_NAME].check(scene)
+        print_product_warnings(options.warnings(scene))
         answer = polygon_irradiation(scene, read_polygons(polygons, scene), options, on_step)
         write_polygon_irradiation(output, answer)
     finally:

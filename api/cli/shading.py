@@ -9,7 +9,13 @@ from typing import Any
 
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.times import paths_by_time
-from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
+from skugga.api.cli.warnings import (
+    print_default_sun,
+    print_extent_warning,
+    print_product_warnings,
+    print_warnings,
+    print_written_files,
+)
 from skugga.api.compute import ProgressCallback, write_rasters
 from skugga.api.products.visibility import NEEDS_VISIBILITY
 from skugga.api.raster_file import RasterCells
@@ -86,6 +92,7 @@ def write_product(
             print_extent_warning(scene, raster)
         if product.when == "sun" and None in suns:
             print_default_sun(scene)
+        print_product_warnings(product.warnings(requests[0].options, scene))
         write_rasters(scene, raster, requests, paths, overrides, on_step, contours)
         description, unit = product.description_and_unit(requests[0].options)
         print_written_files(

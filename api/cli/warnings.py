@@ -27,6 +27,12 @@ def print_warnings(scene: Scene, includes_objects: bool = True) -> None:
         typer.echo(printable(f"skugga: warning: {with_option_names(text)}"), err=True)
 
 
+def print_product_warnings(texts: Sequence[str]) -> None:
+    """Print warnings about a product's options, each as a line."""
+    for text in texts:
+        typer.echo(printable(f"skugga: warning: {text}"), err=True)
+
+
 def print_extent_warning(scene: Scene, raster: RasterView) -> None:
     """Print a warning if a raster extends beyond the level; its cells are empty there."""
     from skugga.api.raster_view import extent_warning

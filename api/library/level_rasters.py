@@ -241,7 +241,8 @@ class LevelRasters(LevelState):
             ``days="mean"`` computes one day for each month. ``per`` is ``period``, ``month``, ``day`` or ``hour``. ``part`` is
             ``total``, ``beam``, ``circumsolar``, ``sky``, ``horizon_band`` or ``reflected``, and ``by_part=True`` gives a band for
             each. ``plane`` is ``ground`` or ``level``, or ``tilt`` and ``plane_azimuth`` give a plane in degrees. ``albedo``,
-            ``linke`` (turbidity), ``transmissivity`` of trees, ``clock``, ``step_min`` and ``checkpoint`` are those of the command.
+            ``linke`` (turbidity), ``weather``, ``weather_columns``, ``transmissivity`` of trees, ``clock``, ``step_min`` and
+            ``checkpoint`` are those of the command.
 
         Returns
         -------
@@ -346,6 +347,8 @@ class LevelRasters(LevelState):
         profile = request.product_record.profile(request.options)
         raster = self._raster(*grid_arguments, np.dtype(profile.dtype).itemsize * profile.bands)
         self._issue_object_warnings()
+        for text in request.product_record.warnings(request.options, self._scene):
+            warn_caller(text)
         return raster_array(self._scene, raster, request, shadows)
 
     def _raster(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from skugga.api.color_scale import ColorScale
+from skugga.api.file_stamps import Stamp, file_stamps
 from skugga.api.products.product import Product, ProductInput, ProductOptions
 from skugga.api.raster_profile import RasterProfile
 from skugga.terrain.errors import InputError, UnsupportedError
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from skugga.api.month_folder import MonthFolder
     from skugga.shadows.irradiation.dates import Dates
     from skugga.shadows.irradiation.irradiation import IrradiationRules
+    from skugga.shadows.irradiation.weather import Weather
     from skugga.terrain.geo.grid import MapView
     from skugga.terrain.geo.world import World
     from skugga.terrain.scene import Scene
@@ -66,7 +69,8 @@ class IrradiationOptions(ProductOptions):
     """Options of irradiation: the dates, the part of the light, the plane that receives it, and the air and the ground around."""
 
     UNSERVED: ClassVar[Mapping[str, Any]] = {
-        "to": None, "days": "mean", "per": "period", "by_part": False, "step_min": STEP_MIN, "checkpoint": None,
+        "to": None, "days": "mean", "per": "period", "by_part": False, "step_min": STEP_MIN, "weather": None,
+        "weather_columns": None, "checkpoint": None,
     }  # fmt: skip
 
     date: Date | None = Field(default=None, description="The date, as 2024-03-21.", examples=["2024-03-21"])
@@ -112,6 +116,12 @@ class IrradiationOptions(ProductOptions):
         description="Clock of the dates: solar (the default), utc, +02:00 or Europe/Oslo.",
     )  # fmt: skip
     step_min: float = Field(default=STEP_MIN, ge=1.0, le=60.0, description="Minutes between two suns.")
+    weather: Path | None = Field(
+        default=None, description="Weather file instead of a clear sky: EPW, TMY3, PVGIS's TMY, or CSV with columns of its own."
+    )
+    weather_columns: str | None = Field(
+        default=None, max_length=500, description="Columns of a CSV: time=Date,ghi=Global:kJ/m2,clock=+01:00,stamp=end."
+    )
     checkpoint: Path | None = Field(default=None, description="Folder that keeps finished months, to continue after a stop.")
 
     @model_validator(mode="after")
@@ -131,6 +141,12 @@ class IrradiationOptions(ProductOptions):
             raise InputError.conflict("plane", "tilt")
         if self.days == "mean" and self.per in ("day", "hour"):
             raise InputError.conflict("per", "days=mean")
+        if self.weather is None and self.weather_columns is not None:
+            raise InputError.missing("weather", "Columns are those of a weather file")
+        if self.weather is not None:
+            for name, is_given in (("days", self.days == "mean"), ("linke", self.linke), ("step_min", self.step_min != STEP_MIN)):
+                if is_given:
+                    raise InputError.conflict(name, "weather", "Leave it out: the file has its own light and its own steps")
         if (bands := self._band_count) > MAX_BANDS:
             raise InputError.over_limit("per", f"{bands} bands", str(MAX_BANDS), "Choose fewer dates or a longer period")
         return self
@@ -199,7 +215,28 @@ class IrradiationOptions(ProductOptions):
 
         if self.checkpoint is None:
             return None
-        return MonthFolder.of_request(self.checkpoint, scene.loaded, block, self.model_dump_json(exclude={"checkpoint"}))
+        stamps = () if self.weather is None else file_stamps([self.weather])
+        options = f"{self.model_dump_json(exclude={'checkpoint'})} {stamps}"
+        return MonthFolder.of_request(self.checkpoint, scene.loaded, block, options)
+
+    def read_weather(self) -> Weather | None:
+        """Return the weather; ``None`` for a clear sky. Raises ``InputError``."""
+        from skugga.shadows.irradiation.weather import parse_weather_columns
+
+        if self.weather is None:
+            return None
+        columns = {} if self.weather_columns is None else parse_weather_columns(self.weather_columns)
+        return _weather(self.weather, file_stamps([self.weather])[0], tuple(columns.items()))
+
+    def warnings(self, scene: Scene) -> tuple[str, ...]:
+        """Return warnings of weather that does not fit the place or the dates. Raises ``InputError``."""
+        from skugga.shadows.irradiation.weather import check_weather_place, missing_weather
+
+        if (weather := self.read_weather()) is None or scene.world.off_earth_reason is not None:
+            return ()
+        lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
+        on_place = check_weather_place(weather, lon, lat, float(np.mean(scene.height_range_m)))
+        return (*weather.warnings, *on_place, *missing_weather(weather, self.dates(scene.world).windows, lon, lat))
 
     @property
     def plane_text(self) -> str:
@@ -228,6 +265,14 @@ class IrradiationOptions(ProductOptions):
         return tuple(f"{PARTS[part]} {period}".strip() for period in periods for part in self.parts)
 
 
+@lru_cache(maxsize=2)
+def _weather(path: Path, stamp: Stamp, columns: tuple[tuple[str, str], ...]) -> Weather:
+    """Return the weather of a file, which is read once for all blocks. ``stamp`` is the file's: a new version is read again."""
+    from skugga.shadows.irradiation.weather import read_weather
+
+    return read_weather(path, dict(columns))
+
+
 def _compute(product_input: ProductInput) -> np.ndarray:
     """Return irradiation, float32 (rows, cols) or (rows, cols, bands), kWh/m2."""
     from skugga.shadows.irradiation.irradiation import irradiation
@@ -235,7 +280,8 @@ def _compute(product_input: ProductInput) -> np.ndarray:
     scene, view, options = product_input.scene, product_input.map_view, product_input.options
     _check_map(scene, view)
     store = options.store_of(scene, view)
-    bands = irradiation(scene, view, options.dates(scene.world), options.rules, product_input.on_step, store)
+    dates, weather = options.dates(scene.world), options.read_weather()
+    bands = irradiation(scene, view, dates, options.rules, product_input.on_step, store, weather)
     return bands[0] if len(bands) == 1 else np.moveaxis(bands, 0, -1)
 
 
@@ -294,15 +340,22 @@ def _tags(options: IrradiationOptions, scene: Scene) -> dict[str, str]:
         "clock": options.clock, "step_min": f"{options.step_min:g}", "albedo": f"{options.albedo:g}",
         "linke_turbidity": "monthly climate" if options.linke is None else f"{options.linke:g}",
         "transmissivity": f"{options.transmissivity:g}" if scene.loaded.level.forest else "",
-        "weather": "clear sky (Ineichen and Perez 2002)", "sky": "Perez-Driesse 2024",
+        "weather": "clear sky (Ineichen and Perez 2002)" if options.weather is None else options.weather.name,
+        "sky": "Perez-Driesse 2024",
     }  # fmt: skip
+
+
+def _described(options: IrradiationOptions) -> tuple[str, str]:
+    """Return the description and the unit."""
+    sky = "a clear sky" if options.weather is None else f"the sky of {options.weather.name}"
+    return f"{PARTS[options.part]} under {sky}", UNIT
 
 
 PRODUCT = Product(
     name=PRODUCT_NAME, description="irradiation of a `date` or a `year` under a clear sky, with the terrain in the way",
     formats=("png", "webp", "tif", "npy"), compute=_compute, view_kinds=("map",), when="days", options=IrradiationOptions,
-    unit=UNIT, color_scale=_color_scale, describe=lambda options: (f"{PARTS[options.part]} under a clear sky", UNIT),
+    unit=UNIT, color_scale=_color_scale, describe=_described,
     profile=_profile,
     blocks=lambda scene, view, options: options.blocks(scene, view), step_count=lambda options: options.date_count, tags=_tags,
-    check=_check,
+    check=_check, warnings=lambda options, scene: options.warnings(scene),
 )  # fmt: skip

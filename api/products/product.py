@@ -192,6 +192,8 @@ class Product:
         Returns the metadata tags of rasters, for options and a scene. By default the tags are the options.
     check
         Raises ``SkuggaError`` if a service does not compute the product of a scene.
+    warnings
+        Returns sentences about options that do not fit a scene, in a command or in Python.
     is_served
         Whether HTTP serves it.
     is_view_only
@@ -226,6 +228,7 @@ class Product:
         name: str(value) for name, value in options.model_dump(mode="json", exclude_none=True).items()
     }
     check: Callable[[Scene], None] = lambda _: None
+    warnings: Callable[[Any, Scene], tuple[str, ...]] = lambda _, __: ()
     is_served: bool = True
     is_view_only: bool = False
 

@@ -17,11 +17,12 @@ import numpy as np
 
 from skugga.shadows.irradiation.dates import Dates
 from skugga.shadows.irradiation.direct import DirectLight
-from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, reflected_light
+from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, reflected_light, weather_light
 from skugga.shadows.irradiation.planes import Plane
 from skugga.shadows.irradiation.sky import sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
 from skugga.shadows.irradiation.surfaces import BlockSurfaces, block_surfaces
+from skugga.shadows.irradiation.weather_records import Weather
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 
@@ -81,6 +82,7 @@ def irradiation(
     rules: IrradiationRules,
     on_date: Callable[[], None] = lambda: None,
     store: MonthStore | None = None,
+    weather: Weather | None = None,
     surfaces: BlockSurfaces | None = None,
 ) -> np.ndarray:
     """Return the irradiation of a block's cells, float32 (values, rows, cols), kWh/m2; NaN without ground.
@@ -97,6 +99,8 @@ def irradiation(
         Called as often as there are dates.
     store
         Keeps the months that are finished.
+    weather
+        The weather; ``None``: a clear sky.
     surfaces
         The surfaces of the block (``block_surfaces``), if they are known.
 
@@ -108,7 +112,7 @@ def irradiation(
     Raises
     ------
     InputError
-        Years outside of the sun's ephemeris.
+        Years outside of the sun's ephemeris, and dates of which the weather has no record.
     """
     surfaces = surfaces or block_surfaces(scene, view, rules.plane, rules.transmissivity)
     periods = len(dates.periods)
@@ -118,9 +122,13 @@ def irradiation(
         return out.reshape(-1, view.rows, view.cols)
     row, col = view.centre_node
     lon, lat = (float(axis) for axis in scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row)))
-    suns = sun_intervals(dates.windows, rules.step_minutes, lon, lat)
     heights_m = _light_heights_m(*scene.height_range_m)
-    light = clear_sky_light(suns, lon, lat, heights_m, rules.linke_turbidity)
+    if weather is None:
+        suns = sun_intervals(dates.windows, rules.step_minutes, lon, lat)
+        light = clear_sky_light(suns, lon, lat, heights_m, rules.linke_turbidity)
+    else:
+        heights_m = heights_m[[0, -1]]
+        suns, light = weather_light(weather, dates.windows, lon, lat)
     suns = replace(suns, hours=suns.hours * dates.days_represented(suns.moments))
     height_index = np.interp(np.nan_to_num(surfaces.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
     values = {part: np.zeros((periods, view.rows, view.cols), np.float32) for part in _computed_parts(rules.parts)}

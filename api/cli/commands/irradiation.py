@@ -55,6 +55,13 @@ def irradiation_raster(
     linke: Annotated[
         float | None, typer.Option(help="Linke's turbidity of the air, instead of the place's monthly climate.")
     ] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Weather instead of a clear sky: EPW, TMY3, PVGIS's TMY, or CSV."),
+    ] = None,
+    weather_columns: Annotated[
+        str | None, typer.Option(metavar="COLUMNS", help="Columns of a CSV: time=Date,ghi=Global:kJ/m2,clock=+01:00,stamp=end.")
+    ] = None,
     transmissivity: Annotated[float, typer.Option(help="Share of the light that comes through crowns of trees, 0 to 1.")] = 0.0,
     clock: Annotated[
         str,
@@ -74,7 +81,7 @@ def irradiation_raster(
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
 ) -> None:
-    """Write the irradiation of a year or of dates, kWh/m2, as a raster or for polygons, under a clear sky.
+    """Write the irradiation of a year or of dates, kWh/m2, as a raster or for polygons.
 
     Terrain, buildings and trees are in the way.
     """
@@ -82,7 +89,23 @@ def irradiation_raster(
     from skugga.api.cli.shading import OutputGrid, write_product
 
     arguments = IrradiationArguments(
-        year, date, last, days, per, part, plane, tilt, azimuth, albedo, linke, transmissivity, clock, step, checkpoint
+        year,
+        date,
+        last,
+        days,
+        per,
+        part,
+        plane,
+        tilt,
+        azimuth,
+        albedo,
+        linke,
+        transmissivity,
+        weather,
+        weather_columns,
+        clock,
+        step,
+        checkpoint,
     )
     request = irradiation_request(arguments)
     output_grid = OutputGrid(read_bounds(bounds), crs, resolution, like)
