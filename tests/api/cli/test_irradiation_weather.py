@@ -1,0 +1,70 @@
+"""``skugga irradiation --weather``: a file's light arrives on open ground, and what does not fit is told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from tests.rasters import write_geotiff
+from tests.shadows.irradiation.weather_files import Place, local_hours, write_epw
+
+HERE = Place(9.0, 46.9, 1.0)
+FAR_AWAY = Place(16.0, 46.9, 1.0)
+OTHER_HEMISPHERE = Place(9.0, -46.9, 1.0)
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    """File of level ground at 250 m."""
+    return write_geotiff(tmp_path / "plain.tif", np.full((9, 9), 250.0, np.float32), "EPSG:32632", 499_955.0, 5_194_300.0, 10.0)
+
+
+def light_of(run, plain: Path, output: Path, *options: str) -> tuple[np.ndarray, dict[str, str], str]:
+    """Return the values (rows, cols), tags and standard error of a run."""
+    status, _, error = run("irradiation", str(plain), "-o", str(output), *options)
+    assert status == 0, error
+    with rasterio.open(output) as dataset:
+        return dataset.read(1), dataset.tags(), error
+
+
+def test_the_light_of_a_file_arrives_on_open_ground(run, plain, tmp_path):
+    """Half of the powers of a clear sky on days in March give the file's own sums, and not those of a clear sky."""
+    powers = 0.5 * local_hours(HERE)
+    path = write_epw(tmp_path / "here.epw", HERE, powers)
+    days = ["--date", "2023-03-10", "--to", "2023-03-12", "--clock", "+01:00"]
+    values, tags, error = light_of(run, plain, tmp_path / "weather.tif", "--weather", str(path), *days)
+    hours = slice(24 * (31 + 28 + 9), 24 * (31 + 28 + 12))
+    # within an hour sunlight and its sine rise together, which one sun an hour does not see: 0.5 % of a level plane in March
+    assert values[4, 4] == pytest.approx(powers[0, hours].sum() / 1000.0, rel=8e-3)
+    assert tags["WEATHER"] == "here.epw" and "warning" not in error
+    clear, tags, _ = light_of(run, plain, tmp_path / "clear.tif", *days)
+    assert clear[4, 4] > 1.5 * values[4, 4] and tags["WEATHER"].startswith("clear sky")
+
+
+def test_weather_of_another_place_is_told(run, plain, tmp_path):
+    path = write_epw(tmp_path / "far.epw", FAR_AWAY, local_hours(FAR_AWAY))
+    _, _, error = light_of(run, plain, tmp_path / "y.tif", "--weather", str(path), "--date", "2023-03-10")
+    assert "warning: " in error and "km away" in error and "minutes" in error
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--weather", "south.epw"], "south.epw (EPW): is at 46.9 S, the level at 46.9 N"),
+        (["--weather", "here.epw", "--days", "mean"], "--days: cannot be combined with weather"),
+        (["--weather", "here.epw", "--linke", "3"], "--linke: cannot be combined with weather"),
+        (["--weather", "here.epw", "--step", "30m"], "--step: cannot be combined with weather"),
+        (["--weather", "missing.epw"], "missing.epw"),
+        (["--weather-columns", "ghi=G"], "--weather: missing. Columns are those of a weather file"),
+    ],
+)
+def test_wrong_weather_is_one_line(run, plain, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    write_epw(tmp_path / "south.epw", OTHER_HEMISPHERE, local_hours(OTHER_HEMISPHERE))
+    write_epw(tmp_path / "here.epw", HERE, local_hours(HERE))
+    status, _, error = run("irradiation", str(plain), "-o", "y.tif", "--date", "2023-03-10", *options)
+    assert status == 2 and message in error and len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "y.tif").exists()
