@@ -256,13 +256,20 @@ class IrradiationOptions(ProductOptions):
     @property
     def band_names(self) -> tuple[str, ...]:
         """A description of each band: its period and its part."""
+        return tuple(f"{PARTS[part]} {period}".strip() for period in self._period_names for part in self.parts)
+
+    @property
+    def _period_names(self) -> list[str]:
+        """The name of each period; empty for all dates together."""
+        if self.per == "period":
+            return [""]
         first, last = self.first_and_last
         days = [first + datetime.timedelta(days=n) for n in range((last - first).days + 1)]
-        periods = {
-            "period": [""], "month": list(dict.fromkeys(f"{day:%Y-%m}" for day in days)), "day": [day.isoformat() for day in days],
-            "hour": [f"{day.isoformat()} {hour:02d}:00" for day in days for hour in range(24)],
-        }[self.per]  # fmt: skip
-        return tuple(f"{PARTS[part]} {period}".strip() for period in periods for part in self.parts)
+        if self.per == "month":
+            return list(dict.fromkeys(f"{day:%Y-%m}" for day in days))
+        if self.per == "day":
+            return [day.isoformat() for day in days]
+        return [f"{day.isoformat()} {hour:02d}:00" for day in days for hour in range(24)]
 
 
 @lru_cache(maxsize=2)

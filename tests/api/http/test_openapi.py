@@ -59,7 +59,7 @@ NOT_MODIFIED_HEADERS = {"If-None-Match": "*"}
 
 SKY_VIEW_PARAMETERS = "kind", "transmissivity"
 
-IRRADIATION_PARAMETERS = "part", "plane", "albedo", "linke"
+IRRADIATION_PARAMETERS = "part", "plane", "albedo", "linke", "tilt"
 
 SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
 """Parameters of hours of sun, which need that layer and a date."""
@@ -128,6 +128,10 @@ def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -
         return {"eye": "8.43,47.5,300", "target": "8.44,47.51,0"}
     if has_sun_hours and name in SKY_VIEW_PARAMETERS:
         return {"layer": "sky_view"}
+    if has_sun_hours and name == "year":
+        return {"layer": "irradiation"}
+    if has_sun_hours and name == "plane_azimuth":
+        return {"layer": "irradiation", "date": "2024-03-21", "tilt": "35"}
     if has_sun_hours and name in IRRADIATION_PARAMETERS:
         return {"layer": "irradiation", "date": "2024-03-21"}
     return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if has_sun_hours or name == "tms" else {}
