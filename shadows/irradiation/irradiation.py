@@ -200,13 +200,15 @@ def _numbers_by_period(dates: Dates, suns: SunIntervals) -> Iterator[np.ndarray]
 
 def _sky_factors(surfaces: BlockSurfaces) -> dict[Part, np.ndarray]:
     """Return what the cells see of each part of the light that does not come from the sun's direction, (rows, cols)."""
-    sky_view, band = (np.zeros(surfaces.height_m.shape, np.float32) for _ in range(2))
+    totals: dict[Part, np.ndarray] = {part: np.zeros(surfaces.height_m.shape, np.float32) for part in SKY_PARTS}
     for surface in surfaces.shading:
-        for total, factor in zip((sky_view, band), sky_of_grid(surface.grid, surfaces.normals), strict=True):
+        sky_view, band = sky_of_grid(surface.grid, surfaces.normals)
+        factors: dict[Part, np.ndarray] = {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
+        for part, factor in factors.items():
             if surface.lift_m is not None:
-                factor[np.isinf(surface.lift_m)] = 0.0
-            total += np.float32(surface.share) * factor
-    return {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
+                factor[np.isinf(surface.lift_m)] = 0.0  # no light comes through a crown, not even from the ground around
+            totals[part] += np.float32(surface.share) * factor
+    return totals
 
 
 def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:
