@@ -58,12 +58,12 @@ def grounds_of_block(
 
     The heights of ``culled`` patches are not read, since they cast no shadow on the block.
     """
-    patches = [patch for patch in patches if not (patch.lod and _lies_behind(rays, patch, block))]
+    patches = [patch for patch in patches if not (patch.lod and lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
     for lod in sorted({0, *(patch.lod for patch in patches)}, reverse=True):
         surface = rays.scene.surface(rays.grid.coarser(lod))
         patches_of_lod = [patch for patch in patches if patch.lod == lod]
-        casting = [patch for patch in patches_of_lod if patch not in culled and not _lies_behind(rays, patch, block)]
+        casting = [patch for patch in patches_of_lod if patch not in culled and not lies_behind(rays, patch, block)]
         windows = [surface.height_window(*window, includes_rim=True) for window in patch_windows(casting)]
         if lod and not windows and not grounds:
             continue  # no ray heights to pass on
@@ -96,7 +96,7 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
     ]
 
 
-def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
+def lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     """Return whether a patch lies behind a block, as seen from the sun, and casts no shadow on it.
 
     On the sun-aligned grid the rays lead down and to the right. If they lead almost straight down, some may lead to the left. This

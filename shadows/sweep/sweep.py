@@ -39,7 +39,7 @@ from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.requirements import Requirement
 from skugga.shadows.sweep.columns import column_sweep
 from skugga.shadows.sweep.grid import NO_RAY_HEIGHTS, SweepPoints, sweep_nodes, sweep_to_state
-from skugga.shadows.sweep.ground_windows import GroundWindow, ground_of_view, grounds_of_block
+from skugga.shadows.sweep.ground_windows import GroundWindow, ground_of_view, grounds_of_block, lies_behind
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.position_cubics import RAYS_BEND_REASON
 from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
@@ -201,7 +201,11 @@ def clearance_of_nodes(
     errors of ``find_lit_nodes``.
     """
     rays = rays_at(scene, nodes.view.grid, *_reference_node(scene, nodes.view, nodes.shows_ground))
-    grounds = grounds_of_block(rays, nodes.surface if surface is None else surface, patches)
+    if surface is None:
+        grounds = grounds_of_block(rays, nodes.surface, patches)
+    else:  # coarser ground counts at the window's edge towards the sun, so that which lies behind the nodes must not count
+        patches = tuple(patch for patch in patches if not (patch.lod and lies_behind(rays, patch, nodes.surface)))
+        grounds = grounds_of_block(rays, surface, patches)
     ground = grounds[-1]
     targets = targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.row_range, targets.col_range

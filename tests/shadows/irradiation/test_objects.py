@@ -6,7 +6,9 @@ from datetime import date
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
+import skugga
 from skugga.api.raster_view import raster_view
 from skugga.shadows.irradiation.dates import all_dates
 from skugga.shadows.irradiation.irradiation import IrradiationRules, irradiation
@@ -82,3 +84,17 @@ def test_trees_let_their_share_through(level_with_objects):
     np.testing.assert_allclose(half, 0.5 * (opaque + clear), rtol=1e-4, atol=1e-4)
     shaded_by_wood = 100, 136
     assert opaque[shaded_by_wood] < 0.9 * clear[shaded_by_wood]
+
+
+def test_far_mountains_shade_a_village_as_they_shade_bare_ground():
+    """Cells so small that far ground is coarser: behind the cells it casts no shadow, towards the sun it does."""
+    x, y = Transformer.from_crs(4326, 32616, always_xy=True).transform(-84.1584, 36.2273)
+    beam = []
+    for name, transmissivity in (("jacksboro", 0.0), ("jacksboro_wooded", 1.0)):
+        with skugga.open_level(name) as level:
+            values = level.irradiation(
+                "2023-12-21", part="beam", plane="level", bounds=(x - 40.0, y - 40.0, x + 40.0, y + 40.0), crs="EPSG:32616",
+                resolution=0.7, transmissivity=transmissivity,
+            )  # fmt: skip
+        beam.append(np.nanpercentile(values, 90.0))
+    assert beam[1] == pytest.approx(beam[0], rel=0.02) and beam[0] > 1.5
