@@ -14,11 +14,11 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_duration
 from skugga.api.cli.warnings import print_warnings
-from skugga.api.point.irradiation import COLUMNS, csv_text, point_irradiation, table_rows
+from skugga.api.point.irradiation import csv_text, named_sums, point_irradiation
 from skugga.api.point.irradiation_chart import irradiation_chart
 from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport, check_plane, requested_dates
 from skugga.api.point.values import PointQuery
-from skugga.shadows.irradiation.at_point import CAUSES
+from skugga.shadows.irradiation.at_point import Cause
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.compiling.ahead_of_time import POINTS
 from skugga.terrain.compiling.hooks import declare_product
@@ -36,7 +36,7 @@ _HEADINGS = {
     "total": "total", "beam": "beam", "circumsolar": "circumsolar", "sky": "sky", "horizon_band": "horizon band",
     "reflected": "reflected", "open_sky": "open sky",
 }  # fmt: skip
-_CAUSE_HEADINGS = {"relief": "terrain", "solids": "buildings", "forest": "trees"}
+_CAUSE_HEADINGS: dict[Cause, str] = {"relief": "lost to terrain", "solids": "to buildings", "forest": "to trees"}
 
 
 @dataclass(frozen=True)
@@ -133,22 +133,18 @@ def _print_report(report: PointIrradiationReport) -> None:
         f"{plane_text}; sky view {report.sky_view:.3f}, behind terrain alone {report.sky_view_of_relief:.3f}; "
         f"clear sky, {report.first} to {report.last}; {report.unit}"
     )
-    rows = table_rows(report)
-    sums = rows[-1][1]
-    shown = [n for n, column in enumerate(COLUMNS) if not column.startswith("lost") or sums[n] != 0.0]
+    rows = named_sums(report)
+    columns = [(heading, lambda sums, part=part: getattr(sums, part)) for part, heading in _HEADINGS.items()]
+    columns += [
+        (heading, lambda sums, cause=cause: sums.lost(cause))
+        for cause, heading in _CAUSE_HEADINGS.items()
+        if any(sums.lost(cause) for _, sums in rows)
+    ]
     table = Table("month", box=None)
-    for n in shown:
-        table.add_column(_heading(COLUMNS[n]), justify="right")
-    for name, values in rows:
-        table.add_row(name, *(f"{values[n]:.1f}" for n in shown))
+    for heading, _ in columns:
+        table.add_column(heading, justify="right")
+    for name, sums in rows:
+        table.add_row(name, *(f"{value(sums):.1f}" for _, value in columns))
     console.print(table)
     if report.remark:
         console.print(report.remark)
-
-
-def _heading(column: str) -> str:
-    """Return the heading of a column of the table."""
-    if column in _HEADINGS:
-        return _HEADINGS[column]
-    light, cause = next((light, cause) for light in ("beam", "sky") for cause in CAUSES if column == f"lost_{light}_{cause}")
-    return f"{light} lost to {_CAUSE_HEADINGS[cause]}"

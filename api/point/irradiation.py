@@ -31,8 +31,11 @@ from skugga.terrain.geo.clock import parse_clock
 from skugga.terrain.geo.daily_windows import MINUTES_PER_DAY, DailyWindow, windows_between
 from skugga.terrain.scene import Scene
 
-COLUMNS = (*("total", *PARTS, "open_sky"), *(f"lost_{light}_{cause}" for light in ("beam", "sky") for cause in CAUSES))
-"""Columns of the table, kWh/m2."""
+LOST_FIELDS = ("lost_beam", "lost_sky", "lost_reflected")
+"""Fields of a report with losses by cause."""
+
+COLUMNS = ("total", *PARTS, "open_sky", *(f"{field}_{cause}" for field in LOST_FIELDS for cause in CAUSES))
+"""Columns of a CSV, kWh/m2."""
 
 
 def point_irradiation(
@@ -80,18 +83,17 @@ def irradiation_with_remark(scene: Scene, query: PointQuery, options: PointIrrad
         )  # fmt: skip
 
 
-def table_rows(report: PointIrradiationReport) -> list[tuple[str, tuple[float, ...]]]:
-    """Return a report as rows: a month and the values of ``COLUMNS``, kWh/m2; the sums of all months are last."""
+def named_sums(report: PointIrradiationReport) -> list[tuple[str, IrradiationSums]]:
+    """Return the months of a report with their names; the sums of all months, ``all``, are last."""
     if report.months is None or report.all_months is None:
         return []
-    named = [*((month.month, month) for month in report.months), ("all", report.all_months)]
-    return [(name, tuple(_flat(sums)[column] for column in COLUMNS)) for name, sums in named]
+    return [*((month.month, month) for month in report.months), ("all", report.all_months)]
 
 
 def csv_text(report: PointIrradiationReport) -> str:
     """Return a report as a CSV with a row for each month and one for all months."""
     header = ",".join(["month", *(f"{column}_kwh_m2" for column in COLUMNS)])
-    rows = [",".join([name, *(f"{value:.4f}" for value in values)]) for name, values in table_rows(report)]
+    rows = [",".join([name, *(f"{_value(sums, column):.4f}" for column in COLUMNS)]) for name, sums in named_sums(report)]
     return "\n".join([header, *rows]) + "\n"
 
 
@@ -126,17 +128,19 @@ def _sums(result: PointIrradiation, months: np.ndarray) -> dict[str, Any]:
     return {
         **{part: values[months].sum() for part, values in result.received.items()},
         "open_sky": result.open_sky["total"][months].sum(),
-        "lost_beam": LossByCause(**{cause: values[months].sum() for cause, values in result.lost_beam.items()}),
-        "lost_sky": LossByCause(**{cause: values[months].sum() for cause, values in result.lost_sky.items()}),
+        **{
+            f"lost_{light}": LossByCause(**{cause: values[months].sum() for cause, values in by_cause.items()})
+            for light, by_cause in result.lost.items()
+        },
     }
 
 
-def _flat(sums: IrradiationSums) -> dict[str, float]:
-    """Return the values of ``COLUMNS`` by name."""
-    values = sums.model_dump(exclude={"month"})
-    for name in ("lost_beam", "lost_sky"):
-        values.update({f"{name}_{cause}": value for cause, value in values.pop(name).items()})
-    return values
+def _value(sums: IrradiationSums, column: str) -> float:
+    """Return the value of one of ``COLUMNS``."""
+    field = next((field for field in LOST_FIELDS if column.startswith(f"{field}_")), None)
+    if field is None:
+        return float(getattr(sums, column))
+    return float(getattr(getattr(sums, field), column.removeprefix(f"{field}_")))
 
 
 def _remark(result: PointIrradiation, months: list[str]) -> str | None:

@@ -13,6 +13,7 @@ from skugga.api.point.charts import (
     INK_COLOR,
     LABEL_COLOR,
     PAPER_COLOR,
+    REFLECTED_COLOR,
     RELIEF_COLOR,
     SKY_LIGHT_COLOR,
     SOLIDS_COLOR,
@@ -33,8 +34,16 @@ BAR_WIDTH = 0.72
 MAX_LABELS = 12
 """Maximum number of months with a label."""
 
-LOSS_OPACITY = 0.45
-"""Opacity of lost light, which is lighter than light that is received."""
+LOSS_HATCH = "/////"
+"""Hatch of light that is lost."""
+
+_LAYER_COLORS = {
+    "direct sun": SUN_COLOR, "sky": SKY_LIGHT_COLOR, "reflected": REFLECTED_COLOR,
+    "lost to terrain": RELIEF_COLOR, "lost to buildings": SOLIDS_COLOR, "lost to trees": FOREST_COLOR,
+}  # fmt: skip
+"""Colours of the layers of a bar, from below to above."""
+
+LOSSES = ("lost to terrain", "lost to buildings", "lost to trees")
 
 MIN_LOSS_SHARE = 5e-4
 """Share of the light under an open sky below which a loss of all months has no entry in the legend."""
@@ -49,7 +58,7 @@ def irradiation_chart(report: PointIrradiationReport, format: ChartFormat, title
         raise InputError("point", f"{report.lon},{report.lat}", "a place on the level's data")
 
     def draw(figure: Any) -> None:
-        axes = figure.add_axes((0.085, 0.16, 0.885, 0.66))
+        axes = figure.add_axes((0.085, 0.16, 0.885, 0.68))
         handles = _draw_bars(axes, report)
         _draw_axes(axes, [month.month for month in report.months or ()])
         figure.text(0.03, 0.972, title, fontsize=12.5, fontweight="bold", color=INK_COLOR, va="top")
@@ -70,18 +79,14 @@ def _draw_bars(axes: Any, report: PointIrradiationReport) -> list[Any]:
     assert everything is not None
     position, base = np.arange(len(months)), np.zeros(len(months))
     handles = []
-    for name, color, opacity in (
-        ("direct sun", SUN_COLOR, 1.0), ("sky and ground", SKY_LIGHT_COLOR, 1.0), ("lost to terrain", RELIEF_COLOR, LOSS_OPACITY),
-        ("to buildings", SOLIDS_COLOR, LOSS_OPACITY), ("to trees", FOREST_COLOR, LOSS_OPACITY),
-    ):  # fmt: skip
+    for name, color in _LAYER_COLORS.items():
         value = np.array([_layers(month)[name] for month in months])
-        is_loss = opacity < 1.0
-        if is_loss and _layers(everything)[name] <= MIN_LOSS_SHARE * everything.open_sky:
-            continue
-        bars = axes.bar(
-            position, value, BAR_WIDTH, base, color=color, alpha=opacity, linewidth=0.0, zorder=3, label=name,
-        )  # fmt: skip
-        handles.append(bars)
+        style: dict[str, Any] = {"color": color, "linewidth": 0.0}
+        if name in LOSSES:
+            if _layers(everything)[name] <= MIN_LOSS_SHARE * everything.open_sky:
+                continue
+            style = {"facecolor": PAPER_COLOR, "edgecolor": color, "linewidth": 0.0, "hatch": LOSS_HATCH}
+        handles.append(axes.bar(position, value, BAR_WIDTH, base, zorder=3, label=name, **style))
         base += value
     axes.bar(position, [month.open_sky for month in months], BAR_WIDTH, color="none", edgecolor=INK_COLOR, linewidth=0.6, zorder=4)
     return handles
@@ -91,10 +96,11 @@ def _layers(sums: IrradiationSums) -> dict[str, float]:
     """Return the layers of a bar by name, kWh/m2."""
     return {
         "direct sun": sums.beam + sums.circumsolar,
-        "sky and ground": sums.sky + sums.horizon_band + sums.reflected,
-        "lost to terrain": sums.lost_beam.relief + sums.lost_sky.relief,
-        "to buildings": sums.lost_beam.solids + sums.lost_sky.solids,
-        "to trees": sums.lost_beam.forest + sums.lost_sky.forest,
+        "sky": sums.sky + sums.horizon_band,
+        "reflected": sums.reflected,
+        "lost to terrain": sums.lost("relief"),
+        "lost to buildings": sums.lost("solids"),
+        "lost to trees": sums.lost("forest"),
     }
 
 

@@ -54,8 +54,8 @@ class IrradiationSums(_IrradiationModel):
     """Light on the plane in a period, kWh/m2.
 
     ``total`` is what the plane receives, the sum of five parts. ``open_sky`` is what it would receive without terrain and objects:
-    ``total`` and all losses. ``lost_beam`` is lost sunlight with its circumsolar light. ``lost_sky`` is other lost skylight, less
-    the light that the cause reflects in its place.
+    ``total`` and all losses. ``lost_beam`` is lost sunlight with its circumsolar light, ``lost_sky`` other lost skylight.
+    ``lost_reflected`` is negative: a cause that hides the sky reflects light in its place.
     """
 
     total: Energy
@@ -67,6 +67,11 @@ class IrradiationSums(_IrradiationModel):
     open_sky: Energy
     lost_beam: LossByCause
     lost_sky: LossByCause
+    lost_reflected: LossByCause
+
+    def lost(self, cause: Literal["relief", "solids", "forest"]) -> float:
+        """Return the light that a cause takes, less the light that it reflects, kWh/m2."""
+        return float(sum(getattr(part, cause) for part in (self.lost_beam, self.lost_sky, self.lost_reflected)))
 
 
 class MonthIrradiation(IrradiationSums):

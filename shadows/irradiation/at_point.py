@@ -2,8 +2,9 @@
 
 Light is computed in stages: under an open sky, behind the ground, behind ground and solids, and behind leaves as well. The loss by
 a cause is the difference of two stages, so received light and losses add up to the light under an open sky. The loss of skylight by
-trees is what would be gained without them. Direct light that several casters hide is lost to the one that reaches highest, as in
-the report of a point (``skugga.shadows.point.horizon``).
+trees is what would be gained without them. A cause that hides the sky reflects light in its place, which is a negative loss.
+Direct light that several casters hide is lost to the one that reaches highest, as in the report of a point
+(``skugga.shadows.point.horizon``).
 
 Leaves hide the sky up to the highest leaf in each azimuth, without gaps. Rays towards the sun go on through gaps of leaves.
 """
@@ -29,8 +30,11 @@ CAUSES: tuple[Cause, ...] = get_args(Cause)
 PARTS: tuple[Part, ...] = ("beam", "circumsolar", "sky", "horizon_band", "reflected")
 """The parts of light, which add up to ``total``."""
 
-DIRECT_PARTS, DIFFUSE_PARTS = slice(0, 2), slice(2, 5)
-"""The parts that come from the sun's direction, and the others."""
+LostLight = Literal["beam", "sky", "reflected"]
+"""Light that is lost: from the sun's direction, from the rest of the sky, and from the ground around."""
+
+_PARTS_OF_LOSS: dict[LostLight, slice] = {"beam": slice(0, 2), "sky": slice(2, 4), "reflected": slice(4, 5)}
+"""Indices in ``PARTS`` of the parts of lost light."""
 
 SKY_AZIMUTHS = 360
 """Azimuths of the horizon over which the light of the sky is summed."""
@@ -50,9 +54,8 @@ class PointIrradiation:
         (m,) by part, ``total`` among them.
     open_sky
         (m,) by part: what the plane would receive under an open sky, without terrain and objects.
-    lost_beam, lost_sky
-        (m,) by cause: losses of direct light with the circumsolar light, and of other skylight. Light that the cause reflects in
-        place of the sky's is subtracted from the latter.
+    lost
+        (m,) by kind of light and cause. Lost reflected light is negative: a cause that hides the sky reflects light in its place.
     sky_view, open_sky_view
         Sky view factor of the plane, and that under an open sky.
     sky_view_of_relief
@@ -64,8 +67,7 @@ class PointIrradiation:
     plane: TiltedPlane
     received: dict[Part, np.ndarray]
     open_sky: dict[Part, np.ndarray]
-    lost_beam: dict[Cause, np.ndarray]
-    lost_sky: dict[Cause, np.ndarray]
+    lost: dict[LostLight, dict[Cause, np.ndarray]]
     sky_view: float
     open_sky_view: float
     sky_view_of_relief: float
@@ -113,13 +115,12 @@ def irradiation_at_point(
         band = plane.horizon_band(azimuth_deg, horizon_deg)
         energy_kwh = _light_on_plane(plane, suns, light, is_lit, sky_views[stage], band, albedo) * suns.hours / 1000.0
         sums.append(np.stack([np.bincount(period_of_sun, values, period_count) for values in energy_kwh]))
-    lost = {cause: sums[stage] - sums[stage + 1] for stage, cause in enumerate(CAUSES)}
-    return PointIrradiation(
-        plane, _by_part(sums[-1]), _by_part(sums[0]),
-        {cause: values[DIRECT_PARTS].sum(axis=0) for cause, values in lost.items()},
-        {cause: values[DIFFUSE_PARTS].sum(axis=0) for cause, values in lost.items()},
-        sky_views[-1], sky_views[0], sky_views[1], np.bincount(period_of_sun, minlength=period_count) > 0,
-    )  # fmt: skip
+    by_cause = {cause: sums[stage] - sums[stage + 1] for stage, cause in enumerate(CAUSES)}
+    lost = {
+        kind: {cause: values[parts].sum(axis=0) for cause, values in by_cause.items()} for kind, parts in _PARTS_OF_LOSS.items()
+    }
+    has_sun = np.bincount(period_of_sun, minlength=period_count) > 0
+    return PointIrradiation(plane, _by_part(sums[-1]), _by_part(sums[0]), lost, sky_views[-1], sky_views[0], sky_views[1], has_sun)
 
 
 def _horizons_by_stage(horizon: PointHorizon) -> list[np.ndarray]:
