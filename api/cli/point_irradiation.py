@@ -134,17 +134,16 @@ def _print_report(report: PointIrradiationReport) -> None:
         f"clear sky, {report.first} to {report.last}; {report.unit}"
     )
     rows = named_sums(report)
-    columns = [(heading, lambda sums, part=part: getattr(sums, part)) for part, heading in _HEADINGS.items()]
-    columns += [
-        (heading, lambda sums, cause=cause: sums.lost(cause))
-        for cause, heading in _CAUSE_HEADINGS.items()
-        if any(sums.lost(cause) for _, sums in rows)
-    ]
+    columns = {heading: [getattr(sums, part) for _, sums in rows] for part, heading in _HEADINGS.items()}
+    for cause, heading in _CAUSE_HEADINGS.items():
+        losses = [sums.lost(cause) for _, sums in rows]
+        if any(losses):
+            columns[heading] = losses
     table = Table("month", box=None)
-    for heading, _ in columns:
+    for heading in columns:
         table.add_column(heading, justify="right")
-    for name, sums in rows:
-        table.add_row(name, *(f"{value(sums):.1f}" for _, value in columns))
+    for n, (name, _) in enumerate(rows):
+        table.add_row(name, *(f"{values[n]:.1f}" for values in columns.values()))
     console.print(table)
     if report.remark:
         console.print(report.remark)
