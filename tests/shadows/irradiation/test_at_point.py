@@ -305,3 +305,17 @@ def test_polar_night_is_dark(scene_of):
     result = sums_of(eye(scene), TiltedPlane(35.0, 180.0), days_of(scene, WINTER))
     assert all(values[0] == 0.0 for values in (*result.received.values(), *result.open_sky.values()))
     assert not result.has_sun[0]
+
+
+def test_a_dark_horizon_takes_no_more_than_the_sky_gives(scene_of):
+    """Where the parts of skylight add up to less than nothing the sky gives nothing, as in pvlib."""
+    scene = scene_of()
+    surroundings = eye(scene)
+    suns = suns_at(surroundings, days_of(scene))
+    dark, sky = np.zeros((1, len(suns))), np.full((1, len(suns)), 100.0)
+    light = SkyLight(dark, dark, sky, -0.8 * sky, dark)
+    for tilt, expected_w in ((0.0, 100.0), (60.0, 75.0 - 80.0 * np.sin(np.radians(60.0))), (120.0, 0.0)):
+        result = irradiation_at_point(surroundings, TiltedPlane(tilt, 0.0), suns, light, np.zeros(len(suns), int), 1, 0.2)
+        expected_kwh = expected_w * suns.hours.sum() / 1000.0
+        assert result.received["total"][0] == pytest.approx(expected_kwh, rel=1e-3, abs=1e-9)
+        assert result.received["sky"][0] + result.received["horizon_band"][0] == pytest.approx(expected_kwh, rel=1e-3, abs=1e-9)

@@ -194,3 +194,16 @@ def test_groups_of_occluders_are_those_of_single_suns(village):
         bool(is_lit or at <= 0.0) for is_lit, at in zip(sees_sun(surroundings, azimuth, altitude), altitude, strict=True)
     ]
     assert min(groups.count(name) for name in names.values()) > 5
+
+
+@pytest.mark.parametrize(("ridge_m", "kind", "group"), [(30.0, "building", SOLIDS), (130.0, "relief", GROUND)])
+def test_the_highest_of_two_casters_is_named(village, ridge_m, kind, group):
+    """A ridge 100 m behind a house hides a low sun, too: the one with the larger elevation angle is the occluder."""
+    heights = np.zeros((64, 64), np.float32)
+    heights[:, 57:] = ridge_m
+    scene, middle = village(heights)
+    surroundings = load_surroundings(scene, place_at(scene, middle))
+    azimuth, altitude = np.array([90.0]), np.array([10.0])
+    (caster,) = sun_occluders(surroundings, azimuth, altitude)
+    assert caster.kind == kind and caster.elevation_deg > 25.0
+    assert sun_occluder_groups(surroundings, azimuth, altitude).tolist() == [group]
