@@ -21,14 +21,16 @@ from skugga.api.point.irradiation_values import (
 from skugga.api.point.report import point_surroundings
 from skugga.api.point.values import PointQuery
 from skugga.shadows.irradiation.at_point import CAUSES, PARTS, PointIrradiation, irradiation_at_point
-from skugga.shadows.irradiation.light import clear_sky_light
+from skugga.shadows.irradiation.light import SkyLight, clear_sky_light
 from skugga.shadows.irradiation.plane import TiltedPlane, ground_plane
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
 from skugga.shadows.point.horizon import Surroundings
 from skugga.shadows.point.place import POINT_PARAMETER
+from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.clock import parse_clock
+from skugga.terrain.geo.clock import Clock, parse_clock
 from skugga.terrain.geo.daily_windows import MINUTES_PER_DAY, DailyWindow, windows_between
+from skugga.terrain.geo.world import World
 from skugga.terrain.scene import Scene
 
 LOST_FIELDS = ("lost_beam", "lost_sky", "lost_reflected")
@@ -52,8 +54,9 @@ def point_irradiation(
     place = surroundings.place
     assert place.lon_deg is not None and place.lat_deg is not None  # no windows exist in a flat world
     plane = _requested_plane(surroundings, options)
-    suns = sun_intervals(windows, options.step_min, place.lon_deg, place.lat_deg)
-    light = clear_sky_light(suns, place.lon_deg, place.lat_deg, np.array([place.eye_elevation_m]), options.linke)
+    suns, light = _suns_and_light(
+        tuple(windows), options.step_min, place.lon_deg, place.lat_deg, place.eye_elevation_m, options.linke
+    )
     months, month_of_sun = _months(windows, suns)
     result = irradiation_at_point(surroundings, plane, suns, light, month_of_sun, len(months), options.albedo)
     return PointIrradiationReport(
@@ -101,10 +104,25 @@ def _windows(scene: Scene, query: PointQuery, first: date, last: date) -> list[D
     """Return whole days from the first to the last date by the query's clock, or by solar time. Raises ``InputError``."""
     clock = parse_clock("clock", query.clock or "solar")
     try:
-        return windows_between(scene.world, first, last, 1, (0.0, MINUTES_PER_DAY), clock)
+        return _cached_windows(scene.world, first, last, clock)
     except InputError as error:
         # A year that the request spells as such is no date in its messages.
         raise (error.renamed("year") if error.name == "date" and query.date is None else error) from None
+
+
+@cached("process", 4 * MIB)
+def _cached_windows(world: World, first: date, last: date, clock: Clock) -> list[DailyWindow]:
+    """Return whole days from the first to the last date, which all points of a level share. Raises ``InputError``."""
+    return windows_between(world, first, last, 1, (0.0, MINUTES_PER_DAY), clock)
+
+
+@cached("process", 16 * MIB)
+def _suns_and_light(
+    windows: tuple[DailyWindow, ...], step_min: float, lon_deg: float, lat_deg: float, height_m: float, linke: float | None
+) -> tuple[SunIntervals, SkyLight]:
+    """Return the suns of windows at a position, and their light at a height. The planes of a point share them."""
+    suns = sun_intervals(windows, step_min, lon_deg, lat_deg)
+    return suns, clear_sky_light(suns, lon_deg, lat_deg, np.array([height_m]), linke)
 
 
 def _requested_plane(surroundings: Surroundings, options: PointIrradiationOptions) -> TiltedPlane:
