@@ -15,6 +15,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from skugga.api.cli.outputs import check_output_files
+from skugga.api.cli.point_irradiation import IrradiationTexts, report_irradiation
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
@@ -63,6 +64,8 @@ class PointOptions:
         Format of the horizon, and its file (``None``: standard output).
     azimuths
         Number of azimuths of the horizons of many points; ``None`` reports their sun.
+    irradiation
+        Whether to report irradiation instead of the sun.
     picture
         File of the sky chart.
     as_json
@@ -78,6 +81,7 @@ class PointOptions:
     year: int | None
     horizon: str | None
     azimuths: int | None
+    irradiation: bool
     output: Path | None
     picture: Path | None
     as_json: bool
@@ -100,16 +104,31 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
         for name, value in excluded_options.items():
             if value is not None:
                 raise InputError.conflict(name, batch_option)
+    if options.irradiation:
+        _check_irradiation_options(options, batch_option)
     if options.azimuths is not None:
         _check_horizons_options(options, batch_option, start)
     if start is not None and line is None:
         raise InputError("--start", Problem("needs a track"), "Add --line FILE")
     if options.horizon is not None and options.horizon not in HORIZON_FORMATS:
         raise InputError("--horizon", options.horizon, f"{', '.join(HORIZON_FORMATS)} (--output names the file)")
-    if options.output is not None and options.horizon is None and options.azimuths is None:
-        raise InputError("--output", Problem("needs a horizon format"), f"Add --horizon FORMAT: {', '.join(HORIZON_FORMATS)}")
+    if options.output is not None and options.horizon is None and options.azimuths is None and not options.irradiation:
+        raise InputError(
+            "--output", Problem("needs a horizon format"), f"Add --horizon FORMAT: {', '.join(HORIZON_FORMATS)}, or --irradiation"
+        )
     if options.as_json and options.horizon is not None and options.output is None:
         raise InputError.conflict("--json", "--horizon", "Add --output FILE for the horizon: only one of the two can be printed")
+
+
+def _check_irradiation_options(options: PointOptions, batch_option: str | None) -> None:
+    """Raise ``InputError`` for options that do not go with ``--irradiation``. ``batch_option`` is ``--points`` or ``--line``."""
+    excluded_options = {
+        str(batch_option): batch_option, "--time": options.sun, "--horizon": options.horizon, "--picture": options.picture,
+        "--azimuths": options.azimuths,
+    }  # fmt: skip
+    for name, value in excluded_options.items():
+        if value is not None:
+            raise InputError.conflict(name, "--irradiation")
 
 
 def _check_horizons_options(options: PointOptions, batch_option: str | None, start: str | None) -> None:
@@ -160,6 +179,13 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     else:
         has_chosen_sun = options.sun is not None or (options.date is None and loaded.level.sun is not None)
         _print_report(report, has_requested_time=has_chosen_sun)
+
+
+def report_point_irradiation(level: LevelSource, options: PointOptions, texts: IrradiationTexts) -> None:
+    """Print the irradiation at a point, and write it to the file of ``--output``. Raises ``SkuggaError`` and ``OSError``."""
+    irradiation = texts.parsed()
+    query = _point_query(options, *_read_coordinate_pair(options.at or ""))
+    report_irradiation(level, query, _read_crs(options.crs), irradiation, options.output, options.as_json)
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:

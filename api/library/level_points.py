@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import datetime
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from skugga.api.library.argument_types import CrsLike, Date, Time, validate_arguments
 from skugga.api.library.level_state import LevelState, requested_sun
 from skugga.api.point.horizons import DEFAULT_AZIMUTHS, horizons_at_points
+from skugga.api.point.irradiation import point_irradiation
+from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport
 from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport
 from skugga.shadows.point.horizon import PointHorizon, horizon_profile
@@ -64,6 +66,71 @@ class LevelPoints(LevelState):
         query = PointQuery(lon=lon, lat=lat, height=height, date=cast("datetime.date | None", date), clock=clock, year=year)
         self._issue_object_warnings()
         return point_report(scene, query, crs)
+
+    @validate_arguments
+    def point_irradiation(
+        self,
+        lon: float,
+        lat: float,
+        *,
+        year: int | None = None,
+        date: Date | None = None,
+        to: Date | None = None,
+        plane: Literal["level", "ground"] | None = None,
+        tilt: float | None = None,
+        azimuth: float | None = None,
+        albedo: float = 0.2,
+        linke: float | None = None,
+        clock: str = "solar",
+        step_min: float = 60.0,
+        height: float = 0.0,
+        crs: CrsLike | None = None,
+    ) -> PointIrradiationReport:
+        """Report the energy of sunlight and skylight on a plane at a point, by month, under a clear sky.
+
+        Parameters
+        ----------
+        lon, lat
+            The point in degrees, or its x and y in ``crs``.
+        year
+            A whole year. Without it and ``date``: this year.
+        date, to
+            One date, or the first and the last of several.
+        plane
+            ``level`` (the default), or ``ground``, its own slope.
+        tilt, azimuth
+            Tilt of another plane, 0 to 180 degrees (90 is a wall), and the azimuth that it faces (default: 180, south).
+        albedo
+            Albedo of the ground around.
+        linke
+            Linke's turbidity of the air (default: the place's monthly climate).
+        clock
+            The clock of the dates, as in ``sun_hours``.
+        step_min
+            Minutes between two suns.
+        height
+            Metres above the ground.
+        crs
+            The CRS of ``lon`` and ``lat``, in any form that pyproj accepts.
+
+        Returns
+        -------
+        PointIrradiationReport
+            Received light by part, light under an open sky, and losses by cause, kWh/m2, for each month and all of them.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
+        """
+        first = cast("datetime.date | None", date)
+        query = PointQuery(lon=lon, lat=lat, height=height, date=first, clock=clock, year=year)
+        options = PointIrradiationOptions(
+            to=cast("datetime.date | None", to), plane=plane, tilt=tilt, azimuth=azimuth, albedo=albedo, linke=linke,
+            step_min=step_min,
+        )  # fmt: skip
+        self._issue_object_warnings()
+        return point_irradiation(self._scene, query, options, crs)
 
     @validate_arguments
     def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: CrsLike | None = None) -> PointHorizon:

@@ -7,17 +7,27 @@
 
 from __future__ import annotations
 
-import io
 from datetime import UTC, date, datetime, timedelta, tzinfo
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from skugga.api.point.charts import (
+    FOREST_COLOR,
+    GRID_COLOR,
+    INK_COLOR,
+    LABEL_COLOR,
+    PAPER_COLOR,
+    RELIEF_COLOR,
+    SOLIDS_COLOR,
+    SUN_COLOR,
+    ChartFormat,
+    chart_file,
+    place_text,
+)
 from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
 from skugga.shadows.point.sun_angles import sun_angles_at, sun_samples
 from skugga.terrain.geo.clock import day_bounds
-
-SkyPictureFormat = Literal["svg", "png"]
 
 PATH_STEP_S = 120.0
 """Time between two points of a sun path."""
@@ -28,42 +38,33 @@ MIN_LABEL_DIFFERENCE_DEG = 6.0
 MIN_OUTWARD_LABEL_ALTITUDE_DEG = 6.0
 """Altitude above which an hour's number lies on the outer side of its mark, degrees."""
 
-CHART_SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
-"""Side of the square chart, and resolution of its PNG file."""
+CHART_SIDE_INCHES = 8.0
+"""Side of the square chart."""
 
-_PAPER_COLOR, _INK_COLOR, _GRID_COLOR, _SKY_COLOR = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
-_RELIEF_COLOR, _SOLIDS_COLOR, _FOREST_COLOR = "#8d8373", "#b3705c", "#6f8f5f"
-_SUN_COLOR, _SUN_EDGE_COLOR, _HIDDEN_PATH_COLOR, _OTHER_PATH_COLOR = "#e8a200", "#b97f00", "#3f3a34", "#7f9fbf"
-_FONT = ["DejaVu Sans"]
+_SKY_COLOR, _SUN_EDGE_COLOR, _HIDDEN_PATH_COLOR, _OTHER_PATH_COLOR = "#f4f8fb", "#b97f00", "#3f3a34", "#7f9fbf"
 
 
 def sky_picture(
-    surroundings: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: SkyPictureFormat, title: str
+    surroundings: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: ChartFormat, title: str
 ) -> bytes:
     """Return the chart as an SVG or PNG file: the horizon and the sun's paths of a day, the solstices and the equinox.
 
     ``day`` is a day of ``clock``, whose hours are marked. ``title`` stands above the chart. The chart of a flat world has only the
     horizon.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    with rc_context({"svg.hashsalt": "skugga", "svg.fonttype": "path", "font.family": _FONT}):
-        figure = Figure(figsize=(CHART_SIDE_INCHES, CHART_SIDE_INCHES + 0.95), facecolor=_PAPER_COLOR)
-        FigureCanvasAgg(figure)
-        axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
+    def draw(figure: Any) -> None:
+        axes = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _draw_axes(axes)
         _draw_horizon(axes, horizon)
         has_sun = surroundings.scene.world.off_earth_reason is None
         if has_sun:
             _draw_paths(axes, surroundings, day, clock)
-        figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK_COLOR, va="top")
-        figure.text(0.06, 0.951, _subtitle(surroundings, day, clock), fontsize=9.5, color=_INK_COLOR, va="top")
+        figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=INK_COLOR, va="top")
+        figure.text(0.06, 0.951, _subtitle(surroundings, day, clock), fontsize=9.5, color=INK_COLOR, va="top")
         _draw_legend(figure, horizon, not has_sun)
-        file = io.BytesIO()
-        figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
-    return file.getvalue()
+
+    return chart_file((CHART_SIDE_INCHES, CHART_SIDE_INCHES + 0.95), format, draw)
 
 
 def _draw_axes(axes: Any) -> None:
@@ -74,7 +75,9 @@ def _draw_axes(axes: Any) -> None:
     axes.set_ylim(0.0, 90.0)
     axes.set_yticks([30.0, 60.0], labels=["", ""])
     for altitude in (30, 60):
-        axes.text(np.radians(2.5), 90.0 - altitude, f"{altitude}°", fontsize=7.5, color="#6c7680", ha="left", va="bottom", zorder=9)
+        axes.text(
+            np.radians(2.5), 90.0 - altitude, f"{altitude}°", fontsize=7.5, color=LABEL_COLOR, ha="left", va="bottom", zorder=9
+        )
     axes.set_xticks(np.radians(np.arange(0, 360, 30)))
     words = {0: "N", 90: "E", 180: "S", 270: "W"}
     axes.set_xticklabels([words.get(azimuth, f"{azimuth}°") for azimuth in range(0, 360, 30)])
@@ -83,11 +86,11 @@ def _draw_axes(axes: Any) -> None:
         label.set(
             fontsize=13 if cardinal else 8.5,
             fontweight="bold" if cardinal else "normal",
-            color=_INK_COLOR if cardinal else "#6c7680",
+            color=INK_COLOR if cardinal else LABEL_COLOR,
         )
     axes.tick_params(axis="x", pad=3)
-    axes.grid(color=_GRID_COLOR, linewidth=0.6)
-    axes.spines["polar"].set(color=_INK_COLOR, linewidth=1.0)
+    axes.grid(color=GRID_COLOR, linewidth=0.6)
+    axes.spines["polar"].set(color=INK_COLOR, linewidth=1.0)
     axes.set_axisbelow(True)
 
 
@@ -95,8 +98,8 @@ def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
     """Draw the horizon from the rim inwards. Trees and roofs are visible where they rise above the ground's horizon."""
     angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
     for height, color, order in (
-        (horizon.forest_deg, _FOREST_COLOR, 2.0), (horizon.solids_deg, _SOLIDS_COLOR, 2.1),
-        (horizon.relief_deg, _RELIEF_COLOR, 2.2),
+        (horizon.forest_deg, FOREST_COLOR, 2.0), (horizon.solids_deg, SOLIDS_COLOR, 2.1),
+        (horizon.relief_deg, RELIEF_COLOR, 2.2),
     ):  # fmt: skip
         top = 90.0 - np.maximum(np.append(height, height[0]), 0.0)
         axes.fill_between(angle, top, 90.0, color=color, linewidth=0.0, zorder=order)
@@ -119,7 +122,7 @@ def _draw_paths(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo)
     axes.plot(angle, 90.0 - altitude, color=_HIDDEN_PATH_COLOR, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
     shining = np.where(lit, 90.0 - altitude, np.nan)
     axes.plot(angle, shining, color=_SUN_EDGE_COLOR, linewidth=4.6, solid_capstyle="round", zorder=4.1)
-    axes.plot(angle, shining, color=_SUN_COLOR, linewidth=3.2, solid_capstyle="round", zorder=4.2)
+    axes.plot(angle, shining, color=SUN_COLOR, linewidth=3.2, solid_capstyle="round", zorder=4.2)
     _draw_hours(axes, surroundings, day, clock, bool(np.isfinite(altitude).any()))
 
 
@@ -164,14 +167,14 @@ def _draw_hours(axes: Any, surroundings: Surroundings, day: date, clock: tzinfo,
             angle, radius = np.radians(azimuth[hour]), 90.0 - altitude[hour]
             size = 5.0 if is_day else 2.6
             axes.plot(
-                [angle], [radius], "o", markersize=size, color=_PAPER_COLOR if is_day else _OTHER_PATH_COLOR,
-                markeredgecolor=_INK_COLOR if is_day else _OTHER_PATH_COLOR, markeredgewidth=0.9 if is_day else 0.0, zorder=5,
+                [angle], [radius], "o", markersize=size, color=PAPER_COLOR if is_day else _OTHER_PATH_COLOR,
+                markeredgecolor=INK_COLOR if is_day else _OTHER_PATH_COLOR, markeredgewidth=0.9 if is_day else 0.0, zorder=5,
             )  # fmt: skip
             if is_day and has_path:
                 axes.annotate(
                     f"{hour}", (angle, radius), xytext=_number_offset(azimuth[hour], altitude[hour]), textcoords="offset points",
-                    fontsize=8.5, fontweight="bold", color=_INK_COLOR, ha="center", va="center", zorder=7,
-                    bbox={"facecolor": _PAPER_COLOR, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
+                    fontsize=8.5, fontweight="bold", color=INK_COLOR, ha="center", va="center", zorder=7,
+                    bbox={"facecolor": PAPER_COLOR, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
                 )  # fmt: skip
 
 
@@ -187,12 +190,8 @@ def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, floa
 def _subtitle(surroundings: Surroundings, day: date, clock: tzinfo) -> str:
     """Return the line below the title: the position, the height, the day and its clock."""
     place = surroundings.place
-    height = f"{place.ground_m:.0f} m" + (f", {place.height_m:g} m above the ground" if place.height_m else "")
-    if place.lon_deg is None or place.lat_deg is None:
-        return height
-    lon = f"{abs(place.lon_deg):.5f}° {'E' if place.lon_deg >= 0 else 'W'}"
-    lat = f"{abs(place.lat_deg):.5f}° {'N' if place.lat_deg >= 0 else 'S'}"
-    return f"{lat}, {lon}, {height}    {day:%-d %B %Y}, {_clock_label(day, clock)}"
+    text = place_text(place.lon_deg, place.lat_deg, place.ground_m, place.height_m)
+    return text if place.lon_deg is None else f"{text}    {day:%-d %B %Y}, {_clock_label(day, clock)}"
 
 
 def _clock_label(day: date, clock: tzinfo) -> str:
@@ -212,18 +211,18 @@ def _draw_legend(figure: Any, horizon: PointHorizon, is_flat_world: bool) -> Non
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [Patch(color=_RELIEF_COLOR, label="ground")]
+    handles: list[Any] = [Patch(color=RELIEF_COLOR, label="ground")]
     if (horizon.solids_deg > np.maximum(horizon.relief_deg, 0.0)).any():
-        handles.append(Patch(color=_SOLIDS_COLOR, label="roofs and models"))
+        handles.append(Patch(color=SOLIDS_COLOR, label="roofs and models"))
     if (horizon.forest_deg > np.maximum(horizon.relief_deg, 0.0)).any():
-        handles.append(Patch(color=_FOREST_COLOR, label="trees"))
+        handles.append(Patch(color=FOREST_COLOR, label="trees"))
     if not is_flat_world:
         handles += [
-            Line2D([], [], color=_SUN_COLOR, linewidth=3.2, label="direct sun"),
+            Line2D([], [], color=SUN_COLOR, linewidth=3.2, label="direct sun"),
             Line2D([], [], color=_HIDDEN_PATH_COLOR, linewidth=1.6, linestyle=(0, (3, 2)), label="sun hidden"),
             Line2D([], [], color=_OTHER_PATH_COLOR, linewidth=1.1, label="solstices, equinox"),
         ]
     figure.legend(
         handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.012), ncols=len(handles), frameon=False, fontsize=9,
-        labelcolor=_INK_COLOR, handlelength=1.6, columnspacing=1.4,
+        labelcolor=INK_COLOR, handlelength=1.6, columnspacing=1.4,
     )  # fmt: skip

@@ -20,15 +20,15 @@ class _ReportModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-def _rounded(decimals: int) -> BeforeValidator:
+def rounded(decimals: int) -> BeforeValidator:
     """Return a pydantic validator that rounds a number to ``decimals`` decimals and leaves ``None``."""
     return BeforeValidator(lambda value: None if value is None else round(float(value), decimals))
 
 
-RoundDegrees = Annotated[float, _rounded(3)]
-RoundMetres = Annotated[float, _rounded(2)]
-RoundHours = Annotated[float, _rounded(4)]
-LonLatDegrees = Annotated[float | None, _rounded(7)]
+RoundDegrees = Annotated[float, rounded(3)]
+RoundMetres = Annotated[float, rounded(2)]
+RoundHours = Annotated[float, rounded(4)]
+LonLatDegrees = Annotated[float | None, rounded(7)]
 
 
 class PointQuery(_ReportModel):
@@ -111,7 +111,7 @@ class PointReport(_ReportModel):
     level: str
     lon: LonLatDegrees
     lat: LonLatDegrees
-    elevation_m: Annotated[float | None, _rounded(2)]
+    elevation_m: Annotated[float | None, rounded(2)]
     height_m: RoundMetres
     now: ReportedMoment | None
     day: ReportedDay | None

@@ -104,10 +104,10 @@ def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
 def _variant_of(job: Job) -> Hashable:
     """Return the variant of a job within its kind, as a key.
 
-    A variant consists of the product, the tile matrix set and zoom, and the format and size of tiles.
+    A variant consists of the product, the tile matrix set and zoom, the format and size of tiles, and the product of a point.
     """
     product = job.request.product if isinstance(job.request, ProductRequest) else None
-    return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles"))
+    return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles", "product"))
 
 
 def kind_of_job(job: Job) -> Hashable:

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, InstanceOf
 
 from skugga.api.errors import ERROR_REPORTS
+from skugga.api.point.irradiation_values import PointIrradiationOptions
 from skugga.api.point.values import PointQuery, TrackPoint
 from skugga.api.products.product import MapFormat, PictureFormat
 from skugga.api.request import PictureRequest, ProductRequest
@@ -126,21 +127,22 @@ class MapJob(_Value):
     request: ProductRequest = ProductRequest()
 
 
-PointProduct = Literal["report", "horizon", "sky"]
+PointProduct = Literal["report", "horizon", "sky", "irradiation"]
 """What a point job computes: the sun report, the horizon file or the sky chart."""
 
 
 class PointJob(_Value):
-    """Compute the sun report, the horizon file or the sky chart of a point, as ``product`` says.
+    """Compute the sun report, the horizon file, the sky chart or the irradiation of a point, as ``product`` says.
 
     ``format`` is the format of a horizon file, or of a chart: ``svg``, ``png``, or ``json`` for the chart's figures. A report is
-    always JSON.
+    always JSON. Irradiation is ``json``, ``csv``, ``svg`` or ``png``, and has options of its own.
     """
 
     level: LevelKey
     query: PointQuery
     product: PointProduct = "report"
     format: str = "json"
+    irradiation: PointIrradiationOptions = PointIrradiationOptions()
     request: PictureRequest = PictureRequest()
 
 

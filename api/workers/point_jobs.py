@@ -1,4 +1,4 @@
-"""Compute sun reports, horizon files and sky charts of points. Render processes do this, because they have levels open."""
+"""Compute sun reports, horizon files, sky charts and irradiation of points, in render processes, which have levels open."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 from typing import Any
 
 from skugga.api.point.horizon_formats import azimuths_of_format, horizon_file
+from skugga.api.point.irradiation import csv_text, irradiation_with_remark, point_irradiation
+from skugga.api.point.irradiation_chart import irradiation_chart
 from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import point_surroundings, report_with_remark, requested_clock, requested_day
 from skugga.api.point.sky_figures import sky_figures
@@ -16,12 +18,14 @@ from skugga.terrain.scene import Scene
 
 
 def point_result(job: PointJob, scene: Scene) -> PointResult:
-    """Return the report, the horizon file or the sky chart of a point, as the job's ``product`` and ``format`` say.
+    """Return what a job asks of a point, as its ``product`` and ``format`` say.
 
-    A report has nulls for a point without data. Raises ``InputError``.
+    A report, also of irradiation, has nulls for a point without data. Raises ``InputError``.
     """
     if job.product == "report":
         return PointResult(report_with_remark(scene, job.query).model_dump_json().encode())
+    if job.product == "irradiation":
+        return PointResult(_irradiation_file(job, scene))
     surroundings = point_surroundings(scene, job.query)
     if job.product == "horizon":
         return PointResult(
@@ -34,6 +38,17 @@ def point_result(job: PointJob, scene: Scene) -> PointResult:
     format: Any = job.format
     title = scene.loaded.level.title or scene.loaded.name
     return PointResult(sky_picture(surroundings, horizon_profile(surroundings), day, clock, format, title))
+
+
+def _irradiation_file(job: PointJob, scene: Scene) -> bytes:
+    """Return the irradiation at a point in the job's format. Raises ``InputError``."""
+    if job.format == "json":
+        return irradiation_with_remark(scene, job.query, job.irradiation).model_dump_json().encode()
+    report = point_irradiation(scene, job.query, job.irradiation)
+    if job.format == "csv":
+        return csv_text(report).encode()
+    format: Any = job.format
+    return irradiation_chart(report, format, scene.loaded.level.title or scene.loaded.name)
 
 
 def points_result(job: PointsJob, scene: Scene) -> PointResult:

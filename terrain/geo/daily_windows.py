@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 
@@ -63,14 +64,10 @@ def daily_window(day: date, start_min: float, end_min: float, clock: Clock, worl
 
     Raises ``InputError`` for invalid times, and where the clock skips the whole date or the whole window.
     """
-    if not 0.0 <= start_min < end_min <= MINUTES_PER_DAY:
-        raise InputError(
-            "window", f"{clock_text(start_min)}-{clock_text(end_min)}", "a start time and a later end time, 00:00 to 24:00"
-        )
-    check_date(day)
+    _check_window(day, start_min, end_min)
     if isinstance(clock, str):
-        start, end = (_solar_moment(day, minutes, world) for minutes in (start_min, end_min))
-        return DailyWindow(day, start, (end - start) / timedelta(minutes=1), start_min)
+        (window,) = _solar_windows([day], start_min, end_min, world)
+        return window
     day_bounds(day, clock)
     start, end = _utc_start_and_end(day, start_min, end_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
@@ -121,10 +118,13 @@ def windows_between(
     if world.off_earth_reason is not None:
         problem = Problem(f"'{first.isoformat()}' does not define the sun here, since {world.off_earth_reason}")
         raise InputError("date", problem, "Use a level on the earth")
-    if not isinstance(clock, str):
-        for name, day in (("date", first), ("to", last)):
-            day_bounds(day, clock, name)
-        days = [day for day in days if day == first or _has_window(day, *clock_times_min, clock)]
+    if isinstance(clock, str):
+        for day in (days[0], days[-1]):
+            _check_window(day, *clock_times_min)
+        return _solar_windows(days, *clock_times_min, world)
+    for name, day in (("date", first), ("to", last)):
+        day_bounds(day, clock, name)
+    days = [day for day in days if day == first or _has_window(day, *clock_times_min, clock)]
     return [daily_window(day, *clock_times_min, clock, world) for day in days]
 
 
@@ -181,29 +181,57 @@ def _minutes_to_change(start: datetime, length_min: float, zone: tzinfo) -> floa
     return float(high)
 
 
-def _solar_moment(day: date, clock_min: float, world: World) -> datetime:
-    """Return the moment in UTC at which the true solar time at the anchor is ``clock_min``, in minutes from midnight.
+def _check_window(day: date, start_min: float, end_min: float) -> None:
+    """Raise ``InputError`` for a date without ephemeris, or for invalid clock times, in minutes from midnight."""
+    if not 0.0 <= start_min < end_min <= MINUTES_PER_DAY:
+        raise InputError(
+            "window", f"{clock_text(start_min)}-{clock_text(end_min)}", "a start time and a later end time, 00:00 to 24:00"
+        )
+    check_date(day)
 
-    The anchor is the centre of the level's bounds.
+
+def _solar_windows(days: Sequence[date], start_min: float, end_min: float, world: World) -> list[DailyWindow]:
+    """Return the windows of dates between two true solar times, in minutes from midnight."""
+    starts, ends = (_solar_moments(days, clock_min, world) for clock_min in (start_min, end_min))
+    return [
+        DailyWindow(day, start, (end - start) / timedelta(minutes=1), start_min)
+        for day, start, end in zip(days, starts, ends, strict=True)
+    ]
+
+
+def _solar_moments(days: Sequence[date], clock_min: float, world: World) -> list[datetime]:
+    """Return the moments in UTC at which the true solar time at the anchor is ``clock_min``, in minutes from midnight, on dates.
+
+    The anchor is the centre of the level's bounds. All dates are computed together: the sun's position takes as long for one time
+    as for hundreds.
     """
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
-    moment = datetime.combine(day, time(), UTC) + timedelta(minutes=clock_min - 4.0 * lon)
+    moments = [datetime.combine(day, time(), UTC) + timedelta(minutes=clock_min - 4.0 * lon) for day in days]
     for _ in range(SOLAR_TIME_ITERATIONS):
-        error_min = (solar_time_min(moment, lon, lat) - clock_min + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
-        moment -= timedelta(minutes=error_min)
-    return moment
+        errors_min = (_solar_times_min(moments, lon, lat) - clock_min + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
+        moments = [moment - timedelta(minutes=error) for moment, error in zip(moments, errors_min.tolist(), strict=True)]
+    return moments
 
 
 def solar_time_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
     """Return the true solar time of a moment at a position, in minutes from midnight.
 
-    It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. The hour angle H follows from
-    tan H = sin A / (cos A sin lat + tan h cos lat), with the azimuth A from south and the altitude h without refraction.
+    It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle.
     """
-    path = sun_path([moment], lon_deg, lat_deg)
-    azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)
-    altitude = np.radians(path.altitude_deg[0] - path.refraction_deg[0])
+    return float(_solar_times_min([moment], lon_deg, lat_deg)[0])
+
+
+def _solar_times_min(moments: Sequence[datetime], lon_deg: float, lat_deg: float) -> np.ndarray:
+    """Return the true solar times (n,) of moments at a position, as ``solar_time_min`` does.
+
+    The hour angle H follows from tan H = sin A / (cos A sin lat + tan h cos lat), with the azimuth A from south and the altitude h
+    without refraction.
+    """
+    path = sun_path(moments, lon_deg, lat_deg)
+    azimuth, lat = np.radians(path.azimuth_deg - 180.0), np.radians(lat_deg)
+    altitude = np.radians(path.altitude_deg - path.refraction_deg)
     hour = np.arctan2(
         np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude) * np.sin(lat) + np.sin(altitude) * np.cos(lat)
     )
-    return float((np.degrees(hour) * 4.0 + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY)
+    minutes: np.ndarray = (np.degrees(hour) * 4.0 + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY
+    return minutes

@@ -200,7 +200,7 @@ ALLOWED_WRITERS = {
     "api/film_files.py": "temporary files that atomic_files moves into place",
     "api/animated_webp.py": "temporary files that atomic_files moves into place",
     "api/contour_lines.py": "a temporary file that atomic_files moves into place",
-    "api/point/polar_picture.py": "into memory",
+    "api/point/charts.py": "into memory",
     "api/color_scale.py": "into memory",
     "api/overviews.py": "a temporary file that atomic_files moves into place",
     "api/cli/seeding.py": "a log, line by line",

@@ -40,7 +40,30 @@ def sun_at_point(
         int | None,
         typer.Option(metavar="N", help="Write the horizons of --points in N directions, as a CSV, or as .npz with --output."),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon or --azimuths.")] = None,
+    irradiation: Annotated[
+        bool, typer.Option("--irradiation", help="Report the energy of light on a plane by month: of --year, or --date and --to.")
+    ] = False,
+    to: Annotated[str | None, typer.Option(metavar="DATE", help="Last of several dates, for --irradiation.")] = None,
+    plane: Annotated[
+        str | None,
+        typer.Option(help="Plane of --irradiation: level (default) or ground.", autocompletion=complete_words(("level", "ground"))),
+    ] = None,
+    tilt: Annotated[float | None, typer.Option(help="Tilt of the plane, degrees: 90 is a wall, 180 faces down.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Azimuth that a tilted plane faces; default: 180, south.")] = None,
+    albedo: Annotated[float | None, typer.Option(help="Albedo of the ground around, for --irradiation; default: 0.2.")] = None,
+    linke: Annotated[
+        float | None, typer.Option(help="Linke's turbidity of the air, instead of the place's monthly climate.")
+    ] = None,
+    step: Annotated[str | None, typer.Option(help="Time between two suns of --irradiation; default: 1h.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File for --horizon, --azimuths, or --irradiation (.json, .csv, .svg or .png).",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a chart of the horizon and the sun's paths: .svg or .png.")
     ] = None,
@@ -51,14 +74,27 @@ def sun_at_point(
     every: Annotated[float, typer.Option(help="Maximum distance between points on the track, metres.", min=0.1)] = 100.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon."""
-    from skugga.api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
+    """Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon, the irradiation."""
+    from skugga.api.cli.point import (
+        PointOptions,
+        check_point_options,
+        report_line,
+        report_point,
+        report_point_irradiation,
+        report_points,
+    )
+    from skugga.api.cli.point_irradiation import IrradiationTexts
     from skugga.api.cli.times import sun_from_options
 
     sun = sun_from_options(time, None, None)
-    options = PointOptions(at, crs, sun, date, clock, height, year, horizon, azimuths, output, picture, as_json)
+    texts = IrradiationTexts(to, plane, tilt, azimuth, albedo, linke, step)
+    if not irradiation:
+        texts.check_absent()
+    options = PointOptions(at, crs, sun, date, clock, height, year, horizon, azimuths, irradiation, output, picture, as_json)
     check_point_options(options, points, line, start)
-    if points is not None:
+    if irradiation:
+        report_point_irradiation(level, options, texts)
+    elif points is not None:
         report_points(level, points, options)
     elif line is not None:
         report_line(level, line, options, start, speed, every)

@@ -16,13 +16,15 @@ from pydantic import BeforeValidator
 from skugga.api.http.levels import routes_levels, routes_plan
 from skugga.api.http.numbers import INTEGER_OR_WORD, PLAIN_DECIMAL, PLAIN_INTEGER, WholeNumber
 from skugga.api.http.parameters import AzimuthQuery
-from skugga.api.http.points import routes_point
+from skugga.api.http.points import routes_point, routes_point_irradiation
 from skugga.api.http.server import routes_health
 from skugga.api.http.server.problem_handlers import install_problem_handlers
 from skugga.api.http.tiles import routes_map, routes_tiles
 from skugga.api.http.views import routes_snapshot
 
-MODULES = routes_health, routes_levels, routes_map, routes_plan, routes_point, routes_snapshot, routes_tiles
+MODULES = (
+    routes_health, routes_levels, routes_map, routes_plan, routes_point, routes_point_irradiation, routes_snapshot, routes_tiles,
+)  # fmt: skip
 ROUTERS = [module.router for module in MODULES]
 
 

@@ -27,7 +27,7 @@ from schemathesis.specs.openapi.checks import (
 
 from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
-from skugga.api.http.points import routes_point
+from skugga.api.http.points import routes_point, routes_point_irradiation
 from skugga.api.http.problems import PROBLEM_MEDIA_TYPE, problem_kinds
 from skugga.api.http.server import routes_health
 from skugga.api.http.server.app import create_app
@@ -42,8 +42,8 @@ from tests.api.workers import fake_workers
 ROUTERS: list[APIRouter] = [
     module.router
     for module in (
-        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
-        routes_snapshot, routes_animations, routes_archives, routes_health,
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_point_irradiation,
+        routes_tiles, routes_map, routes_snapshot, routes_animations, routes_archives, routes_health,
     )
 ]  # fmt: skip
 WMS_OPERATIONS = [
@@ -117,6 +117,8 @@ def test_operation_example_is_answered(client: Client, document: dict[str, Any],
 def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
     """Return the parameters that a parameter requires."""
     name = parameter["name"]
+    if "tilt" in {item["name"] for item in parameters(operation)}:
+        return {"azimuth": {"tilt": 35}, "to": {"date": "2024-03-21"}}.get(name, {})
     if name.lower() in ("azimuth", "altitude"):
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
         return {other.upper() if name.isupper() else other: degrees}

@@ -103,6 +103,10 @@ LEVEL_METHODS: dict[str, dict[str, Any]] = {
         "lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "time": None, "date": "2024-03-21", "clock": None, "height": 0.0,
         "year": None,
     },
+    "point_irradiation": {
+        "lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "year": None, "date": "2024-03-21", "to": None, "plane": None,
+        "tilt": 35.0, "azimuth": 180.0, "albedo": 0.2, "linke": None, "clock": "solar", "step_min": 60.0, "height": 0.0,
+    },
     "horizon": {"lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "height": 0.0},
     "point_horizons": {"points": [[500100.0, 5199900.0]], "azimuths": 8, "height": 0.0, "crs": "EPSG:32633"},
     "film": {

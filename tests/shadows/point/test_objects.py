@@ -7,7 +7,16 @@ import json
 import numpy as np
 import pytest
 
-from skugga.shadows.point.horizon import horizon_profile, load_surroundings, sees_sun, sun_occluders
+from skugga.shadows.point.horizon import (
+    GROUND,
+    LEAVES,
+    SOLIDS,
+    horizon_profile,
+    load_surroundings,
+    sees_sun,
+    sun_occluder_groups,
+    sun_occluders,
+)
 from skugga.shadows.point.place import place_at
 from skugga.shadows.truth.truth import trace_truth
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
@@ -168,3 +177,33 @@ def test_sees_sun_on_columns_agrees_with_truth(tmp_path, make_scene):
         assert is_sunlit == truth.lit[i, j], (i, j)
         dark_count += not is_sunlit
     assert dark_count > 50
+
+
+def test_groups_of_occluders_are_those_of_single_suns(village):
+    """On hills with a house and a tree each sun has the same caster, and each group hides some suns."""
+    rows, cols = np.mgrid[0:64, 0:64]
+    scene, middle = village((8.0 * np.sin(rows / 5.0) * np.cos(cols / 7.0)).astype(np.float32), tree_m=24.0)
+    surroundings = load_surroundings(scene, place_at(scene, middle))
+    rng = np.random.default_rng(5)
+    azimuth = np.concatenate([rng.uniform(0.0, 360.0, 800), rng.uniform(174.0, 186.0, 200)])
+    altitude = rng.uniform(-3.0, 40.0, 1000)
+    names = {-1: None, GROUND: "relief", SOLIDS: "building", LEAVES: "forest"}
+    groups = [names[group] for group in sun_occluder_groups(surroundings, azimuth, altitude).tolist()]
+    assert groups == [caster and caster.kind for caster in sun_occluders(surroundings, azimuth, altitude)]
+    assert [group is None for group in groups] == [
+        bool(is_lit or at <= 0.0) for is_lit, at in zip(sees_sun(surroundings, azimuth, altitude), altitude, strict=True)
+    ]
+    assert min(groups.count(name) for name in names.values()) > 5
+
+
+@pytest.mark.parametrize(("ridge_m", "kind", "group"), [(30.0, "building", SOLIDS), (130.0, "relief", GROUND)])
+def test_the_highest_of_two_casters_is_named(village, ridge_m, kind, group):
+    """A ridge 100 m behind a house hides a low sun, too: the one with the larger elevation angle is the occluder."""
+    heights = np.zeros((64, 64), np.float32)
+    heights[:, 57:] = ridge_m
+    scene, middle = village(heights)
+    surroundings = load_surroundings(scene, place_at(scene, middle))
+    azimuth, altitude = np.array([90.0]), np.array([10.0])
+    (caster,) = sun_occluders(surroundings, azimuth, altitude)
+    assert caster.kind == kind and caster.elevation_deg > 25.0
+    assert sun_occluder_groups(surroundings, azimuth, altitude).tolist() == [group]

@@ -139,3 +139,15 @@ def test_a_pole_has_solar_time():
     pole = World(CRS.from_epsg(3413), False, 0.0, 0.0, -45.0, 90.0, 1.0)
     window = daily_window(date(2024, 6, 21), 0.0, 1440.0, SOLAR, pole)
     assert np.isclose(window.length_min, 1440.0, atol=0.6)
+
+
+def test_solar_windows_of_many_dates_are_computed_together(world, monkeypatch):
+    """They equal those of single dates, and the sun's positions are computed a few times, not for each date."""
+    first, last = date(2024, 1, 1), date(2024, 12, 31)
+    calls = []
+    monkeypatch.setattr(
+        "skugga.terrain.geo.daily_windows.sun_path", lambda *arguments: calls.append(len(arguments[0])) or sun_path(*arguments)
+    )
+    windows = windows_between(world, first, last, 1, (480.0, 960.0), SOLAR)
+    assert calls == [366] * 6
+    assert windows[::90] == [daily_window(window.date, 480.0, 960.0, SOLAR, world) for window in windows[::90]]
