@@ -21,8 +21,9 @@ from skugga.api.point.irradiation_values import (
 from skugga.api.point.report import point_surroundings
 from skugga.api.point.values import PointQuery
 from skugga.shadows.irradiation.at_point import CAUSES, PARTS, PointIrradiation, irradiation_at_point
+from skugga.shadows.irradiation.ground_plane import ground_plane
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light
-from skugga.shadows.irradiation.plane import TiltedPlane, ground_plane
+from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
 from skugga.shadows.point.horizon import Surroundings
 from skugga.shadows.point.place import POINT_PARAMETER

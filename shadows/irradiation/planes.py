@@ -10,6 +10,12 @@ import numpy as np
 MAX_TILT_DEG = 180.0
 """Tilt of a plane that faces down."""
 
+HORIZON_BAND_DEG = 6.5
+"""Height of the horizon's band (R. Perez et al. 1986, "An anisotropic hourly diffuse radiation model for sloping surfaces").
+
+Terrain in front of the band hides it from below.
+"""
+
 
 @dataclass(frozen=True)
 class TiltedPlane:
@@ -25,6 +31,45 @@ class TiltedPlane:
 
     tilt_deg: float
     azimuth_deg: float = 180.0
+
+    def cosine_towards(self, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+        """Return the cosines (n,) of the angles of incidence of directions (n,); 0 for directions behind the plane."""
+        tilt, altitude = np.radians(self.tilt_deg), np.radians(altitude_deg)
+        cosine = np.sin(tilt) * np.cos(altitude) * self._facing(azimuth_deg) + np.cos(tilt) * np.sin(altitude)
+        return np.maximum(cosine, 0.0)
+
+    def sky_view(self, azimuth_deg: np.ndarray, horizon_deg: np.ndarray) -> float:
+        """Return the share of the light of a uniform sky that reaches the plane over a horizon, 0 to 1.
+
+        The azimuths (n,) are evenly spaced, and ``horizon_deg`` (n,) are the horizon angles there. The light of an azimuth between
+        the altitudes a and b is the integral of the cosine of incidence over the solid angle. Its lower bound is the greatest of
+        the horizon, the plane itself and the level, as in equation 7b of J. Dozier and J. Frew (1990). Of a plane that faces
+        downwards the plane itself is the upper bound.
+        """
+        tilt, facing = np.radians(self.tilt_deg), self._facing(azimuth_deg)
+        outward, upward = np.sin(tilt) * facing, np.cos(tilt)
+        low = np.maximum(np.radians(horizon_deg), 0.0)
+        high = np.full_like(low, np.pi / 2.0)
+        if self.tilt_deg <= 90.0:
+            low = np.maximum(low, np.arctan2(-outward, upward))
+        else:
+            high = np.arctan2(outward, -upward)
+        light = _light_below(high, outward, upward) - _light_below(low, outward, upward)
+        return float(2.0 * np.mean(np.where(high > low, light, 0.0)))
+
+    def horizon_band(self, azimuth_deg: np.ndarray, horizon_deg: np.ndarray) -> float:
+        """Return the factor of the light of the horizon's band on a vertical plane that reaches this one.
+
+        It is the sine of the tilt over an open horizon. The azimuths (n,) are evenly spaced. The horizon hides the band, of
+        ``HORIZON_BAND_DEG``, from below. Each azimuth counts by the cosine of its angle with that of the plane.
+        """
+        share = np.tan(np.radians(horizon_deg)) / np.tan(np.radians(HORIZON_BAND_DEG))
+        weight = np.maximum(self._facing(azimuth_deg), 0.0)
+        return float(np.sin(np.radians(self.tilt_deg)) * np.pi * np.mean(weight * (1.0 - np.clip(share, 0.0, 1.0))))
+
+    def _facing(self, azimuth_deg: np.ndarray) -> np.ndarray:
+        """Return the cosines (n,) of the angles between azimuths (n,) and that of the plane."""
+        return np.cos(np.radians(np.asarray(azimuth_deg) - self.azimuth_deg))
 
 
 Plane = Literal["ground", "level"] | TiltedPlane
@@ -77,3 +122,11 @@ def normals_in_block_plane(normals: PlaneNormals, east_north_of_cell_m: np.ndarr
         normals.north + normals.up * lean_north,
         normals.up - normals.east * lean_east - normals.north * lean_north,
     )
+
+
+def _light_below(altitude: np.ndarray, outward: np.ndarray, upward: float) -> np.ndarray:
+    """Return the integrals (n,) of the cosine of incidence times the cosine of the altitude, from the level to altitudes (n,).
+
+    Altitudes are radians. ``outward`` (n,) and ``upward`` are the components of the plane's normal towards the azimuths and up.
+    """
+    return outward * (altitude / 2.0 + np.sin(2.0 * altitude) / 4.0) + upward * np.sin(altitude) ** 2 / 2.0

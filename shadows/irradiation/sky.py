@@ -12,15 +12,9 @@ from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, evenly_spaced_azi
 from skugga.shadows.horizons.grid import HorizonGrid
 from skugga.shadows.horizons.scan import AzimuthHorizons, horizons_towards
 from skugga.shadows.horizons.sky_view import HALF_PI, arctan
-from skugga.shadows.irradiation.planes import PlaneNormals
+from skugga.shadows.irradiation.planes import HORIZON_BAND_DEG, PlaneNormals
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
-
-HORIZON_BAND_DEG = 6.5
-"""Height of the horizon's band (R. Perez et al. 1986, "An anisotropic hourly diffuse radiation model for sloping surfaces").
-
-Terrain in front of the band hides it from below.
-"""
 
 
 def sky_of_grid(grid: HorizonGrid, normals: PlaneNormals, azimuths: int = DEFAULT_AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:

@@ -14,9 +14,10 @@ from pyproj import Transformer
 
 from benchmarks.sweep_speed import fractal_heights_m
 from skugga.shadows.irradiation.at_point import PARTS, PointIrradiation, irradiation_at_point
+from skugga.shadows.irradiation.ground_plane import ground_plane
 from skugga.shadows.irradiation.irradiation import IrradiationRules, irradiation
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light
-from skugga.shadows.irradiation.plane import TiltedPlane, ground_plane
+from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
 from skugga.shadows.point.horizon import Surroundings, horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.shadows.irradiation.plane import TiltedPlane, ground_plane
+from skugga.shadows.irradiation.ground_plane import ground_plane
+from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.point.place import place_at
 
 AZIMUTH_DEG = np.arange(360.0)
