@@ -4,8 +4,8 @@ A walk follows a line of sight from a node towards the sun. It goes row by row o
 closer to a row. The line is compared with the ground where it crosses rows, columns and the diagonals of quads. Along the line the
 surface has its kinks there, as in the line sweep (``skugga.shadows.sweep.lines``). So the horizon is that of the triangles that
 cast shadows. Both diagonals of a quad are tested, since the lower one lies below the surface and has no effect. Whole tiles are
-skipped if their highest node stays below the horizon found so far (maximum mipmaps: Tevs, Ihrke and Seidel 2008). A walk ends where
-the line rises above all ground. The earth is round: a level line of sight rises above the ground with the square of its length.
+skipped if their highest node stays below the horizon found so far. A walk ends where the line rises above all ground. The earth is
+round: a level line of sight rises above the ground with the square of its length.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.surface import NodeHeights
+from skugga.terrain.heightfield.tile_maxima import write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS, BLOCK_QUADS = 8, 64
@@ -114,8 +115,8 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
         for window in windows[lod]:
             _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
         tops, block_tops = tile_max[tile_begin:block_begin], tile_max[block_begin : block_begin + counts[n][1]]
-        _write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
-        _write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
+        write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
+        write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
         grid_max[n] = block_tops.max(initial=-np.inf)
         origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**lod, block_begin
         begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
@@ -297,20 +298,3 @@ def _max_tangent(best_tangent, height_m, eye_m, distance_m):
     """
     rise = height_m - eye_m - EARTH_DROP_PER_M2 * distance_m * distance_m
     return rise / distance_m if rise > best_tangent * distance_m else best_tangent
-
-
-@compiled
-def _write_tile_max(height_m, tile_max_m, tile_quads):
-    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground.
-
-    ``height_m`` (rows, cols) are the heights of the nodes. A node on the border of two tiles counts for both.
-    """
-    rows, cols = height_m.shape
-    for a in range(tile_max_m.shape[0]):
-        for b in range(tile_max_m.shape[1]):
-            highest = np.float32(-np.inf)
-            for i in range(a * tile_quads, min(a * tile_quads + tile_quads + 1, rows)):
-                for j in range(b * tile_quads, min(b * tile_quads + tile_quads + 1, cols)):
-                    if height_m[i, j] > highest:
-                        highest = height_m[i, j]
-            tile_max_m[a, b] = highest

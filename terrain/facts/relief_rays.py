@@ -16,6 +16,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays, Probes
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.heightfield.tile_maxima import write_tile_max
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 
 SKIP_BLOCK_CELLS = 16
@@ -135,15 +136,12 @@ def _is_occluded(
 def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells.
 
-    A block's maximum includes the cells that adjoin the block.
+    A block's maximum includes the cells after its last row and column, since the ground is bilinear up to them.
     """
-    from scipy.ndimage import maximum_filter
-
     heights = np.nan_to_num(elevation.overview.mean_heights_m, nan=-1e9)
-    side = SKIP_BLOCK_CELLS
-    padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
-    rows, cols = (size // side for size in padded.shape)
-    return heights, np.ascontiguousarray(padded.reshape(rows, side, cols, side).max(axis=(1, 3)))
+    block_max = np.empty([-(-size // SKIP_BLOCK_CELLS) for size in heights.shape], np.float32)
+    write_tile_max(heights, block_max, SKIP_BLOCK_CELLS)
+    return heights, block_max
 
 
 @compiled
