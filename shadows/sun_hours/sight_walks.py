@@ -23,14 +23,15 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.surface import NodeHeights
+from skugga.terrain.heightfield.curvature import loop_curvature_drop_m
 from skugga.terrain.heightfield.tile_maxima import write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS, BLOCK_QUADS = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
-EARTH_DROP_PER_M2 = 0.5 / EARTH_RADIUS_M
-"""Height in metres that a level line of sight gains above the round earth, per square metre of its length."""
+EARTH_CURVATURE_PER_M = 1.0 / EARTH_RADIUS_M
+"""The earth's curvature. Hours of sun are those of levels on the earth only."""
 
 SEARCH_TANGENT, SEARCH_FACTOR = 0.02, 1.0
 """Limits of the search for a horizon below the sun: a tangent, and a multiple of the sun's change of tangent in the time step.
@@ -235,7 +236,7 @@ def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_met
             if (low < 0 and cross_sign < 0) or (high >= count_q and cross_sign > 0):
                 break
             outside = index < 0 or index >= count_p or next_index < 0 or next_index >= count_p or low < 0 or high >= count_q
-            if best > 0.0 and eye_m + best * far + EARTH_DROP_PER_M2 * far * far > grid_max[n]:
+            if best > 0.0 and eye_m + best * far + loop_curvature_drop_m(far, EARTH_CURVATURE_PER_M) > grid_max[n]:
                 break
             if outside:
                 k, x = k + 1, x + slope
@@ -250,7 +251,7 @@ def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_met
                     steps_left = int((side_end - x) * per_side)
                 max_in_tile = np.float64(tile_max[first + (b * wide + a if swapped else a * wide + b)])
                 lowest = best * far if best > 0.0 else best * (far + steps_left * unit)
-                if steps_left >= 1 and not max_in_tile > eye_m + lowest + EARTH_DROP_PER_M2 * far * far:
+                if steps_left >= 1 and not max_in_tile > eye_m + lowest + loop_curvature_drop_m(far, EARTH_CURVATURE_PER_M):
                     k, x, is_skipped = k + steps_left, x + slope * steps_left, True
                     break
             if is_skipped:
@@ -296,5 +297,5 @@ def _max_tangent(best_tangent, height_m, eye_m, distance_m):
 
     ``eye_m`` is the height of the eye, in metres above sea level like ``height_m``.
     """
-    rise = height_m - eye_m - EARTH_DROP_PER_M2 * distance_m * distance_m
+    rise = height_m - eye_m - loop_curvature_drop_m(distance_m, EARTH_CURVATURE_PER_M)
     return rise / distance_m if rise > best_tangent * distance_m else best_tangent

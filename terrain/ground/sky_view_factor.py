@@ -9,8 +9,7 @@ sky-view factor of a slope from its horizon angles.
 Horizon angles are computed in 16 azimuths: towards a node's 8 nearest and 8 next neighbours. The grid is divided into parallel
 lines in each of these azimuths, which pass through nodes, or half-way between two. A sweep along a line has a stack with the upper
 convex hull of the ground that it has passed (Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*). So the work is
-linear in the number of nodes, however far away an occluder is. The earth's curvature lowers distant ground by half the squared
-distance over the radius.
+linear in the number of nodes, however far away an occluder is.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cell_finder import CellFinder, cell_finder_of, cell_in_plane, project_to_plane
 from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.heightfield.curvature import loop_curvature_drop_m
 from skugga.terrain.interpolation_loops import lerp_corners
 
 MAX_SIDE_NODES = 1024
@@ -235,7 +235,7 @@ def _sweep_lines(
             node_height = height[r, c] if on_node else 0.5 * (height[r, c] + height[r + 1, c])
             if not np.isfinite(node_height):
                 continue
-            node_height -= 0.5 * curvature * distance_m * distance_m
+            node_height -= loop_curvature_drop_m(distance_m, curvature)
             while hull_size >= 2:
                 last, before = hull_size - 1, hull_size - 2
                 if (hull_height[before] - node_height) / (distance_m - hull_distance_m[before]) < (
