@@ -27,6 +27,7 @@ from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cell_finder import CellFinder, cell_finder_of, cell_in_plane, project_to_plane
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.heightfield.curvature import loop_curvature_drop_m
+from skugga.terrain.heightfield.slopes import node_slopes
 from skugga.terrain.interpolation_loops import lerp_corners
 
 MAX_SIDE_NODES = 1024
@@ -115,7 +116,7 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
     neighbouring nodes along a row and from row to row. ``curvature`` is 1 over the earth's radius, per metre.
     """
     height_m = np.ascontiguousarray(height_m, np.float64)
-    slope = _slopes(height_m, col_spacing_m, row_spacing_m)
+    slope = node_slopes(height_m, col_spacing_m, row_spacing_m)
     transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
     for direction in (1, -1):
@@ -157,30 +158,6 @@ def _sector_width(half_rows_per_col: int, spacing_ratio: np.ndarray) -> np.ndarr
     if abs(half_rows_per_col) < 2:
         return angles[abs(half_rows_per_col)]
     return (np.arctan(spacing_ratio * 2) - np.arctan(spacing_ratio / 2)) / 2
-
-
-@compiled
-def _slopes(height, col_spacing_m, row_spacing_m):
-    """Return the slopes (rows, cols, 2) of a heightfield, in metres per metre: towards higher columns, and towards higher rows.
-
-    Differences are central, and one-sided beside holes and at borders.
-    """
-    rows, cols = height.shape
-    out = np.empty((rows, cols, 2))
-    for r in range(rows):
-        for c in range(cols):
-            out[r, c, 0], out[r, c, 1] = 0.0, 0.0
-            if not np.isfinite(height[r, c]):
-                continue
-            west = 1 if c > 0 and np.isfinite(height[r, c - 1]) else 0
-            east = 1 if c < cols - 1 and np.isfinite(height[r, c + 1]) else 0
-            north = 1 if r > 0 and np.isfinite(height[r - 1, c]) else 0
-            south = 1 if r < rows - 1 and np.isfinite(height[r + 1, c]) else 0
-            if west + east > 0:
-                out[r, c, 0] = (height[r, c + east] - height[r, c - west]) / (col_spacing_m[r] * (west + east))
-            if north + south > 0:
-                out[r, c, 1] = (height[r + south, c] - height[r - north, c]) / (row_spacing_m[r] * (north + south))
-    return out
 
 
 @internal
