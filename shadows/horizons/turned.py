@@ -23,7 +23,7 @@ from skugga.shadows.horizons.march import (
 )  # fmt: skip
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import run_in_chunks
-from skugga.terrain.heightfield.curvature import curvature_drop_m
+from skugga.terrain.heightfield.walks import curvature_drop_m
 
 MAX_CHORD_ERROR = float(np.tan(np.radians(0.5)))
 """Tangent of the largest angle that may be lost between two crossings of rows (``skugga.shadows.horizons.march``).

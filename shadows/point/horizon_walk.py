@@ -23,7 +23,7 @@ from skugga.shadows.point.sight_lines import SightLines, sight_lines
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
-from skugga.terrain.heightfield.grid_traversal import exit_share
+from skugga.terrain.heightfield.walks import exit_share
 from skugga.terrain.scene import Scene
 
 NO_GROUND_TANGENT = -1e30

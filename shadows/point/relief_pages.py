@@ -23,7 +23,7 @@ from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.columns import Columns
 from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from skugga.terrain.ground.surface import Surface
-from skugga.terrain.heightfield.tile_maxima import write_tile_max
+from skugga.terrain.heightfield.walks import write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS = 8

@@ -23,8 +23,7 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.surface import NodeHeights
-from skugga.terrain.heightfield.curvature import loop_curvature_drop_m
-from skugga.terrain.heightfield.tile_maxima import write_tile_max
+from skugga.terrain.heightfield.walks import loop_curvature_drop_m, write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS, BLOCK_QUADS = 8, 64

@@ -42,7 +42,7 @@ from skugga.terrain.ground.extremes import update_ranges
 from skugga.terrain.ground.grid_key import grid_key
 from skugga.terrain.ground.surface import RefinedWindow, Surface
 from skugga.terrain.ground.surface_loops import refine_row
-from skugga.terrain.heightfield.curvature import curvature_drop_m
+from skugga.terrain.heightfield.walks import curvature_drop_m
 from skugga.terrain.scene import Scene
 
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))

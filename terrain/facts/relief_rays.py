@@ -16,8 +16,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays, Probes
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.heightfield.grid_traversal import exit_share
-from skugga.terrain.heightfield.tile_maxima import write_tile_max
+from skugga.terrain.heightfield.walks import exit_share, write_tile_max
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 
 SKIP_BLOCK_CELLS = 16
@@ -27,7 +26,7 @@ ENTRY_STEP_CELLS = 1e-6
 """Distance in cells behind an edge at which a ray is located, to find the square that it enters."""
 
 MIN_OCCLUDER_CELLS = 1.0
-"""Minimum distance of an occluder from the start of a ray, in cells. Nearer ground is that on which the ray starts."""
+"""Minimum distance of an occluder from the start of a ray, in cells of its main axis. Nearer ground is that on which it starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +116,6 @@ def _is_occluded(
 
     ``start_offset_frame_m`` (k, n, 3) are the offsets of the starts from the probes.
     """
-    heights, tops = _heights_and_block_maxima(elevation)
     direction = rays.direction_frame
 
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -126,13 +124,12 @@ def _is_occluded(
     rise = dot(direction, probe_positions.up_frame)
     bend = world.curvature / 2.0
     return _trace_blocked(
-        heights, tops, tops.max(), SKIP_BLOCK_CELLS,
+        *_heights_and_block_maxima(elevation),
         probe_positions.row + dot(start_offset_frame_m, probe_positions.row_gradient_frame),
         probe_positions.col + dot(start_offset_frame_m, probe_positions.col_gradient_frame),
-        probe_positions.height_m + dot(start_offset_frame_m, probe_positions.up_frame), dot(direction,
-        probe_positions.row_gradient_frame),
-        dot(direction, probe_positions.col_gradient_frame), rise,
-        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
+        probe_positions.height_m + dot(start_offset_frame_m, probe_positions.up_frame),
+        dot(direction, probe_positions.row_gradient_frame), dot(direction, probe_positions.col_gradient_frame), rise,
+        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m),
     )  # fmt: skip
 
 
@@ -149,17 +146,15 @@ def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndar
 
 
 @compiled
-def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, min_distance_cells):
+def _trace_blocked(heights, block_max, row, col, height, d_row, d_col, rise, bend, length):
     """Return whether the ground blocks each ray, bool (k, n).
 
     Parameters with the shape (k, n) describe the rays. Distances along them are metres, rows and columns those of the overview.
 
     Parameters
     ----------
-    heights, block_max, highest
-        Heights (rows, cols) of the overview's cells, maximum height of each block of cells, and the maximum of all, metres.
-    side
-        Cells along the side of a block.
+    heights, block_max
+        Heights (rows, cols) of the overview's cells and maximum height of each block of cells, metres.
     row, col, height
         Fractional cell positions and heights of the starts, metres.
     d_row, d_col
@@ -168,10 +163,8 @@ def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d
         The height at distance t from the start is ``height + t * (rise + bend * t)``. ``bend`` allows for the earth's curvature.
     length
         Lengths, metres; infinite for the sun.
-    min_distance_cells
-        Minimum distance of an occluder from the start, in cells along the axis on which the ray crosses more cells.
     """
-    rows, cols = heights.shape
+    (rows, cols), side, highest = heights.shape, SKIP_BLOCK_CELLS, block_max.max()
     max_row, max_col = rows - 1 + ENTRY_STEP_CELLS, cols - 1 + ENTRY_STEP_CELLS
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
@@ -182,7 +175,7 @@ def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d
             if not (max_rate > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
             per_row, per_col = 1.0 / dr if dr != 0.0 else np.inf, 1.0 / dc if dc != 0.0 else np.inf
-            t, epsilon = min_distance_cells / max_rate, ENTRY_STEP_CELLS / max_rate
+            t, epsilon = MIN_OCCLUDER_CELLS / max_rate, ENTRY_STEP_CELLS / max_rate
             while t < length[i, n]:
                 r, c, h = r0 + t * dr, c0 + t * dc, height[i, n] + t * (up + bend[i, n] * t)
                 is_inside = -ENTRY_STEP_CELLS <= r <= max_row and -ENTRY_STEP_CELLS <= c <= max_col

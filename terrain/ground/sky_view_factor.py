@@ -26,8 +26,8 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cell_finder import CellFinder, cell_finder_of, cell_in_plane, project_to_plane
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.heightfield.curvature import loop_curvature_drop_m
 from skugga.terrain.heightfield.slopes import node_slopes
+from skugga.terrain.heightfield.walks import loop_curvature_drop_m
 from skugga.terrain.interpolation_loops import lerp_corners
 
 MAX_SIDE_NODES = 1024
@@ -119,32 +119,13 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
     slope = node_slopes(height_m, col_spacing_m, row_spacing_m)
     transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
+    along_rows = (height_m, slope, col_spacing_m, row_spacing_m, True), (-2, -1, 0, 1, 2), occlusion
+    along_cols = (*transposed, row_spacing_m, col_spacing_m, False), (-1, 0, 1), transposed_occlusion
     for direction in (1, -1):
-        for half_rows_per_col in (-2, -1, 0, 1, 2):
-            _sweep_lines(
-                height_m,
-                slope,
-                col_spacing_m,
-                row_spacing_m,
-                True,
-                _sector_width(half_rows_per_col, row_spacing_m / col_spacing_m),
-                half_rows_per_col,
-                direction,
-                curvature,
-                occlusion,
-            )
-        for half_rows_per_col in (-1, 0, 1):
-            _sweep_lines(
-                *transposed,
-                row_spacing_m,
-                col_spacing_m,
-                False,
-                _sector_width(half_rows_per_col, col_spacing_m / row_spacing_m),
-                half_rows_per_col,
-                direction,
-                curvature,
-                transposed_occlusion,
-            )
+        for field, steps, out in (along_rows, along_cols):
+            for half_rows_per_col in steps:
+                sector_width = _sector_width(half_rows_per_col, field[3] / field[2])
+                _sweep_lines(*field, sector_width, half_rows_per_col, direction, curvature, out)
     return np.clip(occlusion + transposed_occlusion.T, 0.0, 1.0).astype(np.float32)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.terrain.facts.relief_rays import MIN_OCCLUDER_CELLS, SKIP_BLOCK_CELLS, _trace_blocked
-from skugga.terrain.heightfield.tile_maxima import write_tile_max
+from skugga.terrain.facts.relief_rays import SKIP_BLOCK_CELLS, _trace_blocked
+from skugga.terrain.heightfield.walks import write_tile_max
 
 SIDE, WALL_M = 65, 100.0
 
@@ -20,8 +20,7 @@ def is_blocked(heights_m: np.ndarray, row: np.ndarray, col: np.ndarray, towards:
     write_tile_max(heights_m, block_max, SKIP_BLOCK_CELLS)
     start_m, bend, length_m = np.ones_like(row), np.zeros_like(row), np.full_like(row, np.inf)
     per_ray = (values[None] for values in (row, col, start_m, towards[0], towards[1], rise, bend, length_m))
-    blocked = _trace_blocked(heights_m, block_max, block_max.max(), SKIP_BLOCK_CELLS, *per_ray, MIN_OCCLUDER_CELLS)
-    return np.asarray(blocked[0])
+    return np.asarray(_trace_blocked(heights_m, block_max, *per_ray)[0])
 
 
 @pytest.mark.parametrize("wall", [0, 20, 32, SIDE - 1], ids=["first row", "inside", "border of blocks", "last row"])

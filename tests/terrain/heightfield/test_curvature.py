@@ -6,7 +6,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 from skugga.terrain.geo.world import EARTH_RADIUS_M
-from skugga.terrain.heightfield.curvature import curvature_drop_m, loop_curvature_drop_m
+from skugga.terrain.heightfield.walks import curvature_drop_m, loop_curvature_drop_m
 
 DISTANCES_M = np.array([0.0, 100.0, 1e3, 1e4, 1e5])
 

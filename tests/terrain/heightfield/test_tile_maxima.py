@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.terrain.heightfield.tile_maxima import write_tile_max
+from skugga.terrain.heightfield.walks import write_tile_max
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1))
