@@ -16,6 +16,7 @@ from pyproj import CRS
 
 from skugga.shadows.horizons.grid import FarGround, HorizonGrid
 from skugga.shadows.sun_hours.sun_hours import ground_extent
+from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.surface import Surface
@@ -138,13 +139,13 @@ def _far_ground(
     ``margins`` are the nodes of near ground above, below, left and right of the block.
     """
     low_m, high_m = scene.height_range_m
-    radius_m = np.inf if scene.world.curvature == 0.0 else float(np.sqrt(2.0 * max(high_m - low_m, 1.0) / scene.world.curvature))
+    farthest_m = longest_shadow_m(max(high_m - low_m, 1.0), 0.0, not scene.world.is_flat, scene.world.radius_m)
     up, down, before, after = margins
     inner = -up, block.rows - 1 + down, -before, block.cols - 1 + after  # rows and columns of finer ground, from the first eye
     out: list[FarGround] = []
     for step in range(0 if near < NEAR_NODES else 1, MAX_FAR_STEPS):
         factor = 2**step
-        reach = int(min(NEAR_NODES * factor, np.ceil(radius_m / cell_m)))
+        reach = int(min(NEAR_NODES * factor, np.ceil(farthest_m / cell_m)))
         reach = -(-reach // factor) * factor
         rows = np.arange(-(reach // factor), (block.rows - 1 + reach) // factor + 1)
         cols = np.arange(-(reach // factor), (block.cols - 1 + reach) // factor + 1)
@@ -159,7 +160,7 @@ def _far_ground(
         is_all = (
             inner[0] <= ground_rows[0] and inner[1] >= ground_rows[1] and inner[2] <= ground_cols[0] and inner[3] >= ground_cols[1]
         )
-        if is_all or reach * cell_m >= radius_m:
+        if is_all or reach * cell_m >= farthest_m:
             break
     return out
 

@@ -25,6 +25,7 @@ from skugga.shadows.horizons.march import NO_GROUND_TANGENT
 from skugga.shadows.horizons.scan import AzimuthHorizons, horizons_towards
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
+from skugga.terrain.heightfield.slopes import node_slopes
 
 HALF_PI = np.float32(np.pi / 2.0)
 
@@ -106,23 +107,15 @@ def ground_slopes(grid: HorizonGrid) -> tuple[np.ndarray, np.ndarray]:
 
     The differences are central, and one-sided beside ground that is missing; 0 for a node without neighbours.
     """
-    down, right = (_differences(grid.shown_height_m, axis)[grid.eyes] for axis in (0, 1))
+    height_m = grid.shown_height_m
+    per_node = np.ones(len(height_m))
+    slopes = node_slopes(height_m, per_node, per_node)[grid.eyes].astype(np.float32)
+    right, down = slopes[..., 0], slopes[..., 1]
     # The gradient in cells, (down, right), becomes one in metres: each coordinate of a cell depends on east and on north.
     cells_of = np.linalg.inv(grid.east_north_of_cell_m)
     east = down * np.float32(cells_of[0, 0]) + right * np.float32(cells_of[1, 0])
     north = down * np.float32(cells_of[0, 1]) + right * np.float32(cells_of[1, 1])
     return east, north
-
-
-def _differences(height_m: np.ndarray, axis: int) -> np.ndarray:
-    """Return the rise per node along an axis, float32 (rows, cols): central where both neighbours have ground."""
-    before, after = (np.full(height_m.shape, np.nan, np.float32) for _ in range(2))
-    first, rest = [slice(None)] * 2, [slice(None)] * 2
-    first[axis], rest[axis] = slice(None, -1), slice(1, None)
-    step = height_m[tuple(rest)] - height_m[tuple(first)]
-    before[tuple(rest)], after[tuple(first)] = step, step
-    both = np.isfinite(before) & np.isfinite(after)
-    return np.where(both, np.float32(0.5) * (before + after), np.nan_to_num(np.where(np.isfinite(before), before, after)))
 
 
 @compiled

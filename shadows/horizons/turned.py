@@ -23,6 +23,7 @@ from skugga.shadows.horizons.march import (
 )  # fmt: skip
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import run_in_chunks
+from skugga.terrain.heightfield.walks import curvature_drop_m
 
 MAX_CHORD_ERROR = float(np.tan(np.radians(0.5)))
 """Tangent of the largest angle that may be lost between two crossings of rows (``skugga.shadows.horizons.march``).
@@ -131,7 +132,7 @@ def turned_ground(height_m: np.ndarray, level_m: np.float32, orientation: GridOr
 def rays_of(rows: int, columns_per_row: float, metres_per_row: float, curvature_per_m: float) -> Rays:
     """Return the rays of one azimuth that move by ``columns_per_row``, 0 to 1, and by ``metres_per_row`` in each row.
 
-    ``rows`` is the number of rows of the grid. The level falls by half the squared distance times ``curvature_per_m``.
+    ``rows`` is the number of rows of the grid. The level falls with the distance by ``curvature_drop_m``.
     """
     k = np.arange(rows + 4, dtype=np.float64)
     column = np.floor(k * columns_per_row + NODE_TOLERANCE)
@@ -147,7 +148,7 @@ def rays_of(rows: int, columns_per_row: float, metres_per_row: float, curvature_
     return Rays(
         column=column.astype(np.int64),
         row_terms=_terms(share, distance_m, curvature_per_m),
-        fall_m=(0.5 * curvature_per_m * distance_m**2).astype(np.float32),
+        fall_m=curvature_drop_m(distance_m, curvature_per_m).astype(np.float32),
         distance_m=distance_m.astype(np.float32),
         columns_per_row=np.float32(columns_per_row),
         edge_start=edge_start.astype(np.int64),
@@ -189,4 +190,5 @@ def _terms(share: np.ndarray, distance_m: np.ndarray, curvature_per_m: float) ->
     """Return the terms of ``Rays`` for crossings at a share of the way between two nodes, float32 (crossings, 4)."""
     with np.errstate(divide="ignore"):
         near = np.where(distance_m > 0.0, 1.0 / distance_m, 0.0)
-    return np.stack([(1.0 - share) * near, share * near, 0.5 * curvature_per_m * distance_m, near], axis=1).astype(np.float32)
+    fall = curvature_drop_m(distance_m, curvature_per_m) * near
+    return np.stack([(1.0 - share) * near, share * near, fall, near], axis=1).astype(np.float32)

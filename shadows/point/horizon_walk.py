@@ -23,6 +23,7 @@ from skugga.shadows.point.sight_lines import SightLines, sight_lines
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
+from skugga.terrain.heightfield.walks import exit_share
 from skugga.terrain.scene import Scene
 
 NO_GROUND_TANGENT = -1e30
@@ -306,7 +307,7 @@ def _follow_line(pages, lines, walks, needed_pages, n):
             page_row, page_col = i // PATCH_QUADS, j // PATCH_QUADS
             a, b = page_row - first_row, page_col - first_col
             page_top, page_left = page_row * PATCH_QUADS, page_col * PATCH_QUADS
-            t_out = _exit_share(r0, per_row, c0, per_col, page_top, page_left, float(PATCH_QUADS), t + step)
+            t_out = exit_share(r0, per_row, c0, per_col, page_top, page_left, float(PATCH_QUADS), t + step)
             has_page = a >= 0 and b >= 0 and a < rows and b < cols
             if not has_page or not _can_exceed(page_bound_m[a, b], eye, highest[0], kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
@@ -320,13 +321,13 @@ def _follow_line(pages, lines, walks, needed_pages, n):
                 break
             tile_row, tile_col = (i - page_top) // TILE_QUADS, (j - page_left) // TILE_QUADS
             tile_top, tile_left = page_top + tile_row * TILE_QUADS, page_left + tile_col * TILE_QUADS
-            t_out = _exit_share(r0, per_row, c0, per_col, tile_top, tile_left, float(TILE_QUADS), t + step)
+            t_out = exit_share(r0, per_row, c0, per_col, tile_top, tile_left, float(TILE_QUADS), t + step)
             tile_m = tile_max_m[number, tile_row, tile_col]
             if not _can_exceed(tile_m, eye, highest[0], kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
             while True:  # each quad of the tile
-                t_out = _exit_share(r0, per_row, c0, per_col, i, j, 1.0, t + step)
+                t_out = exit_share(r0, per_row, c0, per_col, i, j, 1.0, t + step)
                 if distance_nodes >= near_nodes:
                     y, x = i - page_top, j - page_left
                     end = min(t_out, 1.0)
@@ -364,22 +365,6 @@ def _follow_line(pages, lines, walks, needed_pages, n):
             piece, t = piece + 1, 0.0
     walks.piece_index[n], walks.piece_share[n], walks.has_ended[n] = piece, t, not needs_page
     walks.tangent[n], walks.distance_m[n], walks.height_m[n] = highest
-
-
-@internal
-def _exit_share(r0, per_row, c0, per_col, top, left, side_quads, min_share):
-    """Return the position on a piece of a line, as a share of its length, at which it leaves a square of the grid.
-
-    The piece starts at row ``r0`` and column ``c0``. It passes one row in the share ``per_row`` of its length and one column in
-    ``per_col``; they are negative towards smaller rows and columns, and inf along them. The square has its first corner at ``top``
-    and ``left``, and a side of ``side_quads`` quads. The result is at least ``min_share``.
-    """
-    share = np.inf
-    if per_row < np.inf:
-        share = ((top + side_quads if per_row > 0.0 else top) - r0) * per_row
-    if per_col < np.inf:
-        share = min(share, ((left + side_quads if per_col > 0.0 else left) - c0) * per_col)
-    return max(share, min_share)
 
 
 @internal

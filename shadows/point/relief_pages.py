@@ -17,12 +17,13 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.overview_cells import overview_on_grid
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES
-from skugga.terrain.compiled import compiled
+from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.columns import Columns
 from skugga.terrain.ground.elevation import MAX_FILL_CELLS, Elevation
 from skugga.terrain.ground.surface import Surface
+from skugga.terrain.heightfield.walks import write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS = 8
@@ -72,7 +73,7 @@ class PagedLevel:
             capacity = max(2 * self.page_count, 16)
             self.height_m, self.tile_max_m = _enlarged_copy(self.height_m, capacity), _enlarged_copy(self.tile_max_m, capacity)
         self.height_m[self.page_count] = height_m
-        self.tile_max_m[self.page_count] = _tile_max(height_m)
+        write_tile_max(height_m, self.tile_max_m[self.page_count], TILE_QUADS)
         self.page_index[row, col] = self.page_count
         self.page_count += 1
 
@@ -260,26 +261,7 @@ def _enlarged_copy(array: np.ndarray, capacity: int) -> np.ndarray:
     return grown
 
 
-@compiled
-def _tile_max(height):
-    """Return the maximum height (32, 32) of each tile of a page with nodes (257, 257); -inf without ground.
-
-    A node on the border of two tiles counts for both.
-    """
-    out = np.empty((PAGE_TILES, PAGE_TILES), np.float32)
-    out[:] = -np.inf
-    for i in range(height.shape[0]):
-        for j in range(height.shape[1]):
-            h = height[i, j]
-            if np.isnan(h):
-                continue
-            for r in range(max((i - 1) // TILE_QUADS, 0), min(i // TILE_QUADS, PAGE_TILES - 1) + 1):
-                for c in range(max((j - 1) // TILE_QUADS, 0), min(j // TILE_QUADS, PAGE_TILES - 1) + 1):
-                    out[r, c] = max(out[r, c], h)
-    return out
-
-
-@compiled
+@internal
 def quad_height(nw, ne, sw, se, down_share, right_share):
     """Return the height of the ground at a position in a quad.
 

@@ -4,8 +4,8 @@ A walk follows a line of sight from a node towards the sun. It goes row by row o
 closer to a row. The line is compared with the ground where it crosses rows, columns and the diagonals of quads. Along the line the
 surface has its kinks there, as in the line sweep (``skugga.shadows.sweep.lines``). So the horizon is that of the triangles that
 cast shadows. Both diagonals of a quad are tested, since the lower one lies below the surface and has no effect. Whole tiles are
-skipped if their highest node stays below the horizon found so far (maximum mipmaps: Tevs, Ihrke and Seidel 2008). A walk ends where
-the line rises above all ground. The earth is round: a level line of sight rises above the ground with the square of its length.
+skipped if their highest node stays below the horizon found so far. A walk ends where the line rises above all ground. The earth is
+round: a level line of sight rises above the ground with the square of its length.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.geo.world import EARTH_RADIUS_M, World
 from skugga.terrain.ground.surface import NodeHeights
+from skugga.terrain.heightfield.walks import loop_curvature_drop_m, write_tile_max
 from skugga.terrain.scene import Scene
 
 TILE_QUADS, BLOCK_QUADS = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
-EARTH_DROP_PER_M2 = 0.5 / EARTH_RADIUS_M
-"""Height in metres that a level line of sight gains above the round earth, per square metre of its length."""
+EARTH_CURVATURE_PER_M = 1.0 / EARTH_RADIUS_M
+"""The earth's curvature. Hours of sun are those of levels on the earth only."""
 
 SEARCH_TANGENT, SEARCH_FACTOR = 0.02, 1.0
 """Limits of the search for a horizon below the sun: a tangent, and a multiple of the sun's change of tangent in the time step.
@@ -114,8 +115,8 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
         for window in windows[lod]:
             _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
         tops, block_tops = tile_max[tile_begin:block_begin], tile_max[block_begin : block_begin + counts[n][1]]
-        _write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
-        _write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
+        write_tile_max(grid, tops.reshape(-1, -(-(cols - 1) // TILE_QUADS)), TILE_QUADS)
+        write_tile_max(grid, block_tops.reshape(-1, -(-(cols - 1) // BLOCK_QUADS)), BLOCK_QUADS)
         grid_max[n] = block_tops.max(initial=-np.inf)
         origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**lod, block_begin
         begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
@@ -234,7 +235,7 @@ def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_met
             if (low < 0 and cross_sign < 0) or (high >= count_q and cross_sign > 0):
                 break
             outside = index < 0 or index >= count_p or next_index < 0 or next_index >= count_p or low < 0 or high >= count_q
-            if best > 0.0 and eye_m + best * far + EARTH_DROP_PER_M2 * far * far > grid_max[n]:
+            if best > 0.0 and eye_m + best * far + loop_curvature_drop_m(far, EARTH_CURVATURE_PER_M) > grid_max[n]:
                 break
             if outside:
                 k, x = k + 1, x + slope
@@ -249,7 +250,7 @@ def horizon_tangent(ground, row, col, eye_height_m, rows_per_metre, cols_per_met
                     steps_left = int((side_end - x) * per_side)
                 max_in_tile = np.float64(tile_max[first + (b * wide + a if swapped else a * wide + b)])
                 lowest = best * far if best > 0.0 else best * (far + steps_left * unit)
-                if steps_left >= 1 and not max_in_tile > eye_m + lowest + EARTH_DROP_PER_M2 * far * far:
+                if steps_left >= 1 and not max_in_tile > eye_m + lowest + loop_curvature_drop_m(far, EARTH_CURVATURE_PER_M):
                     k, x, is_skipped = k + steps_left, x + slope * steps_left, True
                     break
             if is_skipped:
@@ -295,22 +296,5 @@ def _max_tangent(best_tangent, height_m, eye_m, distance_m):
 
     ``eye_m`` is the height of the eye, in metres above sea level like ``height_m``.
     """
-    rise = height_m - eye_m - EARTH_DROP_PER_M2 * distance_m * distance_m
+    rise = height_m - eye_m - loop_curvature_drop_m(distance_m, EARTH_CURVATURE_PER_M)
     return rise / distance_m if rise > best_tangent * distance_m else best_tangent
-
-
-@compiled
-def _write_tile_max(height_m, tile_max_m, tile_quads):
-    """Write the maximum height of each square tile of ``tile_quads`` quads a side to ``tile_max_m``; -inf without ground.
-
-    ``height_m`` (rows, cols) are the heights of the nodes. A node on the border of two tiles counts for both.
-    """
-    rows, cols = height_m.shape
-    for a in range(tile_max_m.shape[0]):
-        for b in range(tile_max_m.shape[1]):
-            highest = np.float32(-np.inf)
-            for i in range(a * tile_quads, min(a * tile_quads + tile_quads + 1, rows)):
-                for j in range(b * tile_quads, min(b * tile_quads + tile_quads + 1, cols)):
-                    if height_m[i, j] > highest:
-                        highest = height_m[i, j]
-            tile_max_m[a, b] = highest

@@ -42,6 +42,7 @@ from skugga.terrain.ground.extremes import update_ranges
 from skugga.terrain.ground.grid_key import grid_key
 from skugga.terrain.ground.surface import RefinedWindow, Surface
 from skugga.terrain.ground.surface_loops import refine_row
+from skugga.terrain.heightfield.walks import curvature_drop_m
 from skugga.terrain.scene import Scene
 
 SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -305,9 +306,9 @@ def _light_space_bounds(
     in_light = scene.light_space.points_from_earth(ends)
     in_light = np.concatenate([in_light, scene.light_space.horizontal_sunward_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if reference_height == "lowest" else 1, ..., 1]
-    bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
-    if not scene.world.is_flat:
-        bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
+    diagonal_m = np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1, keepdims=True)
+    # Twice the maximum rise of the earth above the plane of four corners.
+    bulge = 2.0 * curvature_drop_m(0.5 * diagonal_m, scene.world.curvature)
     low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)
 

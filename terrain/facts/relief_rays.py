@@ -16,13 +16,17 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays, Probes
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.heightfield.walks import exit_share, write_tile_max
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 
 SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that a ray can skip at once."""
 
+ENTRY_STEP_CELLS = 1e-6
+"""Distance in cells behind an edge at which a ray is located, to find the square that it enters."""
+
 MIN_OCCLUDER_CELLS = 1.0
-"""Minimum distance of an occluder from the start of a ray, in cells. Nearer ground is that on which the ray starts."""
+"""Minimum distance of an occluder from the start of a ray, in cells of its main axis. Nearer ground is that on which it starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,6 @@ def _is_occluded(
 
     ``start_offset_frame_m`` (k, n, 3) are the offsets of the starts from the probes.
     """
-    heights, tops = _heights_and_block_maxima(elevation)
     direction = rays.direction_frame
 
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -121,13 +124,12 @@ def _is_occluded(
     rise = dot(direction, probe_positions.up_frame)
     bend = world.curvature / 2.0
     return _trace_blocked(
-        heights, tops, tops.max(), SKIP_BLOCK_CELLS,
+        *_heights_and_block_maxima(elevation),
         probe_positions.row + dot(start_offset_frame_m, probe_positions.row_gradient_frame),
         probe_positions.col + dot(start_offset_frame_m, probe_positions.col_gradient_frame),
-        probe_positions.height_m + dot(start_offset_frame_m, probe_positions.up_frame), dot(direction,
-        probe_positions.row_gradient_frame),
-        dot(direction, probe_positions.col_gradient_frame), rise,
-        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), MIN_OCCLUDER_CELLS,
+        probe_positions.height_m + dot(start_offset_frame_m, probe_positions.up_frame),
+        dot(direction, probe_positions.row_gradient_frame), dot(direction, probe_positions.col_gradient_frame), rise,
+        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m),
     )  # fmt: skip
 
 
@@ -135,29 +137,24 @@ def _is_occluded(
 def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells.
 
-    A block's maximum includes the cells that adjoin the block.
+    A block's maximum includes the cells after its last row and column, since the ground is bilinear up to them.
     """
-    from scipy.ndimage import maximum_filter
-
     heights = np.nan_to_num(elevation.overview.mean_heights_m, nan=-1e9)
-    side = SKIP_BLOCK_CELLS
-    padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
-    rows, cols = (size // side for size in padded.shape)
-    return heights, np.ascontiguousarray(padded.reshape(rows, side, cols, side).max(axis=(1, 3)))
+    block_max = np.empty([-(-size // SKIP_BLOCK_CELLS) for size in heights.shape], np.float32)
+    write_tile_max(heights, block_max, SKIP_BLOCK_CELLS)
+    return heights, block_max
 
 
 @compiled
-def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, min_distance_cells):
+def _trace_blocked(heights, block_max, row, col, height, d_row, d_col, rise, bend, length):
     """Return whether the ground blocks each ray, bool (k, n).
 
     Parameters with the shape (k, n) describe the rays. Distances along them are metres, rows and columns those of the overview.
 
     Parameters
     ----------
-    heights, block_max, highest
-        Heights (rows, cols) of the overview's cells, maximum height of each block of cells, and the maximum of all, metres.
-    side
-        Cells along the side of a block.
+    heights, block_max
+        Heights (rows, cols) of the overview's cells and maximum height of each block of cells, metres.
     row, col, height
         Fractional cell positions and heights of the starts, metres.
     d_row, d_col
@@ -166,46 +163,36 @@ def _trace_blocked(heights, block_max, highest, side, row, col, height, d_row, d
         The height at distance t from the start is ``height + t * (rise + bend * t)``. ``bend`` allows for the earth's curvature.
     length
         Lengths, metres; infinite for the sun.
-    min_distance_cells
-        Minimum distance of an occluder from the start, in cells along the axis on which the ray crosses more cells.
     """
-    rows, cols = heights.shape
+    (rows, cols), side, highest = heights.shape, SKIP_BLOCK_CELLS, block_max.max()
+    max_row, max_col = rows - 1 + ENTRY_STEP_CELLS, cols - 1 + ENTRY_STEP_CELLS
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
         for n in range(row.shape[1]):
             out[i, n] = False
-            max_rate = max(abs(d_row[i, n]), abs(d_col[i, n]))
+            r0, c0, dr, dc, up = row[i, n], col[i, n], d_row[i, n], d_col[i, n], rise[i, n]
+            max_rate = max(abs(dr), abs(dc))
             if not (max_rate > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
-            step = 1.0 / max_rate
-            t = min_distance_cells * step
+            per_row, per_col = 1.0 / dr if dr != 0.0 else np.inf, 1.0 / dc if dc != 0.0 else np.inf
+            t, epsilon = MIN_OCCLUDER_CELLS / max_rate, ENTRY_STEP_CELLS / max_rate
             while t < length[i, n]:
-                r, c = row[i, n] + t * d_row[i, n], col[i, n] + t * d_col[i, n]
-                h = height[i, n] + t * (rise[i, n] + bend[i, n] * t)
-                if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1) or (h > highest and rise[i, n] >= 0.0):
+                r, c, h = r0 + t * dr, c0 + t * dc, height[i, n] + t * (up + bend[i, n] * t)
+                is_inside = -ENTRY_STEP_CELLS <= r <= max_row and -ENTRY_STEP_CELLS <= c <= max_col
+                if not is_inside or (h > highest and up >= 0.0):
                     break
                 block_row, block_col = int(r) // side, int(c) // side
-                if rise[i, n] >= 0.0 and h > block_max[block_row, block_col]:
-                    # Step to the far edge of the block, and slightly beyond it because of rounding.
-                    epsilon = 1e-6
-                    out_row = ((block_row + (d_row[i, n] > 0.0)) * side - r) / d_row[i, n] if d_row[i, n] != 0.0 else np.inf
-                    out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
-                    t += max(min(out_row, out_col), 0.0) + epsilon * step
+                if up >= 0.0 and h > block_max[block_row, block_col]:
+                    t = exit_share(r0, per_row, c0, per_col, block_row * side, block_col * side, float(side), t) + epsilon
                     continue
-                r0, r1, row_fraction = cell_interval(r, rows)
-                c0, c1, col_fraction = cell_interval(c, cols)
-                if (
-                    blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], row_fraction, col_fraction)
-                    > h
-                ):
+                row_before, row_after, row_fraction = cell_interval(r, rows)
+                col_before, col_after, col_fraction = cell_interval(c, cols)
+                north_west, north_east = heights[row_before, col_before], heights[row_before, col_after]
+                south_west, south_east = heights[row_after, col_before], heights[row_after, col_after]
+                if blend_corners(north_west, north_east, south_west, south_east, row_fraction, col_fraction) > h:
                     out[i, n] = True
                     break
-                # Step to the next row or column of cells, where bilinear ground has its edges.
-                next_row = (np.floor(r) + 1.0 - r if d_row[i, n] > 0.0 else np.ceil(r) - 1.0 - r) / d_row[i, n]
-                next_col = (np.floor(c) + 1.0 - c if d_col[i, n] > 0.0 else np.ceil(c) - 1.0 - c) / d_col[i, n]
-                if d_row[i, n] == 0.0:
-                    next_row = np.inf
-                if d_col[i, n] == 0.0:
-                    next_col = np.inf
-                t += max(min(next_row, next_col), 1e-6 * step)
+                # Go to the next row or column of cells, where bilinear ground has its edges.
+                top, left = np.floor(r + epsilon * dr), np.floor(c + epsilon * dc)
+                t = exit_share(r0, per_row, c0, per_col, top, left, 1.0, t + epsilon)
     return out

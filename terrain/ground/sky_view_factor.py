@@ -9,8 +9,7 @@ sky-view factor of a slope from its horizon angles.
 Horizon angles are computed in 16 azimuths: towards a node's 8 nearest and 8 next neighbours. The grid is divided into parallel
 lines in each of these azimuths, which pass through nodes, or half-way between two. A sweep along a line has a stack with the upper
 convex hull of the ground that it has passed (Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*). So the work is
-linear in the number of nodes, however far away an occluder is. The earth's curvature lowers distant ground by half the squared
-distance over the radius.
+linear in the number of nodes, however far away an occluder is.
 """
 
 from __future__ import annotations
@@ -27,6 +26,8 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cell_finder import CellFinder, cell_finder_of, cell_in_plane, project_to_plane
 from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.heightfield.slopes import node_slopes
+from skugga.terrain.heightfield.walks import loop_curvature_drop_m
 from skugga.terrain.interpolation_loops import lerp_corners
 
 MAX_SIDE_NODES = 1024
@@ -115,35 +116,16 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
     neighbouring nodes along a row and from row to row. ``curvature`` is 1 over the earth's radius, per metre.
     """
     height_m = np.ascontiguousarray(height_m, np.float64)
-    slope = _slopes(height_m, col_spacing_m, row_spacing_m)
+    slope = node_slopes(height_m, col_spacing_m, row_spacing_m)
     transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
+    along_rows = (height_m, slope, col_spacing_m, row_spacing_m, True), (-2, -1, 0, 1, 2), occlusion
+    along_cols = (*transposed, row_spacing_m, col_spacing_m, False), (-1, 0, 1), transposed_occlusion
     for direction in (1, -1):
-        for half_rows_per_col in (-2, -1, 0, 1, 2):
-            _sweep_lines(
-                height_m,
-                slope,
-                col_spacing_m,
-                row_spacing_m,
-                True,
-                _sector_width(half_rows_per_col, row_spacing_m / col_spacing_m),
-                half_rows_per_col,
-                direction,
-                curvature,
-                occlusion,
-            )
-        for half_rows_per_col in (-1, 0, 1):
-            _sweep_lines(
-                *transposed,
-                row_spacing_m,
-                col_spacing_m,
-                False,
-                _sector_width(half_rows_per_col, col_spacing_m / row_spacing_m),
-                half_rows_per_col,
-                direction,
-                curvature,
-                transposed_occlusion,
-            )
+        for field, steps, out in (along_rows, along_cols):
+            for half_rows_per_col in steps:
+                sector_width = _sector_width(half_rows_per_col, field[3] / field[2])
+                _sweep_lines(*field, sector_width, half_rows_per_col, direction, curvature, out)
     return np.clip(occlusion + transposed_occlusion.T, 0.0, 1.0).astype(np.float32)
 
 
@@ -157,30 +139,6 @@ def _sector_width(half_rows_per_col: int, spacing_ratio: np.ndarray) -> np.ndarr
     if abs(half_rows_per_col) < 2:
         return angles[abs(half_rows_per_col)]
     return (np.arctan(spacing_ratio * 2) - np.arctan(spacing_ratio / 2)) / 2
-
-
-@compiled
-def _slopes(height, col_spacing_m, row_spacing_m):
-    """Return the slopes (rows, cols, 2) of a heightfield, in metres per metre: towards higher columns, and towards higher rows.
-
-    Differences are central, and one-sided beside holes and at borders.
-    """
-    rows, cols = height.shape
-    out = np.empty((rows, cols, 2))
-    for r in range(rows):
-        for c in range(cols):
-            out[r, c, 0], out[r, c, 1] = 0.0, 0.0
-            if not np.isfinite(height[r, c]):
-                continue
-            west = 1 if c > 0 and np.isfinite(height[r, c - 1]) else 0
-            east = 1 if c < cols - 1 and np.isfinite(height[r, c + 1]) else 0
-            north = 1 if r > 0 and np.isfinite(height[r - 1, c]) else 0
-            south = 1 if r < rows - 1 and np.isfinite(height[r + 1, c]) else 0
-            if west + east > 0:
-                out[r, c, 0] = (height[r, c + east] - height[r, c - west]) / (col_spacing_m[r] * (west + east))
-            if north + south > 0:
-                out[r, c, 1] = (height[r + south, c] - height[r - north, c]) / (row_spacing_m[r] * (north + south))
-    return out
 
 
 @internal
@@ -235,7 +193,7 @@ def _sweep_lines(
             node_height = height[r, c] if on_node else 0.5 * (height[r, c] + height[r + 1, c])
             if not np.isfinite(node_height):
                 continue
-            node_height -= 0.5 * curvature * distance_m * distance_m
+            node_height -= loop_curvature_drop_m(distance_m, curvature)
             while hull_size >= 2:
                 last, before = hull_size - 1, hull_size - 2
                 if (hull_height[before] - node_height) / (distance_m - hull_distance_m[before]) < (
