@@ -109,6 +109,10 @@ def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, en
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 
 
+_Lines = tuple[tuple[Any, ...], tuple[int, ...], np.ndarray]
+"""Lines along rows or columns: the heights, slopes and spacings for ``_sweep_lines``, the steps sideways, and the sum."""
+
+
 def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
     """Return the share of sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
 
@@ -119,8 +123,8 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
     slope = node_slopes(height_m, col_spacing_m, row_spacing_m)
     transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
-    along_rows = (height_m, slope, col_spacing_m, row_spacing_m, True), (-2, -1, 0, 1, 2), occlusion
-    along_cols = (*transposed, row_spacing_m, col_spacing_m, False), (-1, 0, 1), transposed_occlusion
+    along_rows: _Lines = (height_m, slope, col_spacing_m, row_spacing_m, True), (-2, -1, 0, 1, 2), occlusion
+    along_cols: _Lines = (*transposed, row_spacing_m, col_spacing_m, False), (-1, 0, 1), transposed_occlusion
     for direction in (1, -1):
         for field, steps, out in (along_rows, along_cols):
             for half_rows_per_col in steps:
