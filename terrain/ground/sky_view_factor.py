@@ -109,10 +109,6 @@ def _distances_m(elevation: Elevation, world: World, start_cell: RowsAndCols, en
     return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 
 
-_Lines = tuple[tuple[Any, ...], tuple[int, ...], np.ndarray]
-"""Lines along rows or columns: the heights, slopes and spacings for ``_sweep_lines``, the steps sideways, and the sum."""
-
-
 def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
     """Return the share of sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
 
@@ -121,15 +117,21 @@ def sky_occlusion(height_m: np.ndarray, col_spacing_m: np.ndarray, row_spacing_m
     """
     height_m = np.ascontiguousarray(height_m, np.float64)
     slope = node_slopes(height_m, col_spacing_m, row_spacing_m)
-    transposed = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     occlusion, transposed_occlusion = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
-    along_rows: _Lines = (height_m, slope, col_spacing_m, row_spacing_m, True), (-2, -1, 0, 1, 2), occlusion
-    along_cols: _Lines = (*transposed, row_spacing_m, col_spacing_m, False), (-1, 0, 1), transposed_occlusion
+    rows_and_cols = (
+        (height_m, slope, col_spacing_m, row_spacing_m, True, occlusion, (-2, -1, 0, 1, 2)),
+        (
+            np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1]), row_spacing_m,
+            col_spacing_m, False, transposed_occlusion, (-1, 0, 1),
+        ),
+    )  # fmt: skip
     for direction in (1, -1):
-        for field, steps, out in (along_rows, along_cols):
+        for heights, slopes, forward_m, sideways_m, has_spacings_by_row, out, steps in rows_and_cols:
             for half_rows_per_col in steps:
-                sector_width = _sector_width(half_rows_per_col, field[3] / field[2])
-                _sweep_lines(*field, sector_width, half_rows_per_col, direction, curvature, out)
+                width = _sector_width(half_rows_per_col, sideways_m / forward_m)
+                _sweep_lines(
+                    heights, slopes, forward_m, sideways_m, has_spacings_by_row, width, half_rows_per_col, direction, curvature, out
+                )
     return np.clip(occlusion + transposed_occlusion.T, 0.0, 1.0).astype(np.float32)
 
 
