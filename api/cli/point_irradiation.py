@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_duration
-from skugga.api.cli.warnings import print_warnings
-from skugga.api.point.irradiation import csv_text, named_sums, point_irradiation
+from skugga.api.cli.warnings import print_product_warnings, print_warnings
+from skugga.api.point.irradiation import csv_text, named_sums, point_irradiation, weather_warnings
 from skugga.api.point.irradiation_chart import irradiation_chart
 from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport, check_plane, requested_dates
 from skugga.api.point.values import PointQuery
@@ -50,12 +50,14 @@ class IrradiationTexts:
     albedo: float | None
     linke: float | None
     step: str | None
+    weather: Path | None
+    weather_columns: str | None
 
     def check_absent(self) -> None:
         """Raise ``InputError`` if one of the options is there."""
         for name, value in vars(self).items():
             if value is not None:
-                raise InputError(f"--{name}", Problem("needs irradiation"), "Add --irradiation")
+                raise InputError(f"--{name.replace('_', '-')}", Problem("needs irradiation"), "Add --irradiation")
 
     def parsed(self) -> PointIrradiationOptions:
         """Return the options as values. Raises ``InputError``."""
@@ -100,6 +102,7 @@ def report_irradiation(
     scene = build_scene(loaded)
     print_warnings(scene)
     try:
+        print_product_warnings(weather_warnings(scene, query, irradiation))
         report = point_irradiation(scene, query, irradiation, crs)
     finally:
         scene.close()
@@ -131,7 +134,7 @@ def _print_report(report: PointIrradiationReport) -> None:
     plane_text = "level plane" if not report.tilt else f"plane tilted {report.tilt:.1f}, facing {report.azimuth:.1f} degrees"
     console.print(
         f"{plane_text}; sky view {report.sky_view:.3f}, behind terrain alone {report.sky_view_of_relief:.3f}; "
-        f"clear sky, {report.first} to {report.last}; {report.unit}"
+        f"{report.weather}, {report.first} to {report.last}; {report.unit}"
     )
     rows = named_sums(report)
     columns = {heading: [getattr(sums, part) for _, sums in rows] for part, heading in _HEADINGS.items()}

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import datetime
+from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
 
 from skugga.api.library.argument_types import CrsLike, Date, Time, validate_arguments
+from skugga.api.library.caller_warnings import warn_caller
 from skugga.api.library.level_state import LevelState, requested_sun
 from skugga.api.point.horizons import DEFAULT_AZIMUTHS, horizons_at_points
-from skugga.api.point.irradiation import point_irradiation
+from skugga.api.point.irradiation import point_irradiation, weather_warnings
 from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport
 from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport
@@ -83,10 +85,12 @@ class LevelPoints(LevelState):
         linke: float | None = None,
         clock: str = "solar",
         step_min: float = 60.0,
+        weather: Path | None = None,
+        weather_columns: str | None = None,
         height: float = 0.0,
         crs: CrsLike | None = None,
     ) -> PointIrradiationReport:
-        """Report the energy of sunlight and skylight on a plane at a point, by month, under a clear sky.
+        """Report the energy of sunlight and skylight on a plane at a point, by month.
 
         Parameters
         ----------
@@ -108,6 +112,8 @@ class LevelPoints(LevelState):
             The clock of the dates, as in ``sun_hours``.
         step_min
             Minutes between two suns.
+        weather, weather_columns
+            A weather file instead of a clear sky, and the columns of a CSV, as in the command.
         height
             Metres above the ground.
         crs
@@ -127,9 +133,11 @@ class LevelPoints(LevelState):
         query = PointQuery(lon=lon, lat=lat, height=height, date=first, clock=clock, year=year)
         options = PointIrradiationOptions(
             to=cast("datetime.date | None", to), plane=plane, tilt=tilt, azimuth=azimuth, albedo=albedo, linke=linke,
-            step_min=step_min,
+            step_min=step_min, weather=weather, weather_columns=weather_columns,
         )  # fmt: skip
         self._issue_object_warnings()
+        for text in weather_warnings(self._scene, query, options):
+            warn_caller(text)
         return point_irradiation(self._scene, query, options, crs)
 
     @validate_arguments

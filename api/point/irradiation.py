@@ -17,14 +17,17 @@ from skugga.api.point.irradiation_values import (
     PointIrradiationReport,
     check_plane,
     requested_dates,
+    weather_name,
 )
 from skugga.api.point.report import point_surroundings
 from skugga.api.point.values import PointQuery
+from skugga.api.weather_file import weather_of_file
 from skugga.shadows.irradiation.at_point import CAUSES, PARTS, PointIrradiation, irradiation_at_point
 from skugga.shadows.irradiation.ground_plane import ground_plane
-from skugga.shadows.irradiation.light import SkyLight, clear_sky_light
+from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, weather_light
 from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
+from skugga.shadows.irradiation.weather import Weather, check_weather_place, missing_weather
 from skugga.shadows.point.horizon import Surroundings
 from skugga.shadows.point.place import POINT_PARAMETER
 from skugga.terrain.cache import MIB, cached
@@ -44,7 +47,7 @@ COLUMNS = ("total", *PARTS, "open_sky", *(f"{field}_{cause}" for field in LOST_F
 def point_irradiation(
     scene: Scene, query: PointQuery, options: PointIrradiationOptions, crs: CRS | None = None
 ) -> PointIrradiationReport:
-    """Return the irradiation at a point of a level under a clear sky. Raises ``InputError``.
+    """Return the irradiation at a point of a level. Raises ``InputError``.
 
     ``crs`` is the CRS of the query's ``lon`` and ``lat``; ``None``: degrees.
     """
@@ -56,17 +59,30 @@ def point_irradiation(
     assert place.lon_deg is not None and place.lat_deg is not None  # no windows exist in a flat world
     plane = _requested_plane(surroundings, options)
     suns, light = _suns_and_light(
-        tuple(windows), options.step_min, place.lon_deg, place.lat_deg, place.eye_elevation_m, options.linke
-    )
+        tuple(windows), options.step_min, place.lon_deg, place.lat_deg, place.eye_elevation_m, options.linke,
+        None if options.weather is None else weather_of_file(options.weather, options.weather_columns),
+    )  # fmt: skip
     months, month_of_sun = _months(windows, suns)
     result = irradiation_at_point(surroundings, plane, suns, light, month_of_sun, len(months), options.albedo)
     return PointIrradiationReport(
         level=scene.loaded.name, lon=place.lon_deg, lat=place.lat_deg, elevation_m=place.ground_m, height_m=place.height_m,
         first=windows[0].date, last=windows[-1].date, unit="kWh/m2", tilt=plane.tilt_deg, azimuth=plane.azimuth_deg,
-        albedo=options.albedo, linke=options.linke, sky_view=result.sky_view, sky_view_of_relief=result.sky_view_of_relief,
+        albedo=options.albedo, linke=options.linke, weather=weather_name(options),
+        sky_view=result.sky_view, sky_view_of_relief=result.sky_view_of_relief,
         months=tuple(MonthIrradiation(month=month, **_sums(result, np.array([n]))) for n, month in enumerate(months)),
         all_months=IrradiationSums(**_sums(result, np.arange(len(months)))), remark=_remark(result, months),
     )  # fmt: skip
+
+
+def weather_warnings(scene: Scene, query: PointQuery, options: PointIrradiationOptions) -> tuple[str, ...]:
+    """Return warnings of weather that does not fit the place or the dates. Raises ``InputError``."""
+    if options.weather is None or scene.world.off_earth_reason is not None:
+        return ()
+    weather = weather_of_file(options.weather, options.weather_columns)
+    lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
+    windows = _windows(scene, query, *requested_dates(query, options))
+    on_place = check_weather_place(weather, lon, lat, float(np.mean(scene.height_range_m)))
+    return (*weather.warnings, *on_place, *missing_weather(weather, windows, lon, lat))
 
 
 def irradiation_with_remark(scene: Scene, query: PointQuery, options: PointIrradiationOptions) -> PointIrradiationReport:
@@ -82,7 +98,8 @@ def irradiation_with_remark(scene: Scene, query: PointQuery, options: PointIrrad
         first, last = requested_dates(query, options)
         return PointIrradiationReport(
             level=scene.loaded.name, lon=query.lon, lat=query.lat, elevation_m=None, height_m=query.height, first=first, last=last,
-            unit="kWh/m2", tilt=None, azimuth=None, albedo=options.albedo, linke=options.linke, sky_view=None,
+            unit="kWh/m2", tilt=None, azimuth=None, albedo=options.albedo, linke=options.linke, weather=weather_name(options),
+            sky_view=None,
             sky_view_of_relief=None, months=None, all_months=None, remark=f"no ground here. Use {error.allowed}",
         )  # fmt: skip
 
@@ -119,9 +136,17 @@ def _cached_windows(world: World, first: date, last: date, clock: Clock) -> list
 
 @cached("process", 16 * MIB)
 def _suns_and_light(
-    windows: tuple[DailyWindow, ...], step_min: float, lon_deg: float, lat_deg: float, height_m: float, linke: float | None
+    windows: tuple[DailyWindow, ...],
+    step_min: float,
+    lon_deg: float,
+    lat_deg: float,
+    height_m: float,
+    linke: float | None,
+    weather: Weather | None,
 ) -> tuple[SunIntervals, SkyLight]:
     """Return the suns of windows at a position, and their light at a height. The planes of a point share them."""
+    if weather is not None:
+        return weather_light(weather, windows, lon_deg, lat_deg)
     suns = sun_intervals(windows, step_min, lon_deg, lat_deg)
     return suns, clear_sky_light(suns, lon_deg, lat_deg, np.array([height_m]), linke)
 

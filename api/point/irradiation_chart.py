@@ -138,4 +138,4 @@ def _sum_text(report: PointIrradiationReport) -> str:
     assert sums is not None
     period = f"{report.first:%-d %B %Y}" + (f" to {report.last:%-d %B %Y}" if report.last != report.first else "")
     remark = f"; {report.remark}" if report.remark else ""
-    return f"{period}: {sums.total:,.0f} kWh/m², of {sums.open_sky:,.0f} kWh/m² under an open clear sky{remark}"
+    return f"{period}: {sums.total:,.0f} kWh/m², of {sums.open_sky:,.0f} kWh/m² under an open sky{remark}"

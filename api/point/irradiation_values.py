@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, date, datetime
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -30,7 +31,8 @@ class PointIrradiationOptions(_IrradiationModel):
 
     ``to`` is the last of several dates. The plane is level, or the ground's own (``plane``), or has a ``tilt`` of 0 to 180 degrees
     and faces an ``azimuth`` (180, south, unless given). ``albedo`` is that of the ground around. ``linke`` is Linke's turbidity of
-    the air (``None``: the place's monthly climate). ``step_min`` are the minutes between two suns.
+    the air (``None``: the place's monthly climate). ``step_min`` are the minutes between two suns. ``weather`` is a weather file
+    instead of a clear sky, and ``weather_columns`` are the columns of a CSV.
     """
 
     to: _Date | None = None
@@ -40,6 +42,8 @@ class PointIrradiationOptions(_IrradiationModel):
     albedo: float = Field(default=0.2, ge=0.0, le=1.0)
     linke: float | None = Field(default=None, ge=1.0, le=20.0)
     step_min: float = Field(default=60.0, ge=1.0, le=60.0)
+    weather: Path | None = None
+    weather_columns: str | None = None
 
 
 class LossByCause(_IrradiationModel):
@@ -81,7 +85,7 @@ class MonthIrradiation(IrradiationSums):
 
 
 class PointIrradiationReport(_IrradiationModel):
-    """Irradiation at a point under a clear sky. Values are null off the level's data; ``remark`` then says why.
+    """Irradiation at a point under a clear sky, or with a file's weather. Values are null off the level's data, as ``remark`` says.
 
     ``tilt`` and ``azimuth`` are those of the plane. ``sky_view`` is the plane's sky view factor, and ``sky_view_of_relief`` that
     behind the ground alone. ``linke`` is null for the place's monthly climate.
@@ -99,6 +103,7 @@ class PointIrradiationReport(_IrradiationModel):
     azimuth: RoundDegrees | None
     albedo: float
     linke: float | None
+    weather: str
     sky_view: Share | None
     sky_view_of_relief: Share | None
     months: tuple[MonthIrradiation, ...] | None
@@ -106,12 +111,21 @@ class PointIrradiationReport(_IrradiationModel):
     remark: str | None
 
 
+def weather_name(options: PointIrradiationOptions) -> str:
+    """Return the name of the light: clear sky, or that of the weather file."""
+    return "clear sky" if options.weather is None else options.weather.name
+
+
 def check_plane(options: PointIrradiationOptions) -> None:
-    """Raise ``InputError`` for options of the plane that exclude or need each other."""
+    """Raise ``InputError`` for options of the plane, and of the weather, that exclude or need each other."""
     if options.plane is not None and options.tilt is not None:
         raise InputError.conflict("tilt", "plane")
     if options.azimuth is not None and options.tilt is None:
         raise InputError("azimuth", Problem("needs a tilted plane"), "Add a tilt, in degrees")
+    if options.weather is None and options.weather_columns is not None:
+        raise InputError.missing("weather", "Columns are those of a weather file")
+    if options.weather is not None and options.linke is not None:
+        raise InputError.conflict("linke", "weather", "Leave it out: the file has its own light")
 
 
 def requested_dates(query: PointQuery, options: PointIrradiationOptions) -> tuple[date, date]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.file_stamps import Stamp, file_stamps
+from skugga.api.file_stamps import file_stamps
 from skugga.api.products.product import Product, ProductInput, ProductOptions
 from skugga.api.raster_profile import RasterProfile
 from skugga.terrain.errors import InputError, UnsupportedError
@@ -221,12 +220,9 @@ class IrradiationOptions(ProductOptions):
 
     def read_weather(self) -> Weather | None:
         """Return the weather; ``None`` for a clear sky. Raises ``InputError``."""
-        from skugga.shadows.irradiation.weather import parse_weather_columns
+        from skugga.api.weather_file import weather_of_file
 
-        if self.weather is None:
-            return None
-        columns = {} if self.weather_columns is None else parse_weather_columns(self.weather_columns)
-        return _weather(self.weather, file_stamps([self.weather])[0], tuple(columns.items()))
+        return None if self.weather is None else weather_of_file(self.weather, self.weather_columns)
 
     def warnings(self, scene: Scene) -> tuple[str, ...]:
         """Return warnings of weather that does not fit the place or the dates. Raises ``InputError``."""
@@ -270,14 +266,6 @@ class IrradiationOptions(ProductOptions):
         if self.per == "day":
             return [day.isoformat() for day in days]
         return [f"{day.isoformat()} {hour:02d}:00" for day in days for hour in range(24)]
-
-
-@lru_cache(maxsize=2)
-def _weather(path: Path, stamp: Stamp, columns: tuple[tuple[str, str], ...]) -> Weather:
-    """Return the weather of a file, which is read once for all blocks. ``stamp`` is the file's: a new version is read again."""
-    from skugga.shadows.irradiation.weather import read_weather
-
-    return read_weather(path, dict(columns))
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:

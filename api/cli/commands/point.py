@@ -55,6 +55,13 @@ def sun_at_point(
         float | None, typer.Option(help="Linke's turbidity of the air, instead of the place's monthly climate.")
     ] = None,
     step: Annotated[str | None, typer.Option(help="Time between two suns of --irradiation; default: 1h.")] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Weather for --irradiation instead of a clear sky: EPW, TMY3, PVGIS's TMY, or CSV."),
+    ] = None,
+    weather_columns: Annotated[
+        str | None, typer.Option(metavar="COLUMNS", help="Columns of a CSV: time=Date,ghi=Global:kJ/m2,clock=+01:00,stamp=end.")
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -87,7 +94,7 @@ def sun_at_point(
     from skugga.api.cli.times import sun_from_options
 
     sun = sun_from_options(time, None, None)
-    texts = IrradiationTexts(to, plane, tilt, azimuth, albedo, linke, step)
+    texts = IrradiationTexts(to, plane, tilt, azimuth, albedo, linke, step, weather, weather_columns)
     if not irradiation:
         texts.check_absent()
     options = PointOptions(at, crs, sun, date, clock, height, year, horizon, azimuths, irradiation, output, picture, as_json)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -68,3 +69,17 @@ def test_wrong_weather_is_one_line(run, plain, tmp_path, monkeypatch, options, m
     status, _, error = run("irradiation", str(plain), "-o", "y.tif", "--date", "2023-03-10", *options)
     assert status == 2 and message in error and len(error.strip().splitlines()) == 1
     assert not (tmp_path / "y.tif").exists()
+
+
+def test_a_point_has_the_light_of_a_file(run, plain, tmp_path):
+    powers = 0.5 * local_hours(HERE)
+    path = write_epw(tmp_path / "here.epw", HERE, powers)
+    status, out, error = run(
+        "point", str(plain), "--at", "9.0,46.9018", "--irradiation", "--year", "2023", "--weather", str(path), "--json"
+    )
+    assert status == 0 and "warning" not in error, error
+    report = json.loads(out)
+    assert report["weather"] == "here.epw" and len(report["months"]) == 12
+    assert report["all_months"]["total"] == pytest.approx(powers[0].sum() / 1000.0, rel=8e-3)
+    status, _, error = run("point", str(plain), "--at", "9.0,46.9018", "--weather", str(path))
+    assert status == 2 and "--weather: needs irradiation" in error
