@@ -1,4 +1,8 @@
-"""The irradiation of polygons, such as roofs and fields: means and sums over the cells whose centres lie in them."""
+"""The irradiation of polygons, such as roofs and fields: means and sums over the cells whose centres lie in them.
+
+A cell at the edge of a roof has the slope of the wall below it. So means, slopes and the area per cell are those of inner cells,
+whose four neighbours lie in the polygon, too; a polygon without inner cells has those of all of its cells.
+"""
 
 from __future__ import annotations
 
@@ -142,8 +146,9 @@ class _PolygonSums:
         self._bounds = shapely.bounds(features.geometry)
         self._inner_points = shapely.get_coordinates(shapely.point_on_surface(features.geometry))
         count = len(features.geometry)
-        self._cells, self._area_m2 = np.zeros(count, int), np.zeros(count)
+        self._cells, self._map_m2, self._area_m2 = np.zeros(count, int), np.zeros(count), np.zeros(count)
         self._normals, self._energy_kwh = np.zeros((count, 3)), np.zeros((count, bands))
+        self._averaged_m2 = np.zeros(count)
         shapely.prepare(features.geometry)
 
     def numbers_in(self, block: MapView) -> np.ndarray:
@@ -163,10 +168,15 @@ class _PolygonSums:
             row, col = self._cells_of(number, x, y, abs(block.grid.step))
             is_shown = shown[row, col]
             row, col = row[is_shown], col[is_shown]
+            self._cells[number] += len(row)
+            self._map_m2[number] += len(row) * cell_m2
+            is_inner = _is_inner(row, col)
+            if is_inner.any():
+                row, col = row[is_inner], col[is_inner]
             normals = np.stack([component[row, col] for component in surfaces.normals.components], axis=1).astype(np.float64)
             # a sloped cell has more area than its square on the map; planes of a given tilt count by the square
             area_m2 = cell_m2 / normals[:, 2] if surfaces.plane == "ground" else np.full(len(row), cell_m2)
-            self._cells[number] += len(row)
+            self._averaged_m2[number] += len(row) * cell_m2
             self._area_m2[number] += area_m2.sum()
             self._normals[number] += normals.sum(axis=0)
             self._energy_kwh[number] += values[:, row, col].astype(np.float64) @ area_m2
@@ -192,8 +202,19 @@ class _PolygonSums:
             slope_deg = np.degrees(np.arccos(np.clip(self._normals[:, 2] / np.linalg.norm(self._normals, axis=1), -1.0, 1.0)))
         azimuth_deg = np.degrees(np.arctan2(self._normals[:, 0], self._normals[:, 1])) % 360.0
         azimuth_deg[~(slope_deg > MIN_FACING_SLOPE_DEG)] = np.nan
-        area_m2 = np.where(self._cells > 0, self._area_m2, np.nan)
+        with np.errstate(invalid="ignore"):
+            area_m2 = np.where(self._cells > 0, self._map_m2 * self._area_m2 / self._averaged_m2, np.nan)
         return PolygonIrradiation(self._features, crs, self._cells, area_m2, slope_deg, azimuth_deg, mean_kwh_m2, band_names)
+
+
+def _is_inner(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Return which of some cells have their four neighbours among them."""
+    mask = np.zeros((np.ptp(row) + 3, np.ptp(col) + 3) if len(row) else (3, 3), np.bool_)
+    at = (row - row.min() + 1, col - col.min() + 1) if len(row) else (row, col)
+    mask[at] = True
+    inner = mask.copy()
+    inner[1:-1, 1:-1] &= mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    return inner[at]
 
 
 def _cell_centers(block: MapView) -> tuple[np.ndarray, np.ndarray]:

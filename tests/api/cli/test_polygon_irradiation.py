@@ -57,7 +57,7 @@ def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
     with rasterio.open(tmp_path / "day.tif") as dataset:
         values = dataset.read(1)
     whole, small, outside, hole = table(tmp_path / "day.csv")
-    mean = values[12:17, 10:15].mean()
+    mean = values[13:16, 11:14].mean()  # inner cells
     cell_m2 = (CELL_M / 0.9996) ** 2 / np.cos(np.radians(TILT_DEG))
     assert whole["cells"] == "25" and float(whole["kwh_m2"]) == pytest.approx(mean, rel=1e-5)
     assert float(whole["area_m2"]) == pytest.approx(25 * cell_m2, rel=1e-3)
@@ -104,3 +104,17 @@ def test_polygons_off_the_data_are_one_line(run, slope, tmp_path):
     status, _, error = run("irradiation", str(slope), *arguments)
     assert status == 2 and "squares.geojson" in error and len(error.strip().splitlines()) == 1
     assert not (tmp_path / "day.csv").exists()
+
+
+def test_a_flat_roof_of_a_surface_model_has_its_own_area(run, tmp_path):
+    """Cells at the edge of a block of 20 m have the slope of its walls, which does not count."""
+    heights = np.zeros((60, 60), np.float32)
+    heights[20:40, 20:40] = 20.0
+    raster = write_geotiff(tmp_path / "block.tif", heights, "EPSG:32632", WEST, NORTH, CELL_M)
+    squares = write_squares(tmp_path / "roof.geojson", square(20, 20, 20))
+    arguments = ["--polygons", str(squares), "--date", "2024-06-21", "-o", str(tmp_path / "roof.csv")]
+    status, _, error = run("irradiation", str(raster), *arguments)
+    assert status == 0, error
+    (roof,) = table(tmp_path / "roof.csv")
+    assert roof["cells"] == "400" and float(roof["area_m2"]) == pytest.approx(400 * (CELL_M / 0.9996) ** 2, rel=1e-3)
+    assert float(roof["slope_deg"]) < 0.05 and roof["azimuth_deg"] == ""
