@@ -94,6 +94,16 @@ def check_garden_year(output: str) -> None:
     assert 1200.0 < sum(before for before, _, _ in months) < 1500.0, "a clear year at 59 degrees north"
 
 
+def check_roof_and_tree(output: str) -> None:
+    """Check that received and lost light add up, and that trees take more in winter than in summer."""
+    rows = [
+        [float(value) for value in row]
+        for row in re.findall(r"([\d.]+) of +([\d.]+), .*ridge +([-\d.]+), .*houses +([-\d.]+), .*trees +([-\d.]+)", output)
+    ]
+    assert len(rows) == 13 and all(total + sum(lost) == pytest.approx(open_sky, abs=0.25) for total, open_sky, *lost in rows)
+    assert rows[1][4] > 5.0 * rows[5][4] and 2000.0 < rows[12][1] < 2800.0
+
+
 def check_vineyard(output: str) -> None:
     """Check that slopes to the south receive most, and those to the north least."""
     light = {name: float(value) for name, value in re.findall(r"facing (\w+) +(\d+) kWh", output)}
@@ -110,7 +120,7 @@ def check_glacier_melt(output: str) -> None:
 OUTPUT_CHECKS = {
     "garden": check_garden, "satellite_scene": check_satellite_scene, "roof_panel": check_roof_panel, "first_sun": check_first_sun,
     "large_raster": check_large_raster, "sky_view": check_sky_view, "many_suns": check_many_suns,
-    "garden_year": check_garden_year, "vineyard": check_vineyard, "glacier_melt": check_glacier_melt,
+    "garden_year": check_garden_year, "vineyard": check_vineyard, "roof_and_tree": check_roof_and_tree, "glacier_melt": check_glacier_melt,
     "a_winters_day": check_winters_day,
 }  # fmt: skip
 
