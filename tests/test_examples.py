@@ -120,7 +120,8 @@ def check_glacier_melt(output: str) -> None:
 OUTPUT_CHECKS = {
     "garden": check_garden, "satellite_scene": check_satellite_scene, "roof_panel": check_roof_panel, "first_sun": check_first_sun,
     "large_raster": check_large_raster, "sky_view": check_sky_view, "many_suns": check_many_suns,
-    "garden_year": check_garden_year, "vineyard": check_vineyard, "roof_and_tree": check_roof_and_tree, "glacier_melt": check_glacier_melt,
+    "garden_year": check_garden_year, "vineyard": check_vineyard, "roof_and_tree": check_roof_and_tree,
+    "glacier_melt": check_glacier_melt,
     "a_winters_day": check_winters_day,
 }  # fmt: skip
 
