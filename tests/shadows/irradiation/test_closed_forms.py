@@ -148,7 +148,7 @@ def test_the_north_side_of_a_box_has_the_beam_of_geometry(box_scene: Scene, day:
         most += np.where(hidden, 0.0, power)
     found = values[rows, cols]
     assert np.all(found >= 0.999 * least - 1e-3) and np.all(found <= 1.001 * most + 1e-3)
-    assert np.median(most - least) < 0.02 * values[0, 0], "few suns are undecided"
+    assert np.median(most - least) < 0.04 * values[0, 0], "few suns are undecided"
     assert most.min() < (0.98 if day == SUMMER else 0.6) * values[0, 0], "the box hides suns"
 
 
