@@ -3,7 +3,7 @@
 `benchmarks.irradiation` runs them as processes, in any interpreter:
 
     PYTHON programs.py skugga dem.tif out.npy FIRST LAST MINUTES
-    PYTHON programs.py r.sun dem.tif out.tif DAY HOURS [DEGREES [clamped]]
+    PYTHON programs.py r.sun dem.tif out.tif DAY HOURS PLANE [DEGREES [clamped]]
     PYTHON programs.py saga dem.tif out.tif FIRST LAST LATITUDE SHADOW HOURS
     PYTHON programs.py insolation dem.tif out.npy SUNS
     PYTHON programs.py surtgis dem.tif out.npy LATITUDE DAY
@@ -92,17 +92,19 @@ def _grass(*arguments: str) -> None:
         raise RuntimeError(f"{arguments[0]}: {(process.stderr.strip().splitlines() or ['no output'])[-1]}")
 
 
-def r_sun(path: str, out: str, day: str, hours: str, degrees: str = "", clamped: str = "") -> float:
+def r_sun(path: str, out: str, day: str, hours: str, plane: str, degrees: str = "", clamped: str = "") -> float:
     """Compute GRASS's beam of a day, Wh/m2, on two threads, with a turbidity of 0.
 
-    With ``degrees``, r.sun reads horizon maps at azimuth steps of so many degrees. Without, it walks along its own rays. With
-    ``clamped``, negative horizons are made 0 before.
+    ``plane`` is ``ground``, its own slope, or ``level``. With ``degrees``, r.sun reads horizon maps at azimuth steps of so many
+    degrees. Without, it walks along its own rays. With ``clamped``, negative horizons are made 0 before.
     """
     _grass("r.in.gdal", "--quiet", f"input={path}", "output=dem")
     _grass("g.region", "raster=dem")
-    options = ["elevation=dem", "slope=slope", "aspect=aspect", "linke_value=0", f"day={day}", f"step={hours}", "nprocs=2"]
+    options = ["elevation=dem", "linke_value=0", f"day={day}", f"step={hours}", "nprocs=2"]
     start = time.perf_counter()
-    _grass("r.slope.aspect", "--quiet", "elevation=dem", "slope=slope", "aspect=aspect")
+    if plane == "ground":
+        _grass("r.slope.aspect", "--quiet", "elevation=dem", "slope=slope", "aspect=aspect")
+        options += ["slope=slope", "aspect=aspect"]
     if degrees:
         _grass("r.horizon", "--quiet", "elevation=dem", f"step={degrees}", "output=horizon")
         options += ["horizon_basename=horizon", f"horizon_step={degrees}"]

@@ -20,9 +20,9 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.scene import Scene
 
-SlopeFit = Literal["central", "horn", "quad"]
-"""How a plane is fitted to a cell: by central differences; by those of three rows and columns (B. K. P. Horn 1981); or to the quad
-of cells in the north-east of it."""
+SlopeFit = Literal["level", "central", "horn", "quad"]
+"""How a plane is fitted to a cell: not at all, but level; by central differences; by those of three rows and columns (B. K. P. Horn
+1981); or to the quad of cells in the north-east of it."""
 
 MARGIN_CELLS = 3
 """Minimum distance of sampled cells from the rim and from holes."""
@@ -65,6 +65,8 @@ class SampledCells:
 
     def normals(self, fit: SlopeFit) -> np.ndarray:
         """Return the unit normals (n, 3) of the cells' planes."""
+        if fit == "level":
+            return self.upwards
         around = self.position_frame_m
         if fit == "quad":
             west, east, south, north = around[:2, 1], around[:2, 2], around[1, 1:], around[0, 1:]

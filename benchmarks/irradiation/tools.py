@@ -93,12 +93,12 @@ def beam_tools(python: str) -> list[BeamTool]:
     programs = str(PROGRAMS_FILE)
     solar_constant = 1.0 / 1.367
 
-    def r_sun(name: str, *options: str) -> BeamTool:
+    def r_sun(name: str, fit: SlopeFit, *options: str) -> BeamTool:
         return BeamTool(
             f"GRASS r.sun, {name}", False,
             lambda dem, out, first, last: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, programs, "r.sun",
                                            str(dem.path), str(out), str(first.timetuple().tm_yday), *options],
-            "horn", kwh=1e-3 * solar_constant, periods=DAYS,
+            fit, kwh=1e-3 * solar_constant, periods=DAYS,
         )  # fmt: skip
 
     def saga(name: str, shadow: str, hours: str) -> BeamTool:
@@ -125,10 +125,11 @@ def beam_tools(python: str) -> list[BeamTool]:
     return [
         skugga(60, tuple(PERIODS)),
         skugga(10, DAYS),
-        r_sun("own walk, 30 min", "0.5"),
-        r_sun("own walk, 5 min", "0.0833333"),
-        r_sun("horizons every 5°, 30 min", "0.5", "5"),
-        r_sun("the same, none negative", "0.5", "5", "clamped"),
+        r_sun("own walk, 30 min", "horn", "0.5", "ground"),
+        r_sun("own walk, level planes, 30 min", "level", "0.5", "level"),
+        r_sun("own walk, level planes, 5 min", "level", "0.0833333", "level"),
+        r_sun("horizons every 5°, 30 min", "horn", "0.5", "ground", "5"),
+        r_sun("the same, none negative", "horn", "0.5", "ground", "5", "clamped"),
         saga("slim, 30 min", "0", "0.5"),
         saga("fat, 30 min", "1", "0.5"),
         BeamTool("insolation, Skugga's suns", False, insolation_command, "quad", ".npy"),
