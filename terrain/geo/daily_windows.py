@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 
@@ -63,14 +64,10 @@ def daily_window(day: date, start_min: float, end_min: float, clock: Clock, worl
 
     Raises ``InputError`` for invalid times, and where the clock skips the whole date or the whole window.
     """
-    if not 0.0 <= start_min < end_min <= MINUTES_PER_DAY:
-        raise InputError(
-            "window", f"{clock_text(start_min)}-{clock_text(end_min)}", "a start time and a later end time, 00:00 to 24:00"
-        )
+    _check_clock_times(start_min, end_min)
     check_date(day)
     if isinstance(clock, str):
-        start, end = (_solar_moment(day, minutes, world) for minutes in (start_min, end_min))
-        return DailyWindow(day, start, (end - start) / timedelta(minutes=1), start_min)
+        return _solar_windows([day], start_min, end_min, world)[0]
     day_bounds(day, clock)
     start, end = _utc_start_and_end(day, start_min, end_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
@@ -125,7 +122,19 @@ def windows_between(
         for name, day in (("date", first), ("to", last)):
             day_bounds(day, clock, name)
         days = [day for day in days if day == first or _has_window(day, *clock_times_min, clock)]
+    if isinstance(clock, str):
+        _check_clock_times(*clock_times_min)
+        for day in days:
+            check_date(day)
+        return _solar_windows(days, *clock_times_min, world)
     return [daily_window(day, *clock_times_min, clock, world) for day in days]
+
+
+def _check_clock_times(start_min: float, end_min: float) -> None:
+    """Raise ``InputError`` unless clock times, in minutes from midnight, are a start and a later end."""
+    if not 0.0 <= start_min < end_min <= MINUTES_PER_DAY:
+        window = f"{clock_text(start_min)}-{clock_text(end_min)}"
+        raise InputError("window", window, "a start time and a later end time, 00:00 to 24:00")
 
 
 def clock_text(clock_min: float) -> str:
@@ -181,29 +190,51 @@ def _minutes_to_change(start: datetime, length_min: float, zone: tzinfo) -> floa
     return float(high)
 
 
-def _solar_moment(day: date, clock_min: float, world: World) -> datetime:
-    """Return the moment in UTC at which the true solar time at the anchor is ``clock_min``, in minutes from midnight.
+def _solar_windows(days: Sequence[date], start_min: float, end_min: float, world: World) -> list[DailyWindow]:
+    """Return the windows of dates between two times of true solar time, in minutes from midnight."""
+    starts, ends = (_solar_moments(days, minutes, world) for minutes in (start_min, end_min))
+    lengths_min = ((ends - starts) / np.timedelta64(1, "m")).tolist()
+    return [
+        DailyWindow(day, start.replace(tzinfo=UTC), length_min, start_min)
+        for day, start, length_min in zip(days, starts.tolist(), lengths_min, strict=True)
+    ]
 
-    The anchor is the centre of the level's bounds.
+
+def _solar_moments(days: Sequence[date], clock_min: float, world: World) -> np.ndarray:
+    """Return the moments of dates at which the true solar time at the anchor is ``clock_min``, datetime64[us] in UTC (n,).
+
+    ``clock_min`` is in minutes from midnight. The anchor is the centre of the level's bounds. All dates share the calls of the
+    sun's ephemeris, which takes milliseconds for one moment as for hundreds.
     """
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
-    moment = datetime.combine(day, time(), UTC) + timedelta(minutes=clock_min - 4.0 * lon)
+    moments = np.array(days, "datetime64[D]").astype("datetime64[us]") + _microseconds(clock_min - 4.0 * lon)
     for _ in range(SOLAR_TIME_ITERATIONS):
-        error_min = (solar_time_min(moment, lon, lat) - clock_min + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2
-        moment -= timedelta(minutes=error_min)
-    return moment
+        error_min = _solar_times_min(moments, lon, lat) - clock_min
+        moments -= _microseconds((error_min + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY - MINUTES_PER_DAY / 2)
+    return moments
+
+
+def _microseconds(minutes: float | np.ndarray) -> np.ndarray:
+    """Return minutes as timedelta64[us]."""
+    return np.rint(np.asarray(minutes) * 60e6).astype("timedelta64[us]")
 
 
 def solar_time_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
-    """Return the true solar time of a moment at a position, in minutes from midnight.
+    """Return the true solar time of a moment at a position, in minutes from midnight."""
+    return float(_solar_times_min([moment], lon_deg, lat_deg)[0])
+
+
+def _solar_times_min(moments: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: float) -> np.ndarray:
+    """Return the true solar times (n,) of moments at a position, in minutes from midnight.
 
     It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. The hour angle H follows from
     tan H = sin A / (cos A sin lat + tan h cos lat), with the azimuth A from south and the altitude h without refraction.
     """
-    path = sun_path([moment], lon_deg, lat_deg)
-    azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)
-    altitude = np.radians(path.altitude_deg[0] - path.refraction_deg[0])
+    path = sun_path(moments, lon_deg, lat_deg)
+    azimuth, lat = np.radians(path.azimuth_deg - 180.0), np.radians(lat_deg)
+    altitude = np.radians(path.altitude_deg - path.refraction_deg)
     hour = np.arctan2(
         np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude) * np.sin(lat) + np.sin(altitude) * np.cos(lat)
     )
-    return float((np.degrees(hour) * 4.0 + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY)
+    solar_min: np.ndarray = (np.degrees(hour) * 4.0 + MINUTES_PER_DAY / 2) % MINUTES_PER_DAY
+    return solar_min
