@@ -65,8 +65,8 @@ class HillRaster:
         """Return the suns at the middle of the raster, and their light with the heights (k,) for which it is given."""
         lon, lat = lon_lat_of_middle(self.scene)
         suns = sun_intervals(windows, rules.step_minutes, lon, lat)
-        top_m = float(self.hills.heights_m(*np.meshgrid(self.hills.east_m, self.hills.north_m)).max())
-        heights_m = np.linspace(0.0, 1.1 * top_m, int(np.ceil(1.1 * top_m / LIGHT_STEP_M)) + 1)
+        top_m = self.hills.top_m
+        heights_m = np.linspace(0.0, top_m, int(np.ceil(top_m / LIGHT_STEP_M)) + 1)
         return suns, heights_m, clear_sky_light(suns, lon, lat, heights_m, rules.linke_turbidity)
 
 

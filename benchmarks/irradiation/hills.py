@@ -63,14 +63,23 @@ class GaussianHills:
             east, north = east + value * (x - east_m), north + value * (y - north_m)
         return east, north
 
-    def horizon_tangents(self, east_m: np.ndarray, north_m: np.ndarray, azimuth_deg: float) -> np.ndarray:
+    @property
+    def top_m(self) -> float:
+        """An upper bound of all heights: that of a top, if the slopes of other hills raise it by a tenth at most."""
+        return 1.1 * float(self.height_m.max())
+
+    def horizon_tangents(
+        self, east_m: np.ndarray, north_m: np.ndarray, azimuth_deg: float, least_tangent: float = 0.0
+    ) -> np.ndarray:
         """Return the tangents (n,) of the horizon angles of positions (n,) towards an azimuth, against the plane at the middle.
 
-        Where no ground lies towards the azimuth it is -infinity.
+        They are exact above ``least_tangent``; ground beyond the distance at which none can rise above it is left out. Where no
+        ground lies towards the azimuth it is -infinity.
         """
         sine, cosine = np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))
         step = float(self.sigma_m.min()) / STEPS_PER_SIGMA
-        distance = step * np.arange(0.25, np.ceil(2.0 * np.sqrt(2.0) * self.half_side_m / step))[:, None]
+        reach_m = min(2.0 * np.sqrt(2.0) * self.half_side_m, self.top_m / max(least_tangent, 1e-9) + 2.0 * step)
+        distance = step * np.arange(0.25, np.ceil(reach_m / step))[:, None]
         height = np.zeros((len(distance), len(east_m)))
         for x, y, top, sigma in zip(self.east_m, self.north_m, self.height_m, self.sigma_m, strict=True):
             along = (x - east_m) * sine + (y - north_m) * cosine
@@ -150,8 +159,9 @@ def sun_irradiation(
         azimuth, altitude = np.radians(suns.azimuth_deg[number]), np.radians(suns.altitude_deg[number])
         cosine = np.sin(altitude) - np.cos(altitude) * (east * np.sin(azimuth) + north * np.cos(azimuth))
         faces = np.flatnonzero(cosine > 0.0)
-        tangent = hills.horizon_tangents(east_m[faces], north_m[faces], float(suns.azimuth_deg[number]))
-        lit = faces[np.tan(altitude) > tangent]
+        sun_tangent = float(np.tan(altitude))
+        tangent = hills.horizon_tangents(east_m[faces], north_m[faces], float(suns.azimuth_deg[number]), sun_tangent)
+        lit = faces[sun_tangent > tangent]
         for part, of_heights in zip(total, power[:, :, number], strict=True):
             part[lit] += cosine[lit] * suns.hours[number] / 1000.0 * np.interp(height[lit], light_heights_m, of_heights)
     return total / np.sqrt(1.0 + east**2 + north**2)

@@ -89,3 +89,9 @@ def test_open_ground_sees_all_the_sky():
     far = np.array([2199.0]), np.array([2199.0])
     sky, band = hills_sky(hills, *far, 72)
     assert 0.97 < sky[0] < 1.0 and band[0] < 0.01
+
+
+def test_no_ground_is_higher_than_the_bound():
+    hills = four_hills(400.0)
+    axis_m = np.linspace(-2000.0, 2000.0, 401)
+    assert 0.9 * hills.top_m < hills.heights_m(axis_m[None, :], axis_m[:, None]).max() <= hills.top_m
