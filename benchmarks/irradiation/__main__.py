@@ -57,10 +57,10 @@ ALBEDO = 0.2
 FINE_STEP_MINUTES = 5.0
 """Minutes between two suns of the truth that tells the error of hourly suns."""
 
-HILL_DAYS, FINE_HILL_DAYS = 5, 10
+HILL_DAYS, FINE_HILL_DAYS = 10, 30
 """Days between two dates of the hills, and of the truth of their hourly suns."""
 
-HILL_CELLS, FINE_HILL_CELLS = 1500, 300
+HILL_CELLS, FINE_HILL_CELLS = 800, 300
 """Cells of the hills that are compared, and those of the truth of their hourly suns."""
 
 

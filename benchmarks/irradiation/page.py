@@ -64,10 +64,10 @@ def tool_table(rows: list[ToolRow]) -> list[str]:
 
 
 HILLS_METHOD = """\
-Four hills of 400 m standard deviation in cells of 20 m, at 47 degrees north, every fifth day of 2023. Truth is quadrature: analytic
+Four hills of 400 m standard deviation in cells of 20 m, at 47 degrees north, every tenth day of 2023. Truth is quadrature: analytic
 normals, heights and shadows of each hourly sun, and analytic horizons towards 360 azimuths. Published tools have errors of 0.55 to
 1.66 % on Gaussian surfaces. The last columns are the error of hourly suns alone: truth with them beside truth with suns every 5
-minutes (every tenth day)."""
+minutes (every thirtieth day)."""
 
 RAYS_METHOD = """\
 `skugga irradiation --year 2023 --part beam` beside Embree rays to the same suns at random cells, each with its own vertical, plane
