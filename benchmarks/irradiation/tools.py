@@ -101,12 +101,12 @@ def beam_tools(python: str) -> list[BeamTool]:
             fit, kwh=1e-3 * solar_constant, periods=DAYS,
         )  # fmt: skip
 
-    def saga(name: str, shadow: str, hours: str) -> BeamTool:
+    def saga(name: str, shadow: str, hours: str, periods: tuple[str, ...]) -> BeamTool:
         return BeamTool(
             f"SAGA ta_lighting, {name}", False,
             lambda dem, out, first, last: [sys.executable, programs, "saga", str(dem.path), str(out), first.isoformat(),
                                            last.isoformat(), f"{dem.lon_lat[1]:.6f}", shadow, hours],
-            kwh=solar_constant,
+            kwh=solar_constant, periods=periods,
         )  # fmt: skip
 
     def insolation_command(dem: QuestionDem, out: Path, first: date, last: date) -> list[str]:
@@ -130,8 +130,8 @@ def beam_tools(python: str) -> list[BeamTool]:
         r_sun("own walk, level planes, 5 min", "level", "0.0833333", "level"),
         r_sun("horizons every 5°, 30 min", "horn", "0.5", "ground", "5"),
         r_sun("the same, none negative", "horn", "0.5", "ground", "5", "clamped"),
-        saga("slim, 30 min", "0", "0.5"),
-        saga("fat, 30 min", "1", "0.5"),
+        saga("slim, 30 min", "0", "0.5", tuple(PERIODS)),
+        saga("fat, 30 min", "1", "0.5", DAYS),
         BeamTool("insolation, Skugga's suns", False, insolation_command, "quad", ".npy"),
     ]  # fmt: skip
 
