@@ -77,8 +77,8 @@ TOOLS_METHOD = """\
 The middles of two rasters. Each tool has an air of its own, and all can do without (GRASS with a turbidity of 0, SAGA with a
 transmittance of 100 %). So the question is geometry: a cell's beam as a share of that of open level ground *by the same tool*,
 times the true one, beside rays to NREL's suns every 5 minutes (of the year: every 10). A cell's plane is fitted as the tool does
-it. `insolation` is a library without a loop over suns; it was given Skugga's hourly ones. Of the year SAGA takes every fifth day.
-r.sun computes single days; behind a wall on a plain its own walk casts a shadow, but none in GRASS 8.2.1 once slope and aspect
+it. `insolation` is a library without a loop over suns; it was given Skugga's hourly ones. r.sun computes single days, and SAGA's year
+of every fifth day takes 73 times as long as its day; behind a wall on a plain its own walk casts a shadow, but none in GRASS 8.2.1 once slope and aspect
 maps are given, so it was run on level planes as well. r.horizon of GRASS 8.2 returns wrong negative horizons, which 8.3 mends;
 `none negative` is the same with horizons of at least 0. `saga_cmd` 8.5 ignores dates on its command line, and was run by a tool
 chain."""
@@ -90,10 +90,14 @@ def format_tables(results: Results) -> str:
     paragraphs = [
         "Errors are shares of the mean of truth over the compared cells: the mean without sign, a percentile, and the bias. "
         f"{results.where}; load {results.load_before:.1f} before and {results.load_after:.1f} after. {versions}.",
-        "### Gaussian hills", HILLS_METHOD, "\n".join(hill_table(results.hills)),
-        "### Rays", RAYS_METHOD, "\n".join(ray_table(results.rays)),
-        "### Other tools", TOOLS_METHOD, "\n".join(tool_table(results.tools)),
     ]  # fmt: skip
+    sections = [
+        ("Gaussian hills", HILLS_METHOD, hill_table(results.hills)), ("Rays", RAYS_METHOD, ray_table(results.rays)),
+        ("Other tools", TOOLS_METHOD, tool_table(results.tools)),
+    ]  # fmt: skip
+    for title, method, table in sections:
+        if table:
+            paragraphs += [f"### {title}", method, "\n".join(table)]
     if results.left_out:
         paragraphs.append("Left out:\n\n" + "\n".join(f"- {name}: {reason}." for name, reason in results.left_out.items()))
     return "\n\n".join(paragraphs) + "\n"

@@ -130,7 +130,7 @@ def beam_tools(python: str) -> list[BeamTool]:
         r_sun("own walk, level planes, 5 min", "level", "0.0833333", "level"),
         r_sun("horizons every 5°, 30 min", "horn", "0.5", "ground", "5"),
         r_sun("the same, none negative", "horn", "0.5", "ground", "5", "clamped"),
-        saga("slim, 30 min", "0", "0.5", tuple(PERIODS)),
+        saga("slim, 30 min", "0", "0.5", DAYS),
         saga("fat, 30 min", "1", "0.5", DAYS),
         BeamTool("insolation, Skugga's suns", False, insolation_command, "quad", ".npy"),
     ]  # fmt: skip
