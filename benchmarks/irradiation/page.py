@@ -89,7 +89,8 @@ def format_tables(results: Results) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in results.versions.items())
     paragraphs = [
         "Errors are shares of the mean of truth over the compared cells: the mean without sign, a percentile, and the bias. "
-        f"{results.where}; load {results.load_before:.1f} before and {results.load_after:.1f} after. {versions}.",
+        f"{results.where}; load {results.load_before:.1f} before and {results.load_after:.1f} after: under load, seconds are "
+        f"comparable only with each other. {versions}.",
     ]  # fmt: skip
     sections = [
         ("Gaussian hills", HILLS_METHOD, hill_table(results.hills)), ("Rays", RAYS_METHOD, ray_table(results.rays)),

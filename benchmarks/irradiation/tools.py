@@ -192,7 +192,7 @@ def measure_tools(
     level = write_question_dem(f"{dem.name} level", level_m, dem.cell_m, dem.crs, dem.middle_m[1], dem.path.parent)
     for period in periods:
         for tool in tools:
-            if period not in tool.periods or tool.name in left_out:
+            if period not in tool.periods:
                 continue
             try:
                 open_level = float(tool.run(level, period)[0][LEVEL_SIDE_CELLS // 2, LEVEL_SIDE_CELLS // 2])
@@ -201,7 +201,7 @@ def measure_tools(
                     raise RuntimeError(f"open level ground receives {open_level:.3g} kWh/m2 instead of {true_level:.3g}")
                 beam, run = tool.run(dem, period)
             except RuntimeError as error:
-                left_out[tool.name] = str(error)
+                left_out[f"{tool.name}, {dem.name}, {period}"] = str(error)
                 continue
             found, true = beam[truth.cells.row, truth.cells.col] / open_level * true_level, truth.beam(period, tool.fit)
             yield ToolRow(
