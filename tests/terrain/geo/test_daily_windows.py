@@ -98,6 +98,19 @@ def test_the_sun_stands_in_the_south_at_solar_noon(world, day):
     assert solar_time_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
 
 
+def test_solar_windows_of_many_dates_are_those_of_each(world):
+    windows = windows_between(world, date(2024, 1, 1), date(2024, 12, 31), 33, (480.0, 960.0), SOLAR)
+    assert windows == [daily_window(window.date, 480.0, 960.0, SOLAR, world) for window in windows]
+    assert [window.date for window in windows] == dates_of(date(2024, 1, 1), date(2024, 12, 31), 33)
+
+
+def test_solar_windows_share_calls_of_the_ephemeris(world, monkeypatch):
+    calls = []
+    monkeypatch.setattr("skugga.terrain.geo.daily_windows.sun_path", lambda *args: calls.append(1) or sun_path(*args))
+    windows_between(world, date(2024, 1, 1), date(2024, 1, 20), 1, (0.0, 1440.0), SOLAR)
+    assert len(calls) <= 6, "three iterations for each of the two times, not for each date"
+
+
 def test_solar_time_follows_the_equation_of_time(world):
     november_offset_min, february_offset_min = (
         (daily_window(day, 720.0, 721.0, SOLAR, world).start.replace(tzinfo=None) - datetime(2024, day.month, day.day, 12))

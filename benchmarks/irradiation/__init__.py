@@ -1,0 +1,1 @@
+"""Irradiation of whole rasters against truth, and by other tools."""
