@@ -44,7 +44,7 @@ class IrradiationArguments:
     weather: Path | None
     weather_columns: str | None
     clock: str
-    step: str
+    step: str | None
     checkpoint: Path | None
 
 
@@ -60,8 +60,8 @@ def irradiation_request(arguments: IrradiationArguments) -> ProductRequest:
     for name, share in (("--albedo", arguments.albedo), ("--transmissivity", arguments.transmissivity)):
         if not 0.0 <= share <= 1.0:
             raise InputError(name, share, "0 to 1")
-    minutes = read_duration("--step", arguments.step) / datetime.timedelta(minutes=1)
-    if not 1.0 <= minutes <= 60.0:
+    minutes = None if arguments.step is None else read_duration("--step", arguments.step) / datetime.timedelta(minutes=1)
+    if minutes is not None and not 1.0 <= minutes <= 60.0:
         raise InputError("--step", arguments.step, "1m to 1h")
     parse_clock("--clock", arguments.clock)
     values = {

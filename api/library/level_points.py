@@ -84,7 +84,7 @@ class LevelPoints(LevelState):
         albedo: float = 0.2,
         linke: float | None = None,
         clock: str = "solar",
-        step_min: float = 60.0,
+        step_min: float | None = None,
         weather: Path | None = None,
         weather_columns: str | None = None,
         height: float = 0.0,
@@ -111,7 +111,7 @@ class LevelPoints(LevelState):
         clock
             The clock of the dates, as in ``sun_hours``.
         step_min
-            Minutes between two suns.
+            Minutes between two suns (default: 60 for 28 dates and more, else 10).
         weather, weather_columns
             A weather file instead of a clear sky, and the columns of a CSV, as in the command.
         height

@@ -26,7 +26,7 @@ from skugga.shadows.irradiation.at_point import CAUSES, PARTS, PointIrradiation,
 from skugga.shadows.irradiation.ground_plane import ground_plane
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, weather_light
 from skugga.shadows.irradiation.planes import TiltedPlane
-from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
+from skugga.shadows.irradiation.suns import SunIntervals, default_step_min, sun_intervals
 from skugga.shadows.irradiation.weather import Weather, check_weather_place, missing_weather
 from skugga.shadows.point.horizon import Surroundings
 from skugga.shadows.point.place import POINT_PARAMETER
@@ -59,7 +59,8 @@ def point_irradiation(
     assert place.lon_deg is not None and place.lat_deg is not None  # no windows exist in a flat world
     plane = _requested_plane(surroundings, options)
     suns, light = _suns_and_light(
-        tuple(windows), options.step_min, place.lon_deg, place.lat_deg, place.eye_elevation_m, options.linke,
+        tuple(windows), options.step_min or default_step_min(len(windows)), place.lon_deg, place.lat_deg, place.eye_elevation_m,
+        options.linke,
         None if options.weather is None else weather_of_file(options.weather, options.weather_columns),
     )  # fmt: skip
     months, month_of_sun = _months(windows, suns)
@@ -147,7 +148,7 @@ def _suns_and_light(
     """Return the suns of windows at a position, and their light at a height. The planes of a point share them."""
     if weather is not None:
         return weather_light(weather, windows, lon_deg, lat_deg)
-    suns = sun_intervals(windows, step_min, lon_deg, lat_deg)
+    suns = sun_intervals(windows, step_min, lon_deg, lat_deg, begin_later_each_day=True)
     return suns, clear_sky_light(suns, lon_deg, lat_deg, np.array([height_m]), linke)
 
 

@@ -31,8 +31,8 @@ class PointIrradiationOptions(_IrradiationModel):
 
     ``to`` is the last of several dates. The plane is level, or the ground's own (``plane``), or has a ``tilt`` of 0 to 180 degrees
     and faces an ``azimuth`` (180, south, unless given). ``albedo`` is that of the ground around. ``linke`` is Linke's turbidity of
-    the air (``None``: the place's monthly climate). ``step_min`` are the minutes between two suns. ``weather`` is a weather file
-    instead of a clear sky, and ``weather_columns`` are the columns of a CSV.
+    the air (``None``: the place's monthly climate). ``step_min`` are the minutes between two suns (``None``: 60 for 28 dates and
+    more, else 10). ``weather`` is a weather file instead of a clear sky, and ``weather_columns`` are the columns of a CSV.
     """
 
     to: _Date | None = None
@@ -41,7 +41,7 @@ class PointIrradiationOptions(_IrradiationModel):
     azimuth: float | None = Field(default=None, ge=0.0, le=360.0)
     albedo: float = Field(default=0.2, ge=0.0, le=1.0)
     linke: float | None = Field(default=None, ge=1.0, le=20.0)
-    step_min: float = Field(default=60.0, ge=1.0, le=60.0)
+    step_min: float | None = Field(default=None, ge=1.0, le=60.0)
     weather: Path | None = None
     weather_columns: str | None = None
 

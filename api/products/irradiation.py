@@ -30,9 +30,6 @@ PRODUCT_NAME = "irradiation"
 
 UNIT = "kWh/m2"
 
-STEP_MIN = 60.0
-"""Default minutes between two suns."""
-
 LEGEND_TICKS = 5
 """Number of ticks of a legend."""
 
@@ -68,7 +65,7 @@ class IrradiationOptions(ProductOptions):
     """Options of irradiation: the dates, the part of the light, the plane that receives it, and the air and the ground around."""
 
     UNSERVED: ClassVar[Mapping[str, Any]] = {
-        "to": None, "days": "mean", "per": "period", "by_part": False, "step_min": STEP_MIN, "weather": None,
+        "to": None, "days": "mean", "per": "period", "by_part": False, "step_min": None, "weather": None,
         "weather_columns": None, "checkpoint": None,
     }  # fmt: skip
 
@@ -114,7 +111,9 @@ class IrradiationOptions(ProductOptions):
         default="solar", max_length=60, examples=["Europe/Oslo"],
         description="Clock of the dates: solar (the default), utc, +02:00 or Europe/Oslo.",
     )  # fmt: skip
-    step_min: float = Field(default=STEP_MIN, ge=1.0, le=60.0, description="Minutes between two suns.")
+    step_min: float | None = Field(
+        default=None, ge=1.0, le=60.0, description="Minutes between two suns; default: 60 for 28 dates and more, else 10."
+    )
     weather: Path | None = Field(
         default=None, description="Weather file instead of a clear sky: EPW, TMY3, PVGIS's TMY, or CSV with columns of its own."
     )
@@ -143,8 +142,8 @@ class IrradiationOptions(ProductOptions):
         if self.weather is None and self.weather_columns is not None:
             raise InputError.missing("weather", "Columns are those of a weather file")
         if self.weather is not None:
-            for name, is_given in (("days", self.days == "mean"), ("linke", self.linke), ("step_min", self.step_min != STEP_MIN)):
-                if is_given:
+            for name, is_given in (("days", self.days == "mean"), ("linke", self.linke), ("step_min", self.step_min)):
+                if is_given not in (None, False):
                     raise InputError.conflict(name, "weather", "Leave it out: the file has its own light and its own steps")
         if (bands := self._band_count) > MAX_BANDS:
             raise InputError.over_limit("per", f"{bands} bands", str(MAX_BANDS), "Choose fewer dates or a longer period")
@@ -200,7 +199,18 @@ class IrradiationOptions(ProductOptions):
 
         azimuth_deg = 180.0 if self.plane_azimuth is None else self.plane_azimuth
         plane: Plane = self.plane if self.tilt is None else TiltedPlane(self.tilt, azimuth_deg)
-        return IrradiationRules(self.parts, plane, self.albedo, self.linke, self.step_min, self.transmissivity)
+        return IrradiationRules(
+            self.parts, plane, self.albedo, self.linke, self.used_step_min, self.transmissivity, self.per != "hour"
+        )
+
+    @property
+    def used_step_min(self) -> float:
+        """The minutes between two suns: those given, or the default for the dates."""
+        from skugga.shadows.irradiation.suns import LONG_STEP_MIN, default_step_min
+
+        if self.step_min is not None:
+            return self.step_min
+        return default_step_min(self.date_count) if self.date_weights is None else LONG_STEP_MIN
 
     def blocks(self, scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
         """Return the blocks of a map, in the form that ``blocks_of`` returns; all bands of a block are in memory."""
@@ -306,7 +316,7 @@ def _color_scale(options: IrradiationOptions, world: World) -> ColorScale:
     from skugga.shadows.irradiation.suns import sun_intervals
 
     dates, place = options.dates(world), (world.anchor_lon_deg, world.anchor_lat_deg)
-    suns = sun_intervals(dates.windows, options.step_min, *place)
+    suns = sun_intervals(dates.windows, options.used_step_min, *place)
     hours = suns.hours * dates.days_represented(suns.moments)
     sums = light_sums_kwh(clear_sky_light(suns, *place, np.zeros(1), options.linke), hours, options.albedo)
     high = _round_end(SLOPE_GAIN * float(np.abs(sums[options.part][0])))
@@ -332,7 +342,7 @@ def _tags(options: IrradiationOptions, scene: Scene) -> dict[str, str]:
         "part": "all" if options.by_part else options.part, "plane": options.plane_text, "date": first.isoformat(),
         "date_to": "" if first == last else last.isoformat(), "dates": str(options.date_count),
         "days": "" if options.date_weights is None else "mean day of each month (Klein 1977)", "per": options.per,
-        "clock": options.clock, "step_min": f"{options.step_min:g}", "albedo": f"{options.albedo:g}",
+        "clock": options.clock, "step_min": f"{options.used_step_min:g}", "albedo": f"{options.albedo:g}",
         "linke_turbidity": "monthly climate" if options.linke is None else f"{options.linke:g}",
         "transmissivity": f"{options.transmissivity:g}" if scene.loaded.level.forest else "",
         "weather": "clear sky (Ineichen and Perez 2002)" if options.weather is None else options.weather.name,

@@ -55,6 +55,8 @@ class IrradiationRules:
         Minutes between two suns.
     transmissivity
         Share of the light that comes through crowns of trees, 0 to 1.
+    begin_later_each_day
+        Whether the intervals of suns begin later each day (``skugga.shadows.irradiation.suns``).
     """
 
     parts: tuple[Part, ...] = ("total",)
@@ -63,6 +65,7 @@ class IrradiationRules:
     linke_turbidity: float | None = None
     step_minutes: float = 60.0
     transmissivity: float = 0.0
+    begin_later_each_day: bool = False
 
 
 class MonthStore(Protocol):
@@ -124,7 +127,7 @@ def irradiation(
     lon, lat = (float(axis) for axis in scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row)))
     heights_m = _light_heights_m(*scene.height_range_m)
     if weather is None:
-        suns = sun_intervals(dates.windows, rules.step_minutes, lon, lat)
+        suns = sun_intervals(dates.windows, rules.step_minutes, lon, lat, rules.begin_later_each_day)
         light = clear_sky_light(suns, lon, lat, heights_m, rules.linke_turbidity)
     else:
         heights_m = heights_m[[0, -1]]

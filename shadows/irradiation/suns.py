@@ -3,6 +3,10 @@
 Each date is divided into intervals of equal length. The sun of an interval stands where it is in the middle of the time that it is
 up in the interval: in its middle by day, and in the middle of the rest after sunrise and before sunset. The sun is up while the
 middle of its disc, with refraction, is above the level horizon.
+
+If intervals begin at the same times every day, the sun runs through the same few places for weeks, and a narrow shadow that falls
+between two of them is never seen. So intervals may begin later each day, by the golden section of their length (modulo the length):
+the suns of a month then lie evenly on the sky.
 """
 
 from __future__ import annotations
@@ -19,6 +23,19 @@ from skugga.terrain.geo.sun_path import sun_path
 
 PIECES_PER_INTERVAL = 6
 """Pieces of an interval. The altitude is interpolated in each; with pieces of ten minutes a sunrise is accurate to seconds."""
+
+
+GOLDEN_SECTION = (np.sqrt(5.0) - 1.0) / 2.0
+"""Share of an interval by which intervals begin later each day. Its multiples, modulo 1, are spread most evenly."""
+
+LONG_PERIOD_DATES, LONG_STEP_MIN, SHORT_STEP_MIN = 28, 60.0, 10.0
+"""Number of dates from which on a sun an hour is enough, if the hours begin later each day, and the steps of both kinds of periods.
+"""
+
+
+def default_step_min(dates: int) -> float:
+    """Return the default minutes between two suns for a number of dates."""
+    return LONG_STEP_MIN if dates >= LONG_PERIOD_DATES else SHORT_STEP_MIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,19 +65,24 @@ class SunIntervals:
         return len(self.moments)
 
 
-def sun_intervals(windows: Sequence[DailyWindow], step_minutes: float, lon_deg: float, lat_deg: float) -> SunIntervals:
+def sun_intervals(
+    windows: Sequence[DailyWindow], step_minutes: float, lon_deg: float, lat_deg: float, begin_later_each_day: bool = False
+) -> SunIntervals:
     """Return the suns of some windows of time, in intervals of about ``step_minutes``, at a position.
 
-    Raises ``InputError`` for years outside of the sun's ephemeris.
+    If ``begin_later_each_day``, intervals begin later each day by the golden section of their length. The time before the first of
+    them, and the rest of the last one, are intervals of their own. Raises ``InputError`` for years outside of the sun's ephemeris.
     """
     starts = np.array([window.start.astimezone(UTC).replace(tzinfo=None) for window in windows], "datetime64[us]")
     lengths = np.array([window.length_min for window in windows])
-    counts = np.maximum(np.rint(lengths / step_minutes), 1).astype(int)
+    steps = np.maximum(np.rint(lengths / step_minutes), 1).astype(int)
+    begin = np.array([window.date.toordinal() * GOLDEN_SECTION % 1.0 if begin_later_each_day else 0.0 for window in windows])
+    counts = steps + (1 if begin_later_each_day else 0)
     window_of = np.repeat(np.arange(len(windows)), counts)
     number = np.arange(len(window_of)) - np.repeat(np.cumsum(counts) - counts, counts)
-    interval_minutes = (lengths / counts)[window_of]
-    interval_starts = starts[window_of] + _microseconds(number * interval_minutes)
-    up_minutes, moments = time_up(interval_starts, interval_minutes, lon_deg, lat_deg)
+    first = begin[window_of] - (1.0 if begin_later_each_day else 0.0)
+    ends = np.clip(np.stack([number + first, number + first + 1.0]), 0.0, steps[window_of]) * (lengths / steps)[window_of]
+    up_minutes, moments = time_up(starts[window_of] + _microseconds(ends[0]), ends[1] - ends[0], lon_deg, lat_deg)
     return suns_at(moments, up_minutes, lon_deg, lat_deg)[0]
 
 

@@ -67,7 +67,9 @@ def irradiation_raster(
         str,
         typer.Option(help="Clock of dates: solar (true solar time), utc, an offset or a zone (Europe/Oslo)."),
     ] = "solar",
-    step: Annotated[str, typer.Option(metavar="1h", help="Time between two suns.")] = "1h",
+    step: Annotated[
+        str | None, typer.Option(metavar="10m", help="Time between two suns; default: 1h for 28 dates and more, else 10m.")
+    ] = None,
     polygons: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Roofs, fields or other polygons: write their means and sums instead of a raster."),

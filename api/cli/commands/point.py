@@ -54,7 +54,9 @@ def sun_at_point(
     linke: Annotated[
         float | None, typer.Option(help="Linke's turbidity of the air, instead of the place's monthly climate.")
     ] = None,
-    step: Annotated[str | None, typer.Option(help="Time between two suns of --irradiation; default: 1h.")] = None,
+    step: Annotated[
+        str | None, typer.Option(help="Time between two suns of --irradiation; default: 1h for 28 dates and more, else 10m.")
+    ] = None,
     weather: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Weather for --irradiation instead of a clear sky: EPW, TMY3, PVGIS's TMY, or CSV."),
