@@ -117,9 +117,9 @@ def measure_rays(data: Path, cells: int) -> Iterator[RayRow]:
         scene.close()
         beams = []
         for step in (60.0, FINE_STEP_MINUTES):
-            suns = sun_intervals(windows, step, sampled.lon_deg, sampled.lat_deg)
+            suns = sun_intervals(windows, step, sampled.lon_deg, sampled.lat_deg, begin_later_each_day=step == 60.0)
             beams.append(sampled.beam_kwh(suns, sampled.clear_sky_beam(suns)))
-        suns = sun_intervals(windows, 60.0, sampled.lon_deg, sampled.lat_deg)
+        suns = sun_intervals(windows, 60.0, sampled.lon_deg, sampled.lat_deg, begin_later_each_day=True)
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "beam.tif"
             run = run_process(

@@ -76,12 +76,13 @@ and height. The last errors are those of hourly suns alone: rays to them beside 
 TOOLS_METHOD = """\
 The middles of two rasters. Each tool has an air of its own, and all can do without (GRASS with a turbidity of 0, SAGA with a
 transmittance of 100 %). So the question is geometry: a cell's beam as a share of that of open level ground *by the same tool*,
-times the true one, beside rays to NREL's suns every 5 minutes (of the year: every 10). Skugga's default for a day is 10 minutes. A cell's plane is fitted as the tool does
-it. `insolation` is a library without a loop over suns; it was given Skugga's hourly ones. r.sun computes single days, and SAGA's
-year of every fifth day takes 73 times as long as its day; behind a wall on a plain its own walk casts a shadow, but none in GRASS
-8.2.1 once slope and aspect maps are given, so it was run on level planes as well. r.horizon of GRASS 8.2 returns wrong negative
-horizons, which 8.3 mends; `none negative` is the same with horizons of at least 0. `saga_cmd` 8.5 ignores dates on its command
-line, and was run by a tool chain."""
+times the true one, beside rays to NREL's suns every 5 minutes (of the year: every 10). Skugga's default for a day is 10
+minutes. A cell's plane is fitted as the tool does it. `insolation` is a library without a loop over suns; it was given Skugga's
+hourly ones. r.sun computes single days, and SAGA's year of every fifth day takes 73 times as long as its day; behind a wall on
+a plain its own walk casts a shadow, but none in GRASS 8.2.1 once slope and aspect maps are given, so it was run on level planes
+as well. r.horizon of GRASS 8.2 returns wrong negative horizons, which 8.3 mends; `none negative` is the same with horizons of
+at least 0. `saga_cmd` 8.5 ignores dates on its command line, and was run by a tool
+chain."""
 
 
 def format_tables(results: Results) -> str:

@@ -79,9 +79,8 @@ def skugga(path: str, out: str, first: str, last: str, minutes: str) -> float:
     start = time.perf_counter()
     windows = windows_between(scene.world, date.fromisoformat(first), date.fromisoformat(last), 1, (0.0, 1440.0), SOLAR)
     with without_air():
-        beam = irradiation(
-            scene, view_of_cells(scene), all_dates(windows), IrradiationRules(("beam",), step_minutes=float(minutes))
-        )[0]
+        rules = IrradiationRules(("beam",), step_minutes=float(minutes), begin_later_each_day=True)
+        (beam,) = irradiation(scene, view_of_cells(scene), all_dates(windows), rules)
     taken_s = time.perf_counter() - start
     np.save(out, beam)
     scene.close()

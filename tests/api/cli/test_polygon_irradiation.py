@@ -59,12 +59,12 @@ def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
     whole, small, outside, hole = table(tmp_path / "day.csv")
     mean = values[13:16, 11:14].mean()  # inner cells
     cell_m2 = (CELL_M / 0.9996) ** 2 / np.cos(np.radians(TILT_DEG))
-    assert whole["cells"] == "25" and float(whole["kwh_m2"]) == pytest.approx(mean, rel=1e-5)
+    assert whole["cells"] == "25" and float(whole["kwh_m2"]) == pytest.approx(mean, rel=1e-4)  # suns at the middle of each block
     assert float(whole["area_m2"]) == pytest.approx(25 * cell_m2, rel=1e-3)
     assert float(whole["kwh"]) == pytest.approx(25 * cell_m2 * mean, rel=1e-3)
     assert float(whole["slope_deg"]) == pytest.approx(TILT_DEG, abs=0.05)
     assert float(whole["azimuth_deg"]) == pytest.approx(90.0, abs=0.1)
-    assert small["cells"] == "1" and float(small["kwh_m2"]) == pytest.approx(values[20, 20], rel=1e-5)
+    assert small["cells"] == "1" and float(small["kwh_m2"]) == pytest.approx(values[20, 20], rel=1e-4)
     for row in (outside, hole):
         assert row["cells"] == "0" and row["kwh_m2"] == "" and row["remark"] == "outside of the level's ground"
 

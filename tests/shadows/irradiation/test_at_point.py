@@ -14,6 +14,7 @@ from pyproj import Transformer
 
 from benchmarks.sweep_speed import fractal_heights_m
 from skugga.shadows.irradiation.at_point import PARTS, PointIrradiation, irradiation_at_point
+from skugga.shadows.irradiation.dates import all_dates
 from skugga.shadows.irradiation.ground_plane import ground_plane
 from skugga.shadows.irradiation.irradiation import IrradiationRules, irradiation
 from skugga.shadows.irradiation.light import SkyLight, clear_sky_light
@@ -281,7 +282,8 @@ def test_points_agree_with_rasters(scene_of):
     scene = scene_of(fractal_heights_m(60), cell_m=30.0)
     view, days = cells_of(scene), days_of(scene, date(2023, 2, 1), date(2023, 11, 1), 40)
     # The climate of turbidity has steps between its cells, one of which lies in the raster.
-    rasters = {part: irradiation(scene, view, days, IrradiationRules(part=part, linke_turbidity=3.0)) for part in PARTS}
+    values = irradiation(scene, view, all_dates(days), IrradiationRules(PARTS, linke_turbidity=3.0))
+    rasters = dict(zip(PARTS, values, strict=True))
     exact = 0
     for cell in ((12, 20), (25, 31), (30, 30), (41, 17), (47, 44), (36, 50), (18, 8), (52, 29)):
         position = float(view.grid.x(view.col0 + cell[1])), float(view.grid.y(view.row0 + cell[0]))
