@@ -93,6 +93,14 @@ def test_blocks_of_irradiation_join(run, raster, tmp_path, monkeypatch):
         (["--year", "2023", "--step", "2h"], "--step: '2h' is not allowed"),
         (["--year", "2023", "--clock", "Europe/Gotham"], "--clock: 'Europe/Gotham'"),
         (["--year", "2023", "-o", "year.png"], "--output: 'year.png'"),
+        (["--year", "2023", "--tilt", "190"], "--tilt: '190.0' is not allowed"),
+        (["--year", "2023", "--azimuth", "90"], "--tilt: missing. An azimuth needs the tilt of the plane"),
+        (["--year", "2023", "--tilt", "30", "--plane", "level"], "--plane: cannot be combined with tilt"),
+        (["--year", "2023", "--per", "hour"], "--per: 8760 bands"),
+        (["--year", "2023", "--per", "week"], "--per: 'week' is not allowed"),
+        (["--year", "2023", "--per", "day", "--days", "mean"], "--per: cannot be combined with days=mean"),
+        (["--date", "2023-03-26", "--per", "hour", "--clock", "Europe/Oslo"], "clock: 'Europe/Oslo' is not allowed"),
+        (["--year", "2023", "--transmissivity", "2"], "--transmissivity: '2.0' is not allowed. Allowed: 0 to 1"),
     ],
 )
 def test_wrong_options_are_one_line(run, raster, tmp_path, options, message):
