@@ -118,9 +118,9 @@ def irradiation(
         Years outside of the sun's ephemeris, and dates of which the weather has no record.
     """
     surfaces = surfaces or block_surfaces(scene, view, rules.plane, rules.transmissivity)
-    periods = len(dates.periods)
-    out = np.full((periods, len(rules.parts), view.rows, view.cols), np.nan, np.float32)
+    out = np.zeros((len(dates.periods), len(rules.parts), view.rows, view.cols), np.float32)
     shown = np.isfinite(surfaces.height_m)
+    out[..., ~shown] = np.nan
     if not shown.any():
         return out.reshape(-1, view.rows, view.cols)
     row, col = view.centre_node
@@ -134,27 +134,20 @@ def irradiation(
         suns, light = weather_light(weather, dates.windows, lon, lat)
     suns = replace(suns, hours=suns.hours * dates.days_represented(suns.moments))
     height_index = np.interp(np.nan_to_num(surfaces.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
-    values = {part: np.zeros((periods, view.rows, view.cols), np.float32) for part in _computed_parts(rules.parts)}
-    for period, numbers in enumerate(_numbers_by_period(dates, suns)):
-        sums = light_sums_kwh(_selected(light, numbers), suns.hours[numbers], rules.albedo)
-        if period == 0 and any(part in values for part in SKY_PARTS):
-            factors = _sky_factors(surfaces)
-        for part in SKY_PARTS:
-            if part in values:
-                by_height = np.interp(height_index, np.arange(len(heights_m)), sums[part]).astype(np.float32)
-                values[part][period] = factors[part] * by_height
-    sun_parts = [part for part in values if part not in SKY_PARTS]
-    if sun_parts:
-        lights = [_direct_light(light, part) for part in sun_parts]
-        direct = _direct_by_period(scene, surfaces, height_index, dates, suns, lights, on_date, store)
-        for number, part in enumerate(sun_parts):
-            values[part] = direct[:, number]
+    if any(_targets(rules.parts, part) for part in SKY_PARTS):
+        factors = _sky_factors(surfaces)
+        for period, numbers in enumerate(_numbers_by_period(dates, suns)):
+            sums = light_sums_kwh(_selected(light, numbers), suns.hours[numbers], rules.albedo)
+            for part in SKY_PARTS:
+                if targets := _targets(rules.parts, part):
+                    by_height = np.interp(height_index, np.arange(len(heights_m)), sums[part]).astype(np.float32)
+                    out[period, targets] += factors[part] * by_height
+    lights = _direct_lights(light, rules.parts)
+    if lights:
+        _add_direct_light(scene, surfaces, height_index, dates, suns, lights, on_date, store, out)
     else:
         for _ in dates.windows:
             on_date()
-    for number, part in enumerate(rules.parts):
-        parts = [values[name] for name in values] if part == "total" else [values[part]]
-        out[:, number] = np.where(shown, sum(parts[1:], parts[0]), np.float32(np.nan))
     return out.reshape(-1, view.rows, view.cols)
 
 
@@ -172,21 +165,20 @@ def light_sums_kwh(light: SkyLight, hours: np.ndarray, albedo: float) -> dict[Pa
     return {part: power @ hours / 1000.0 for part, power in values.items()}
 
 
-def _computed_parts(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Return the parts that are computed for parts that are asked for.
+def _targets(parts: tuple[Part, ...], part: Part) -> list[int]:
+    """Return the indices of the parts that one part of the light belongs to: itself and the total, where they are asked for."""
+    return [number for number, asked in enumerate(parts) if asked in (part, "total")]
 
-    If the ``total`` is asked for without beam and circumsolar light, these two are computed together, under the name ``total``.
+
+def _direct_lights(light: SkyLight, parts: tuple[Part, ...]) -> list[tuple[np.ndarray, list[int]]]:
+    """Return the light from the sun's direction, (heights, n), W/m2, with the indices of the parts that it belongs to.
+
+    Beam and circumsolar light that are asked for in the ``total`` alone are computed together.
     """
-    if "total" not in parts:
-        return parts
-    return (*SUN_PARTS, *SKY_PARTS) if set(SUN_PARTS) & set(parts) else ("total", *SKY_PARTS)
-
-
-def _direct_light(light: SkyLight, part: Part) -> np.ndarray:
-    """Return the light from the sun's direction that counts in a part, (heights, n), W/m2."""
-    if part == "total":
-        return light.beam + light.circumsolar
-    return light.beam if part == "beam" else light.circumsolar
+    if not set(SUN_PARTS) & set(parts):
+        return [(light.beam + light.circumsolar, _targets(parts, "total"))] if "total" in parts else []
+    lights = [(light.beam, _targets(parts, "beam")), (light.circumsolar, _targets(parts, "circumsolar"))]
+    return [(power, targets) for power, targets in lights if targets]
 
 
 def _selected(light: SkyLight, numbers: np.ndarray) -> SkyLight:
@@ -220,21 +212,21 @@ def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:
     return np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / HEIGHT_STEP_M)) + 1)
 
 
-def _direct_by_period(
+def _add_direct_light(
     scene: Scene,
     surfaces: BlockSurfaces,
     height_index: np.ndarray,
     dates: Dates,
     suns: SunIntervals,
-    lights: list[np.ndarray],
+    lights: list[tuple[np.ndarray, list[int]]],
     on_date: Callable[[], None],
     store: MonthStore | None,
-) -> np.ndarray:
-    """Return the irradiation from the suns' directions, float32 (periods, lights, rows, cols), kWh/m2.
+    out: np.ndarray,
+) -> None:
+    """Add the irradiation from the suns' directions to ``out`` (periods, parts, rows, cols), kWh/m2.
 
-    Months are computed one after the other. ``store`` keeps those that are finished.
+    ``lights`` are those of ``_direct_lights``. Months are computed one after the other. ``store`` keeps those that are finished.
     """
-    out = np.zeros((len(dates.periods), len(lights), *height_index.shape), np.float32)
     period_of, date_of = dates.period_numbers(suns.moments), dates.date_numbers(suns.moments)
     direct = DirectLight(scene, surfaces, height_index)
     first_date = first_period = 0
@@ -247,16 +239,17 @@ def _direct_by_period(
         if kept is None:
             progress = _DateProgress(len(month.windows), len(numbers_of_month), on_date)
             of_periods = [numbers_of_month[period_of[numbers_of_month] == period] for period in periods]
-            kept = np.stack([np.stack(direct.irradiation(suns, lights, numbers, progress.add_sun)) for numbers in of_periods])
+            powers = [power for power, _ in lights]
+            kept = np.stack([np.stack(direct.irradiation(suns, powers, numbers, progress.add_sun)) for numbers in of_periods])
             progress.finish()
             if store is not None:
                 store.save(month_name, kept)
         else:
             for _ in month.windows:
                 on_date()
-        for period, of_period in zip(periods, kept, strict=True):
-            out[period] += of_period
-    return out
+        for period, of_lights in zip(periods, kept, strict=True):
+            for values, (_, targets) in zip(of_lights, lights, strict=True):
+                out[period, targets] += values
 
 
 class _DateProgress:
