@@ -117,7 +117,7 @@ def test_operation_example_is_answered(client: Client, document: dict[str, Any],
 def companion_parameters(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
     """Return the parameters that a parameter requires."""
     name = parameter["name"]
-    if "tilt" in {item["name"] for item in parameters(operation)}:
+    if {"tilt", "to"} <= {item["name"] for item in parameters(operation)}:  # irradiation at a point
         return {"azimuth": {"tilt": 35}, "to": {"date": "2024-03-21"}}.get(name, {})
     if name.lower() in ("azimuth", "altitude"):
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
