@@ -31,14 +31,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Render a level's tiles in advance, into an archive (PMTiles) or a folder. The same command resumes an interrupted run, "
         "and redraws what has changed.",
     ),
-    "point": ("point:sun_at_point", "Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon."),
+    "point": (
+        "point:sun_at_point",
+        "Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon, the irradiation.",
+    ),
     "sunhours": (
         "sunhours:sun_hours_raster",
         "Write hours of sun, first or last sun as a raster of any size, over dates and daily windows.",
     ),
     "irradiation": (
         "irradiation:irradiation_raster",
-        "Write the irradiation of a year or of dates, kWh/m2, as a raster of any size, under a clear sky, with terrain in the way.",
+        "Write the irradiation of a year or of dates, kWh/m2, as a raster or for polygons. Terrain, buildings and trees are in "
+        "the way.",
     ),
     "select": ("select:select", "Choose algorithms and settings for one view or all views of a level, and give the reasons."),
     "calibrate": ("calibrate:calibrate", "Calibrate this device for the policy `predict`."),

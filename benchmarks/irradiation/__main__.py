@@ -35,7 +35,8 @@ from benchmarks.peers.tools import run_process
 from benchmarks.sun_questions.commands_and_rasters import RASTERS, SKUGGA_COMMAND, WHOLE_RASTERS, read_dem, tool_versions
 from benchmarks.sweep_speed import processor_name
 from skugga.api.raster_view import raster_view
-from skugga.shadows.irradiation.irradiation import IrradiationRules, Part
+from skugga.shadows.irradiation.irradiation import IrradiationRules
+from skugga.shadows.irradiation.light import Part
 from skugga.shadows.irradiation.suns import sun_intervals
 from skugga.terrain.geo.clock import SOLAR
 from skugga.terrain.geo.daily_windows import DailyWindow, windows_between

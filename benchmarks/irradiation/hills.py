@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.irradiation.irradiation import Part
-from skugga.shadows.irradiation.light import SkyLight, reflected_light
+from skugga.shadows.irradiation.light import Part, SkyLight, reflected_light
 from skugga.shadows.irradiation.sky import HORIZON_BAND_DEG
 from skugga.shadows.irradiation.suns import SunIntervals
 

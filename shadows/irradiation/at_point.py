@@ -16,8 +16,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from skugga.shadows.irradiation.irradiation import Part
-from skugga.shadows.irradiation.light import SkyLight, reflected_light
+from skugga.shadows.irradiation.light import Part, SkyLight, reflected_light
 from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.irradiation.suns import SunIntervals
 from skugga.shadows.point.horizon import GROUND, LEAVES, SOLIDS, PointHorizon, Surroundings, horizon_profile, sun_occluder_groups

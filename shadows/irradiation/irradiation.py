@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from skugga.shadows.irradiation.dates import Dates
 from skugga.shadows.irradiation.direct import DirectLight
-from skugga.shadows.irradiation.light import SkyLight, clear_sky_light, reflected_light, weather_light
+from skugga.shadows.irradiation.light import Part, SkyLight, clear_sky_light, reflected_light, weather_light
 from skugga.shadows.irradiation.planes import Plane
 from skugga.shadows.irradiation.sky import sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
@@ -25,9 +25,6 @@ from skugga.shadows.irradiation.surfaces import BlockSurfaces, block_surfaces
 from skugga.shadows.irradiation.weather_records import Weather
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
-
-Part = Literal["total", "beam", "circumsolar", "sky", "horizon_band", "reflected"]
-"""The parts of irradiation, and their total."""
 
 SUN_PARTS: tuple[Part, ...] = ("beam", "circumsolar")
 SKY_PARTS: tuple[Part, ...] = ("sky", "horizon_band", "reflected")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from skugga.shadows.irradiation.suns import SunIntervals, suns_at, time_up
 from skugga.shadows.irradiation.weather_records import RecordIntervals, Weather, as_timedelta, records_in_windows
 from skugga.shadows.irradiation.weather_sun import as_index, extraterrestrial_w_m2, without_pvlib_warnings
 from skugga.terrain.geo.daily_windows import DailyWindow
+
+Part = Literal["total", "beam", "circumsolar", "sky", "horizon_band", "reflected"]
+"""The parts of irradiation, and their total."""
 
 MIN_BEAM_ALTITUDE_DEG = 2.0
 """Altitude of the sun below which sunlight is not told from GHI and DHI: their difference is divided by next to nothing."""

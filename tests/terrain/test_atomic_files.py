@@ -192,6 +192,8 @@ def test_atomic_files_imports_only_the_standard_library():
 
 ALLOWED_WRITERS = {
     "api/point/horizons.py": "an archive in memory",
+    "api/polygon_irradiation.py": "a temporary file that atomic_files moves into place",
+    "shadows/irradiation/irradiation.py": "months, into the store that it is given",
     "api/month_folder.py": "a temporary file that atomic_files moves into place",
     "api/library/accessor.py": "a raster of its own that it reads from",
     "api/library/opened_level.py": "a raster of its own that its service reads",

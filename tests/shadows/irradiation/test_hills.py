@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.irradiation.hill_raster import HillRaster, open_hills
 from benchmarks.irradiation.hills import GaussianHills, four_hills, hills_irradiation, hills_sky
-from skugga.shadows.irradiation.irradiation import IrradiationRules, Part
+from skugga.shadows.irradiation.irradiation import IrradiationRules
+from skugga.shadows.irradiation.light import Part
 from skugga.terrain.geo.clock import SOLAR
 from skugga.terrain.geo.daily_windows import windows_between
 

@@ -18,7 +18,8 @@ from skugga.shadows.horizons.azimuths import evenly_spaced_azimuths_deg
 from skugga.shadows.horizons.grid import grid_of_array
 from skugga.shadows.horizons.sky_view import ground_slopes
 from skugga.shadows.irradiation.dates import all_dates
-from skugga.shadows.irradiation.irradiation import IrradiationRules, Part, irradiation
+from skugga.shadows.irradiation.irradiation import IrradiationRules, irradiation
+from skugga.shadows.irradiation.light import Part
 from skugga.shadows.irradiation.planes import normals_of_slopes
 from skugga.shadows.irradiation.sky import sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
