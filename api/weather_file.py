@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skugga.api.file_stamps import Stamp, file_stamps
+from skugga.terrain.cache import MIB, cached
 
 if TYPE_CHECKING:
     from skugga.shadows.irradiation.weather import Weather
@@ -20,7 +20,7 @@ def weather_of_file(path: Path, columns: str | None) -> Weather:
     return _weather(path, file_stamps([path])[0], columns)
 
 
-@lru_cache(maxsize=2)
+@cached("process", 16 * MIB)
 def _weather(path: Path, stamp: Stamp, columns: str | None) -> Weather:
     """Return the weather of a file, whose ``stamp`` tells its versions apart."""
     from skugga.shadows.irradiation.weather import parse_weather_columns, read_weather

@@ -6,10 +6,9 @@ sides. Gaps between leaves count as leaves, and the space below a crown as part 
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
+from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, TREE_VARIANTS, foliage
 
@@ -17,7 +16,7 @@ PROFILE_STEPS = 32
 """Steps of a profile from the stem to the crown's edge."""
 
 
-@cache
+@cached("process", MIB)
 def crown_profiles() -> np.ndarray:
     """Return the heights of the crowns' tops, float32 (variants, ``PROFILE_STEPS``), as shares of the trees' heights.
 
