@@ -17,8 +17,9 @@ SQUARE_METRES = north_up_cell(1.0, 1.0)
 
 def factor_of(height_m, kind, cell=SQUARE_METRES, azimuths=72):
     """Return the sky view factor at the middle node."""
-    factor = sky_view_factor(HorizonGrid(np.asarray(height_m, np.float32), cell), kind, azimuths)
-    return float(factor[height_m.shape[0] // 2, height_m.shape[1] // 2])
+    eyes = tuple(slice(count // 2, count // 2 + 1) for count in height_m.shape)
+    (factor,) = sky_view_factor(HorizonGrid(np.asarray(height_m, np.float32), cell, eyes=eyes), kind, azimuths).ravel()
+    return float(factor)
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 20.0, 45.0])
