@@ -51,7 +51,7 @@ class PolygonIrradiation:
     crs
         This CRS.
     cells
-        int (n,): cells whose centres lie in each polygon. One that is smaller than a cell has the cell that it lies in.
+        int (n,): cells whose centres lie in each polygon. One without any, since it is small or narrow, has a cell that it touches.
     area_m2
         (n,): area of these cells along the ground or the roof; with planes of a given tilt, on the map. NaN without cells.
     slope_deg, azimuth_deg
@@ -184,12 +184,12 @@ class _PolygonSums:
     def _cells_of(self, number: int, x: np.ndarray, y: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows and columns of the cells whose centres, at ``x`` and ``y``, lie in a polygon.
 
-        A polygon that is smaller than a cell and holds no centre has the cell that it lies in.
+        A polygon that holds no centre, since it is small or narrow, has the cell in which a point of it lies.
         """
         west, south, east, north = self._bounds[number]
         rows, cols = np.flatnonzero((y >= south) & (y <= north)), np.flatnonzero((x >= west) & (x <= east))
         inside = shapely.contains_xy(self._features.geometry[number], *np.meshgrid(x[cols], y[rows]))
-        if inside.any() or max(east - west, north - south) > 2.0 * side:
+        if inside.any():
             row, col = np.nonzero(inside)
             return rows[row], cols[col]
         at_x, at_y = self._inner_points[number]

@@ -69,6 +69,17 @@ def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
         assert row["cells"] == "0" and row["kwh_m2"] == "" and row["remark"] == "outside of the level's ground"
 
 
+def test_a_narrow_polygon_between_centres_has_a_cell(run, slope, tmp_path):
+    strip = shapely.box(WEST + 10.6 * CELL_M, NORTH - 25.0 * CELL_M, WEST + 10.9 * CELL_M, NORTH - 12.0 * CELL_M)
+    feature = {"type": "Feature", "properties": {}, "geometry": json.loads(shapely.to_geojson(strip))}
+    squares = write_squares(tmp_path / "strip.geojson", feature)
+    arguments = ["--polygons", str(squares), "--date", "2024-06-21", "-o", str(tmp_path / "strip.csv")]
+    status, _, error = run("irradiation", str(slope), *arguments)
+    assert status == 0, error
+    (row,) = table(tmp_path / "strip.csv")
+    assert row["cells"] == "1" and float(row["slope_deg"]) == pytest.approx(TILT_DEG, abs=0.05) and row["remark"] == ""
+
+
 def test_polygons_have_a_column_for_each_month(run, slope, tmp_path):
     squares = write_squares(tmp_path / "squares.geojson", square(10, 12, 5))
     output = tmp_path / "months.geojson"
