@@ -168,7 +168,8 @@ def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
         assert problem["preparing"] == {"task": "compiling loops for map tiles", "done": 3, "total": 9}
         time.sleep(1.0)
         later_s = client.get("/readyz").json()["preparing"]["elapsed_s"]
-        assert 1.0 <= later_s - elapsed_s < TIMEOUT_S, "the seconds count from the service's start, for every client"
+        # Both are rounded to tenths of a second.
+        assert 0.85 <= later_s - elapsed_s < TIMEOUT_S, "the seconds count from the service's start, for every client"
         assert client.get("/levels").status_code == 200, "answers that need no drawing are available"
         assert not waiting.done()
         may_finish.release()
