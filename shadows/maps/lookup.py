@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.shadows.maps.drawing import MapSettings
+from skugga.shadows.maps.map_point_lookup import GroundNodes, MapPoints, look_up_map_points
 from skugga.shadows.maps.point_lookup import DepthComparison, LookupPoints, look_up_points, sun_map
 from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MAX_HALF_DISC_TEXELS, MIN_DISC_TAPS, disc_samples_before_edges
 from skugga.shadows.maps.windows import DepthMap
@@ -16,12 +17,13 @@ from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader_source
-from skugga.terrain.gbuffer.light_facing import facing_normals
+from skugga.terrain.gbuffer.light_facing import FacingNormals, facing_normals
 from skugga.terrain.gbuffer.map_columns import column_top_corners
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device
 from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.ground.surface import SurfaceWindow
 from skugga.terrain.lights import LightPosition
 
 if TYPE_CHECKING:
@@ -42,8 +44,8 @@ DEPTH_MAP_TEXTURE_UNIT = 5
 MIN_DEPTH_TEXTURE_UNIT = 6
 """Texture unit of the minimum depths of the depth map's blocks of texels."""
 
-POINT_LOOKUP_LABEL = "shadows/maps/point_lookup"
-"""Label of the CPU loop over a perspective view's points, in the record of passes."""
+POINT_LOOKUP_LABEL, MAP_POINT_LOOKUP_LABEL = "shadows/maps/point_lookup", "shadows/maps/map_point_lookup"
+"""Labels of the CPU loops over a perspective view's points, and over those of a map, in the record of passes."""
 
 
 def look_up(
@@ -72,6 +74,15 @@ def look_up(
             visibility[:] = _run_lookup(gl, program, arrays, target, depth_map, record)
             return
         facets = facing_normals(buffer, light_in_frame)
+        if isinstance(view, MapView) and window is not None and _has_loop(depth_map, settings):
+            depths = _read_map(gl, depth_map, target, record)
+            comparison = _depth_comparison(settings, int(settings.filter))
+            look_up_map_points(
+                sun_map(depth_map, depths), comparison, _map_points(buffer, facets), _ground_nodes(window, view), visibility
+            )
+            visibility[facets.is_blocked] = 0.0  # a map may miss occluders nearer than a texel
+            record.add_loop(MAP_POINT_LOOKUP_LABEL, int(settings.filter))
+            return
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.valid.shape
             # a lifted point lies on none of the triangles around its node; a negative crease marks it
@@ -117,9 +128,8 @@ def look_up(
             a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
         ]
         flat_arrays.append(buffer.surface_kind.reshape(-1))
-        if settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform:
-            depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.face_size, reuse_memory=True)
-            record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
+        if _has_loop(depth_map, settings):
+            depths = _read_map(gl, depth_map, target, record)
             points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], *flat_arrays[3:])
             for part, filter in parts:
                 look_up_points(
@@ -137,6 +147,35 @@ def look_up(
                 _gather_points(chosen, *flat_arrays, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
+
+
+def _has_loop(depth_map: DepthMap, settings: MapSettings) -> bool:
+    """Return whether loops on the CPU can look points up in a map: in the sun's, without the sun's disc."""
+    return settings.filter != "sun" and not depth_map.uniforms["lamp"] and depth_map.is_uniform
+
+
+def _read_map(gl: Device, depth_map: DepthMap, target: Framebuffer, record: PassRecord) -> np.ndarray:
+    """Return the depths of a drawn map of the sun: uint16 or float32 (rows, cols), valid until the next read."""
+    depths = gl.read(target, -1, "u2" if depth_map.depth_bits == 16 else "f4", size=depth_map.face_size, reuse_memory=True)
+    record.bytes = max(record.bytes, depth_map.nbytes + depths.nbytes)
+    return depths
+
+
+def _map_points(buffer: GeometryBuffer, facets: FacingNormals) -> MapPoints:
+    """Return a map's points with the normals that face the light, in the form that the loop reads."""
+    size, corners = buffer.valid.size, buffer.corners_frame_m
+    return MapPoints(
+        buffer.valid.reshape(size), buffer.position_frame_m.reshape(size, 3), facets.normal_frame.reshape(size, 3),
+        facets.crease.reshape(size), np.zeros((0, 9), np.float32) if corners is None else corners.reshape(size, 9),
+        np.zeros(0, np.bool_) if buffer.is_lifted is None else buffer.is_lifted.reshape(size),
+    )  # fmt: skip
+
+
+def _ground_nodes(window: SurfaceWindow, view: MapView) -> GroundNodes:
+    """Return the nodes of a map's ground, in the form that the loop reads."""
+    sheet = window.with_rim.sheet
+    places = view.row0 - window.row0, view.col0 - window.col0, view.row_step, view.col_step
+    return GroundNodes(sheet.position_frame_m, sheet.is_cut_nw_se, *(np.float32(value) for value in places))
 
 
 def _depth_comparison(settings: MapSettings, taps: int) -> DepthComparison:

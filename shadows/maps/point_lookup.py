@@ -137,29 +137,29 @@ def _look_up_chunk(first, last, drawn_map, comparison, points, point_indices, vi
     for m in range(first, last):
         i = point_indices[m]
         uses_triangle = comparison.uses_triangles and points.surface_kind[i] != FOREST
-        p = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, points.position, i, 0))
-        is_empty = uses_triangle and _is_free_of_casters(drawn_map, p, taps)
+        p = translate_to_light(drawn_map, rotate_to_light(drawn_map, points.position, i, 0))
+        is_empty = uses_triangle and is_free_of_casters(drawn_map, p, taps)
         if uses_triangle and not is_empty:
-            lit, total_weight = _weights_on_triangle(drawn_map, comparison, p, points.corners, i)
+            lit, total_weight = weights_on_triangle(drawn_map, comparison, p, points.corners, i)
             if total_weight > np.float32(0.0):
                 visibility[i] = lit / total_weight
                 continue
-        moved_point = _move_off_surface(
-            drawn_map, comparison, p, _rotate_to_light(drawn_map, points.normal, i, 0), abs(points.crease[i])
+        moved_point = move_off_surface(
+            drawn_map, comparison, p, rotate_to_light(drawn_map, points.normal, i, 0), abs(points.crease[i])
         )
         if is_empty:
-            if _is_free_of_casters(drawn_map, moved_point, taps_without_triangle):
+            if is_free_of_casters(drawn_map, moved_point, taps_without_triangle):
                 visibility[i] = np.float32(1.0)
                 continue
-            lit, total_weight = _weights_on_triangle(drawn_map, comparison, p, points.corners, i)
+            lit, total_weight = weights_on_triangle(drawn_map, comparison, p, points.corners, i)
             if total_weight > np.float32(0.0):
                 visibility[i] = lit / total_weight
                 continue
-        visibility[i] = _lit_share_without_triangle(drawn_map, comparison, moved_point)
+        visibility[i] = lit_share_without_triangle(drawn_map, comparison, moved_point)
 
 
 @internal
-def _rotate_to_light(drawn_map, vectors, i, first):
+def rotate_to_light(drawn_map, vectors, i, first):
     """Return the vector ``vectors[i, first : first + 3]``, metres of the frame, along the light's axes, as a tuple.
 
     ``drawn_map`` is a ``SunMap``. Allocating an array would cost more than all other work.
@@ -174,17 +174,17 @@ def _rotate_to_light(drawn_map, vectors, i, first):
 
 
 @internal
-def _translate_to_light(drawn_map, rotated):
+def translate_to_light(drawn_map, rotated):
     """Return a vector along the light's axes as a position in the map, metres: right, up and depth.
 
-    ``rotated`` is the vector, a tuple of three (``_rotate_to_light``), and ``drawn_map`` the ``SunMap``.
+    ``rotated`` is the vector, a tuple of three (``rotate_to_light``), and ``drawn_map`` the ``SunMap``.
     """
     offset = drawn_map.light_offset_m
     return rotated[0] + offset[0], rotated[1] + offset[1], rotated[2] + offset[2]
 
 
 @internal
-def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
+def move_off_surface(drawn_map, comparison, point_m, normal, crease):
     """Return a point moved along its normal, off every surface that passes through it.
 
     ``point_m`` is a position in the map, metres, and ``normal`` a unit vector along the light's axes, tuples of three. ``crease``
@@ -208,7 +208,7 @@ def _move_off_surface(drawn_map, comparison, point_m, normal, crease):
 
 
 @internal
-def _first_tap(drawn_map, point_m, side_taps):
+def first_tap(drawn_map, point_m, side_taps):
     """Return the column and the row of the first texel of a square of taps around a point, and two offsets of the square.
 
     The square has ``side_taps`` taps along a side. The offsets, in columns and in rows, lead from the texel to the square's corner,
@@ -221,12 +221,12 @@ def _first_tap(drawn_map, point_m, side_taps):
 
 
 @internal
-def _is_free_of_casters(drawn_map, point_m, side_taps):
+def is_free_of_casters(drawn_map, point_m, side_taps):
     """Return whether a map holds no caster in a square of ``side_taps`` x ``side_taps`` taps around a point.
 
     ``drawn_map`` is the ``SunMap``, and ``point_m`` a position in it, metres.
     """
-    left, low, _, _ = _first_tap(drawn_map, point_m, side_taps)
+    left, low, _, _ = first_tap(drawn_map, point_m, side_taps)
     rows, cols = drawn_map.depths.shape
     for r in range(max(low, 0), min(low + side_taps, rows)):
         for c in range(max(left, 0), min(left + side_taps, cols)):
@@ -236,7 +236,7 @@ def _is_free_of_casters(drawn_map, point_m, side_taps):
 
 
 @internal
-def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
+def is_lit(drawn_map, depth_rounding, row, col, depth_m):
     """Return whether a point at the depth ``depth_m``, metres, is not behind the map's depth at a texel.
 
     ``row`` and ``col`` are those of the texel; outside of the map every point is lit. ``depth_rounding`` is subtracted from the
@@ -252,10 +252,10 @@ def _is_lit(drawn_map, depth_rounding, row, col, depth_m):
 
 
 @internal
-def _tap_weight(side_taps, tap_index, fraction):
+def tap_weight(side_taps, tap_index, fraction):
     """Return the overlap, in [0, 1], along one axis, of a tap with the square of ``side_taps`` - 1 texels around the point.
 
-    ``tap_index`` is in [0, ``side_taps``). ``fraction`` is the offset of ``_first_tap`` along this axis.
+    ``tap_index`` is in [0, ``side_taps``). ``fraction`` is the offset of ``first_tap`` along this axis.
     """
     if tap_index == 0:
         return np.float32(1.0) - fraction
@@ -263,7 +263,7 @@ def _tap_weight(side_taps, tap_index, fraction):
 
 
 @internal
-def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
+def weights_on_triangle(drawn_map, comparison, point_m, corners, i):
     """Return the lit and the total weight of the taps whose texel centres lie in the own triangle of point ``i``.
 
     ``point_m`` is the point's position in the map, metres, and ``corners`` are those of ``LookupPoints``. Both weights are 0 if no
@@ -274,9 +274,9 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
         return lit, total_weight
     zero, one = np.float32(0.0), np.float32(1.0)
-    ax, ay, az = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 0))
-    ex, ey, ez = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 3))
-    gx, gy, gz = _translate_to_light(drawn_map, _rotate_to_light(drawn_map, corners, i, 6))
+    ax, ay, az = translate_to_light(drawn_map, rotate_to_light(drawn_map, corners, i, 0))
+    ex, ey, ez = translate_to_light(drawn_map, rotate_to_light(drawn_map, corners, i, 3))
+    gx, gy, gz = translate_to_light(drawn_map, rotate_to_light(drawn_map, corners, i, 6))
     ex, ey, ez, gx, gy, gz = ex - ax, ey - ay, ez - az, gx - ax, gy - ay, gz - az
     texel = drawn_map.texel_m
     area = ex * gy - ey * gx
@@ -290,7 +290,7 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
     gx, gy, ex, ey = gx / area, gy / area, ex / area, ey / area
     scale, taps = comparison.bias_scale, comparison.taps
     rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero
-    left, low, fraction_x, fraction_y = _first_tap(drawn_map, point_m, taps)
+    left, low, fraction_x, fraction_y = first_tap(drawn_map, point_m, taps)
     for row in range(taps):
         offset_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - ay
         for col in range(taps):
@@ -302,30 +302,30 @@ def _weights_on_triangle(drawn_map, comparison, point_m, corners, i):
             z = point_m[2] * (one - scale) + triangle_z * scale - slack
             weight = one
             if taps > 1:
-                weight = max(_tap_weight(taps, col, fraction_x) * _tap_weight(taps, row, fraction_y), np.float32(1e-6))
-            if _is_lit(drawn_map, rounding, low + row, left + col, z):
+                weight = max(tap_weight(taps, col, fraction_x) * tap_weight(taps, row, fraction_y), np.float32(1e-6))
+            if is_lit(drawn_map, rounding, low + row, left + col, z):
                 lit += weight
             total_weight += weight
     return lit, total_weight
 
 
 @internal
-def _lit_share_without_triangle(drawn_map, comparison, moved_point):
+def lit_share_without_triangle(drawn_map, comparison, moved_point):
     """Return the lit share, in [0, 1], of the taps around a point that was moved off its surface, wherever their texels lie.
 
-    ``moved_point`` is a position in the map, metres (``_move_off_surface``). ``drawn_map`` is the ``SunMap``, and ``comparison``
+    ``moved_point`` is a position in the map, metres (``move_off_surface``). ``drawn_map`` is the ``SunMap``, and ``comparison``
     the ``DepthComparison``.
     """
     count, zero, one = comparison.taps_without_triangle, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * drawn_map.depth_step if comparison.uses_offset else zero
-    left, low, fraction_x, fraction_y = _first_tap(drawn_map, moved_point, count)
+    left, low, fraction_x, fraction_y = first_tap(drawn_map, moved_point, count)
     lit, total_weight = zero, zero
     for row in range(count):
         for col in range(count):
             weight = one
             if count > 1:
-                weight = max(_tap_weight(count, col, fraction_x) * _tap_weight(count, row, fraction_y), np.float32(1e-6))
-            if _is_lit(drawn_map, rounding, low + row, left + col, moved_point[2]):
+                weight = max(tap_weight(count, col, fraction_x) * tap_weight(count, row, fraction_y), np.float32(1e-6))
+            if is_lit(drawn_map, rounding, low + row, left + col, moved_point[2]):
                 lit += weight
             total_weight += weight
     return lit / total_weight
