@@ -29,6 +29,7 @@ from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.map_block import nodes_of_samples
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
@@ -168,7 +169,10 @@ def _sample_buffer(
     """Return the geometry buffer of the samples of a part's pixels in the mask ``edge_mask``."""
     with log.record_pass(GEOMETRY_PASS):
         pixel_mask = np.repeat(np.repeat(edge_mask, EDGE_SAMPLES_PER_SIDE, axis=0), EDGE_SAMPLES_PER_SIDE, axis=1)
-        return geometry_buffer(scene, part.finer(EDGE_SAMPLES_PER_SIDE), block_buffer.frame, pixel_mask=pixel_mask)
+        samples, block = part.finer(EDGE_SAMPLES_PER_SIDE), block_buffer.view
+        assert isinstance(block, MapView)
+        nodes = nodes_of_samples(scene, block, samples)
+        return geometry_buffer(scene, samples, block_buffer.frame, pixel_mask=pixel_mask, nodes=nodes)
 
 
 def _arrays_of_samples(buffer: GeometryBuffer, visibilities: NamedArrays, edge_mask: np.ndarray) -> NamedArrays:

@@ -118,6 +118,24 @@ def draw_ahead(maps: Sequence[AnyMap], draw: Callable[[AnyMap], Framebuffer]) ->
         yield depth_map, targets.pop(0)
 
 
+def may_hold_casters(depth_map: DepthMap, buffer: GeometryBuffer, scene: Scene, kinds: tuple[CasterKind, ...]) -> bool:
+    """Return whether anything may be drawn into a map of the sun for a map's block; always true for other maps.
+
+    It is false only where all texels would stay empty: no ground is drawn, and neither trees nor meshes reach into the map's window.
+    """
+    if not isinstance(buffer.view, MapView) or depth_map.tree_bounds is None or "relief" in kinds:
+        return True
+    rotation, translation, low, high = depth_map.tree_bounds
+    trees = depth_map.trees
+    if trees is not None and len(trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)):
+        return True
+    for vertices, _ in caster_meshes(scene, buffer, kinds):
+        right_up_m = vertices @ rotation[:2].T + translation[:2]
+        if (right_up_m.max(axis=0) >= low[:2]).all() and (right_up_m.min(axis=0) <= high[:2]).all():
+            return True
+    return False
+
+
 def read_depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
     """Return a map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts.
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.maps.drawing import MapSettings, draw_ahead, draw_map, read_depths
+from skugga.shadows.maps.drawing import MapSettings, draw_ahead, draw_map, may_hold_casters, read_depths
 from skugga.shadows.maps.lookup import look_up
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
 from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import CasterKind
 from skugga.terrain.scene import Scene
@@ -55,6 +56,12 @@ def visibility_by_maps(
     """
     draw_pass, look_up_pass = passes
     visibility = np.ones(buffer.valid.shape, np.float32)
+    if not log.requested_layers:
+        with log.record_pass(draw_pass):
+            casting_maps = [depth_map for depth_map in maps if may_hold_casters(depth_map, buffer, scene, kinds)]
+        if len(casting_maps) < len(maps) and buffer.surface is not None:
+            visibility[facing_normals(buffer, scene.light_position(light, buffer.frame)).is_blocked] = 0.0
+        maps = casting_maps
     if not maps:
         with log.record_pass(look_up_pass):
             return visibility

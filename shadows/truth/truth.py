@@ -195,7 +195,7 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
     right = np.cross(towards, np.where(np.abs(towards[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
     up = np.cross(right, towards)
-    normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
+    normals, cosine = facing_normals(buffer, source, with_lifts=True), np.cos(np.radians(lamp.cutoff_deg))
     for right_m, up_m in lamp.radius_m * disc_points(sample_count):
         ray = to_lamp + right_m * right + up_m * up
         length = np.linalg.norm(ray, axis=-1)
@@ -364,7 +364,7 @@ def _free_ray_mask(
         facing &= receiver_mask
     buffer = move_to_smooth_ground(buffer, source)
     to_light = np.array(source[:3]) - buffer.position_frame_m
-    return _unblocked_mask(buffer, rays, facing, facing_normals(buffer, source), to_light, offset_factor)
+    return _unblocked_mask(buffer, rays, facing, facing_normals(buffer, source, with_lifts=True), to_light, offset_factor)
 
 
 def _unblocked_mask(
@@ -404,7 +404,7 @@ def lit_mask_towards(
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)
     buffer = move_to_smooth_ground(buffer, source)
-    normals = facing_normals(buffer, source)
+    normals = facing_normals(buffer, source, with_lifts=True)
     facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.surface_kind == FOREST, direction)
     if receiver_mask is not None:
         facing &= receiver_mask

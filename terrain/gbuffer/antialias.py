@@ -16,6 +16,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import NEAR_PLANE_M
+from skugga.terrain.gbuffer.map_block import EDGE_SAMPLES_PER_SIDE, has_map_block, map_block
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, ground_imagery, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
@@ -23,9 +24,6 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.meshes.facets import face_normals
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
-
-EDGE_SAMPLES_PER_SIDE = 2
-"""Number of samples along each side of a pixel on an edge. The pixel's own point is one more sample."""
 
 ALL_SAMPLE_INDICES, DIAGONAL_SAMPLE_INDICES = (0, 1, 2, 3), (0, 3)
 """Indices of the samples in use: all four, or two diagonal ones in pictures with many edges (``MIN_DENSE_EDGE_SHARE``)."""
@@ -122,7 +120,10 @@ def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> Multisample
 
     That of a map has no samples: ``skugga.shadows.map_edges`` finds the edges of its shadows after these are computed.
     """
-    return MultisampledBuffer(geometry_buffer(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
+    if not isinstance(view, MapView):
+        return multisampled(scene, view)
+    buffer = map_block(scene, view).buffer(scene) if has_map_block(scene) else geometry_buffer(scene, view)
+    return MultisampledBuffer(buffer, view.rows)
 
 
 def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:

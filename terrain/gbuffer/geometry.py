@@ -13,7 +13,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh
-from skugga.terrain.gbuffer.map_points import map_lifts, map_points
+from skugga.terrain.gbuffer.map_points import MapPoints, map_lifts, map_points
 from skugga.terrain.gbuffer.resolve import NO_SURFACE, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -142,6 +142,13 @@ class MapNodes:
     window: SurfaceWindow
     smooth_normals: np.ndarray
 
+    def around(self, surface: Surface, view: MapView) -> MapNodes:
+        """Return a copy of the nodes that the pixels of a view need: those that ``map_nodes`` returns for it alone."""
+        row0, col0, row1, col1 = _node_bounds([view], normal_stencil_radius(surface))
+        first_row, first_col = row0 - self.window.row0, col0 - self.window.col0
+        part = slice(first_row, first_row + row1 - row0), slice(first_col, first_col + col1 - col0)
+        return MapNodes(self.window.part(*part), np.ascontiguousarray(self.smooth_normals[part]))
+
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
     """Return the nodes that the pixels of several views of one grid are interpolated from, with their positions in ``frame``."""
@@ -204,15 +211,15 @@ def map_geometry(
     if not on_nodes:
         lift = map_lifts(
             window.position_frame_m, sheet.is_cut_nw_se, sheet.normals_frame, smooth_normals, window.up_origin_frame_m, row, col,
-            position, triangle, stencil_radius,
+            points, stencil_radius,
         )  # fmt: skip
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
 
 
 def _add_isolated_nodes(
-    window: SurfaceWindow, row: np.ndarray, col: np.ndarray, pixel_mask: np.ndarray, points: tuple[np.ndarray, ...]
+    window: SurfaceWindow, row: np.ndarray, col: np.ndarray, pixel_mask: np.ndarray, points: MapPoints
 ) -> None:
-    """Write the points of pixels on isolated nodes into ``points``, the arrays of ``map_points``.
+    """Write the points of pixels on isolated nodes into ``points``.
 
     An isolated node lies on the raster, but is not a corner of a visible triangle: the raster is one node wide there. Its triangles
     are those that it forms with the rim beside it. Rim nodes beyond the end of a line of nodes have one neighbour on the raster.
@@ -223,7 +230,7 @@ def _add_isolated_nodes(
         return
     node_valid = window.valid[np.ix_(row.astype(np.int64), col.astype(np.int64))]
     for min_neighbours in (2, 1):
-        isolated = pixel_mask & node_valid & ~points[0]
+        isolated = pixel_mask & node_valid & ~points.valid
         if not isolated.any():
             return
         casting = window.with_rim

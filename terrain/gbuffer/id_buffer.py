@@ -50,6 +50,38 @@ class IdBuffer:
     depth: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class ObjectPixels:
+    """The pixels of a map that show meshes or trees, and the visible triangle in each of them.
+
+    Attributes
+    ----------
+    pixel
+        int32 (n,), flat indices of the pixels.
+    triangle_number
+        uint32 (n,), the triangle's number, from 1.
+    sqrt_albedo
+        uint8 (n, 4), as in ``IdBuffer``.
+    """
+
+    pixel: np.ndarray
+    triangle_number: np.ndarray
+    sqrt_albedo: np.ndarray
+
+    def select(self, pixel_mask: np.ndarray) -> ObjectPixels:
+        """Return those of the pixels that a mask (rows, cols) selects."""
+        selected = pixel_mask.ravel()[self.pixel]
+        return ObjectPixels(self.pixel[selected], self.triangle_number[selected], self.sqrt_albedo[selected])
+
+
+def object_pixels(id_buffer: IdBuffer) -> ObjectPixels:
+    """Return the pixels of a map's ID buffer that show meshes or trees."""
+    number = id_buffer.triangle_number.ravel()
+    pixel = np.flatnonzero(number).astype(np.int32)
+    sqrt_albedo = id_buffer.sqrt_albedo.reshape(-1, 4)[pixel] if id_buffer.sqrt_albedo.size else np.zeros((len(pixel), 4), np.uint8)
+    return ObjectPixels(pixel, number[pixel], sqrt_albedo)
+
+
 @cached("process", 8 * MIB)
 def shader_source(*parts: str) -> str:
     """Return the concatenated GLSL text of shader parts, each the name of a file.

@@ -61,7 +61,7 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols, 3), the vector that lifts a point off all of its facets by at least one metre. For a point on one facet
         it is the facet's normal. For a shared point it points up, since the normal of one facet may lead below another facet. On
         the rim of the ground, if light is parallel to a side of a facet, it also points inwards, so that a ray along the rim hits
-        the rim. ``None`` if it is the buffer's normal everywhere.
+        the rim. ``None`` if it is the buffer's normal everywhere, and unless it was requested.
     is_blocked
         bool (rows, cols), whether one of a shared point's own facets blocks the light: the facet faces away from the light, and the
         ray from the point to the light starts below it.
@@ -85,90 +85,134 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
     return buffer.surface is None and light.w == 0.0
 
 
-def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
+def _cache_key(buffer: GeometryBuffer, light: LightPosition, with_lifts: bool = False) -> tuple[object, ...]:
     """Return the cache key of ``facing_normals``. Buffers that differ only in their points share it if these do not matter."""
     if not _is_position_independent(buffer, light):
-        return buffer, light
+        return buffer, light, with_lifts
     return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
 
 
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
-def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    """Return the normals that a light uses at a buffer's points. Values in pixels without a surface are undefined."""
+def facing_normals(buffer: GeometryBuffer, light: LightPosition, with_lifts: bool = False) -> FacingNormals:
+    """Return the normals that a light uses at a buffer's points. Values in pixels without a surface are undefined.
+
+    ``with_lifts`` is whether to compute ``lift_frame``, too, which only rays from the points need.
+    """
     nowhere = np.zeros(buffer.valid.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.surface_kind == RELIEF
     if not _is_position_independent(buffer, light):
         ground &= buffer.valid
     if surface is not None and isinstance(view, MapView):
-        facing = facing._replace(lift_frame=buffer.normal_frame.copy())
+        lift = buffer.normal_frame.copy() if with_lifts else None
+        facing = facing._replace(lift_frame=lift)
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.with_rim.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.up_origin_frame_m
-        _write_facing_facets(nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points, light, facing)
+        run_in_chunks(
+            len(ground), _write_facing_facets, nodes, sheet.normals_frame, sheet.is_cut_nw_se, centre, row, col, ground, points,
+            light, facing.normal_frame, facing.crease, facing.is_blocked, lift,
+        )  # fmt: skip
     if buffer.lift_m is not None:
         run_in_chunks(
             len(ground), _write_smooth_normals, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m,
-            light, facing
+            light, facing.normal_frame, facing.crease, facing.is_blocked, facing.is_lifted,
         )  # fmt: skip
     return facing
 
 
 @compiled
-def _write_facing_facets(nodes, faces, is_cut_nw_se, up_origin, row, col, ground, position, light, facing):
-    """Write the fields of ``facing`` (``FacingNormals``) at points of a map's ground that several facets share.
+def _write_facing_facets(
+    first, last, nodes, faces, is_cut_nw_se, up_origin, row, col, ground, position, light, normal, crease, blocked, lift
+):
+    """Write the fields of ``FacingNormals`` at points of a map's ground that several facets share.
 
-    Normal and crease are those of the facet that faces the light most. Lifts are also written at points on the rim of the ground.
-    ``nodes`` (m, n, 3), ``faces`` (m - 1, n - 1, 2, 3) and ``is_cut_nw_se`` are positions, normals of facets and diagonals of the
-    sheet. ``row`` (rows,) and ``col`` (cols,) are the pixels' fractional rows and columns on it. ``ground`` (rows, cols) is the
-    mask of pixels that show ground, and ``position`` (rows, cols, 3) their points.
+    ``normal`` (rows, cols, 3), ``crease`` and ``blocked`` are the fields ``normal_frame``, ``crease`` and ``is_blocked``. The first
+    two are those of the facet that faces the light most. ``lift`` is the field ``lift_frame``, which is also written at points on
+    the rim of the ground; ``None`` unless it is requested. ``nodes`` (m, n, 3), ``faces`` (m - 1, n - 1, 2, 3) and ``is_cut_nw_se``
+    are positions, normals of facets and diagonals of the sheet. ``row`` (rows,) and ``col`` (cols,) are the pixels' fractional rows
+    and columns on it. ``ground`` (rows, cols) is the mask of pixels that show ground, and ``position`` (rows, cols, 3) their
+    points. Rows run from ``first`` to ``last`` (exclusive).
     """
-    normal, crease, lift, blocked, _ = facing
     facets, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
-    for i in range(row.size):
+    for i in range(first, last):
         for j in range(col.size):
             if not ground[i, j]:
                 continue
             count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-            _write_local_axes(p, up_origin, axes)
-            up = axes[2]
-            east, north = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-            flattest = _dot(normal[i, j], up)
+            max_facing, best, faces_away = -np.inf, 0, False
             if count > 1:
-                max_facing, best = -np.inf, 0
                 for k in range(count):
                     n = faces[facets[k, 0], facets[k, 1], facets[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
-                    if towards < 0.0 and _enters_facet(nodes, is_cut_nw_se, facets[k], p, axes, east, north):
-                        blocked[i, j] = True
+                    faces_away = faces_away or towards < 0.0
                     if towards > max_facing:
                         max_facing, best = towards, k
-                    flattest = min(flattest, _dot(n, up)) if k > 0 else _dot(n, up)
+                if faces_away:
+                    _write_local_axes(p, up_origin, axes)
+                    east, north = _plan_components(axes, x, y, z)
+                    for k in range(count):
+                        n = faces[facets[k, 0], facets[k, 1], facets[k, 2]]
+                        if n[0] * x + n[1] * y + n[2] * z < 0.0 and _enters_facet(
+                            nodes, is_cut_nw_se, facets[k], p, axes, east, north
+                        ):
+                            blocked[i, j] = True
+            if lift is not None:
+                _write_lift(nodes, faces, is_cut_nw_se, up_origin, facets, count, row[i], col[j], p, (x, y, z), normal[i, j], axes,
+                            lift[i, j])  # fmt: skip
+            if count > 1:
                 for k in range(3):
                     normal[i, j, k] = faces[facets[best, 0], facets[best, 1], facets[best, 2], k]
-                    lift[i, j, k] = up[k] / max(flattest, MIN_NORMAL_UP)
                 crease[i, j] = crease_at(faces, is_cut_nw_se, row[i], col[j], normal[i, j])
-            if _is_on_rim(is_cut_nw_se, facets, count, row[i], col[j]) and _is_parallel_to_side(
-                nodes, is_cut_nw_se, facets, count, p, axes, east, north
-            ):
-                east, north = _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes)
-                for k in range(3):
-                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_NORMAL_UP)
+
+
+@internal
+def _plan_components(axes, x, y, z):
+    """Return the components of a vector along the first two of three ``axes`` (3, 3)."""
+    return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+
+
+@internal
+def _write_lift(nodes, faces, is_cut_nw_se, up_origin, facets, count, row, col, p, to_light, mean_normal, axes, lift):
+    """Write the lift (3,) of a point: that of ``FacingNormals``.
+
+    ``facets`` holds the ``count`` facets at the point ``p`` (3,) (``facets_at``), at the fractional ``row`` and ``col``.
+    ``to_light`` is the direction to the light, a tuple, and ``mean_normal`` (3,) the buffer's normal. ``axes`` (3, 3) is scratch
+    memory. The other parameters are those of ``_write_facing_facets``.
+    """
+    _write_local_axes(p, up_origin, axes)
+    up = axes[2]
+    flattest = _dot(mean_normal, up)
+    if count > 1:
+        for k in range(count):
+            n = faces[facets[k, 0], facets[k, 1], facets[k, 2]]
+            flattest = min(flattest, _dot(n, up)) if k > 0 else _dot(n, up)
+        for k in range(3):
+            lift[k] = up[k] / max(flattest, MIN_NORMAL_UP)
+    east, north = _plan_components(axes, to_light[0], to_light[1], to_light[2])
+    if _is_on_rim(is_cut_nw_se, facets, count, row, col) and _is_parallel_to_side(
+        nodes, is_cut_nw_se, facets, count, p, axes, east, north
+    ):
+        east, north = _inward_direction(nodes, is_cut_nw_se, facets, count, p, axes)
+        for k in range(3):
+            lift[k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_NORMAL_UP)
 
 
 @compiled
-def _write_smooth_normals(first, last, ground, smooth_normals, lift, position, light, facing):
-    """Write the smooth normals to ``facing`` (``FacingNormals``) where they decide about the light instead of the facets.
+def _write_smooth_normals(
+    first, last, ground, smooth_normals, lift, position, light, normal, crease, blocked, lifted
+):  # fmt: skip
+    """Write the smooth normals to fields of ``FacingNormals`` where they decide about the light instead of the facets.
 
     They do in two cases: where the smooth normal faces away from the light, and where it faces the light, no facet does and the
     smooth ground lies above the facet. ``ground`` (rows, cols) is the mask of pixels that show ground; ``smooth_normals``, ``lift``
     and ``position`` are ``shading_normal_frame``, ``lift_m`` and ``position_frame_m`` of their buffer. Rows run from ``first`` to
-    ``last`` (exclusive).
+    ``last`` (exclusive). ``normal``, ``crease``, ``blocked`` and ``lifted`` are ``normal_frame``, ``crease``, ``is_blocked`` and
+    ``is_lifted``.
     """
-    normal, crease, _, blocked, lifted = facing
     for i in range(first, last):
         for j in range(ground.shape[1]):
             if not ground[i, j] or np.isnan(lift[i, j]):

@@ -6,20 +6,57 @@ pixel's centre on the sheet selects a quad and one of its triangles. The point i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, write_up
 
 FACET_EDGE_TOLERANCE_NODES = 1e-6
 """Distance, in nodes, within which a point counts as lying on a facet's edge, so that the facets on both sides share it."""
 
 
-@compiled
-def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth_normals, row, col, pixel_mask):
-    """Return the arrays of a ``GeometryBuffer`` for pixels at fractional rows and columns of a sheet of nodes.
+class MapPoints(NamedTuple):
+    """Points of a map's ground, and what ``GeometryBuffer`` holds of them. Arrays have the shape (rows, cols, ...).
 
-    The results are valid mask, points, heights, normals, smooth normals, creases and triangles.
+    Attributes
+    ----------
+    valid
+        bool, whether a pixel shows ground. Other pixels hold NaN; those that were not selected hold 0, and NaN heights.
+    position
+        float64 (rows, cols, 3), metres.
+    height
+        float32, metres.
+    normal, smooth_normal
+        float32 (rows, cols, 3), unit normals.
+    crease
+        float32.
+    triangle
+        int32 (rows, cols, 3), -1 without a triangle.
+    """
+
+    valid: np.ndarray
+    position: np.ndarray
+    height: np.ndarray
+    normal: np.ndarray
+    smooth_normal: np.ndarray
+    crease: np.ndarray
+    triangle: np.ndarray
+
+
+def map_points(
+    position: np.ndarray,
+    height: np.ndarray,
+    node_valid: np.ndarray,
+    is_cut_nw_se: np.ndarray,
+    facet_normals: np.ndarray,
+    smooth_normals: np.ndarray,
+    row: np.ndarray,
+    col: np.ndarray,
+    pixel_mask: np.ndarray,
+) -> MapPoints:
+    """Return the points that pixels at fractional rows and columns of a sheet of nodes show.
 
     Parameters
     ----------
@@ -35,21 +72,39 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
         (rows, cols), selects pixels. A selected pixel shows a surface if it lies on a triangle and the nearest node is valid.
         Half-way between nodes one valid node of the nearest ones suffices.
     """
-    rows, cols = row.size, col.size
-    valid = np.empty((rows, cols), np.bool_)
-    point, point_height = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
-    normal, shading_normal = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
-    crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
+    shape = row.size, col.size
+    # Memory of zeros is not touched before it is written: few pixels may be selected.
+    points = MapPoints(
+        np.zeros(shape, np.bool_), np.zeros((*shape, 3)), np.full(shape, np.nan, np.float32), np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 3), np.int32),
+    )  # fmt: skip
+    run_in_chunks(
+        row.size, _write_map_points, position, height, node_valid, is_cut_nw_se, facet_normals, smooth_normals, row, col,
+        pixel_mask, points,
+    )  # fmt: skip
+    return points
+
+
+@compiled
+def _write_map_points(
+    first, last, position, height, node_valid, is_cut_nw_se, facet_normals, smooth_normals, row, col, pixel_mask, points
+):
+    """Write the selected pixels of the rows in [``first``, ``last``) to ``points`` (``MapPoints``).
+
+    The other parameters are those of ``map_points``.
+    """
+    valid, point, point_height, normal, shading_normal, crease, triangle = points
     facets = np.empty((8, 3), np.int64)
-    for i in range(rows):
-        for j in range(cols):
-            valid[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
-            for k in range(3):
-                point[i, j, k], normal[i, j, k], shading_normal[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
-            if not (pixel_mask[i, j] and _is_nearest_node_valid(node_valid, row[i], col[j])):
+    for i in range(first, last):
+        for j in range(col.size):
+            if not pixel_mask[i, j]:
                 continue
-            count = facets_at(facet_normals, is_cut_nw_se, row[i], col[j], facets)
+            count = 0
+            if _is_nearest_node_valid(node_valid, row[i], col[j]):
+                count = facets_at(facet_normals, is_cut_nw_se, row[i], col[j], facets)
             if count == 0:
+                for k in range(3):
+                    point[i, j, k], normal[i, j, k], shading_normal[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
                 continue
             valid[i, j] = True
             r, c, half = facets[0]
@@ -64,30 +119,52 @@ def map_points(position, height, node_valid, is_cut_nw_se, facet_normals, smooth
             _mean_normal(facet_normals, facets, count, normal[i, j])
             crease[i, j] = crease_at(facet_normals, is_cut_nw_se, row[i], col[j], normal[i, j])
             _smooth_normal(smooth_normals, row[i], col[j], normal[i, j], shading_normal[i, j])
-    return valid, point, point_height, normal, shading_normal, crease, triangle
 
 
-@compiled
-def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, row, col, point, triangle, stencil_radius):
+def map_lifts(
+    position: np.ndarray,
+    is_cut_nw_se: np.ndarray,
+    facet_normals: np.ndarray,
+    smooth_normals: np.ndarray,
+    up_origin: np.ndarray,
+    row: np.ndarray,
+    col: np.ndarray,
+    points: MapPoints,
+    stencil_radius: int,
+) -> np.ndarray:
     """Return the height of the smooth ground above each point of ``map_points``, float32 (rows, cols), metres.
 
     The smooth ground is estimated from the tangent planes at the corners of the point's facet (``skugga.terrain.gbuffer.lift``). If
     the sheet is finer than the raster, with ``stencil_radius`` > 1 nodes per cell, single facets are too small for that. Then the
     tangent planes at four points are used, half a cell away along both axes. The mean of their four lifts is doubled. The result is
-    NaN beside a crease, and on nodes unless the sheet is finer than the raster.
+    NaN beside a crease, and on nodes unless the sheet is finer than the raster, and 0 without a point.
 
-    ``point`` (rows, cols, 3) and ``triangle`` (rows, cols, 3) are results of ``map_points``, and most other parameters are its
-    parameters. ``up_origin`` is the frame point from which up vectors point away.
+    ``points`` is the result of ``map_points``, and most other parameters are its parameters. ``up_origin`` is the frame point from
+    which up vectors point away.
     """
-    rows, cols = row.size, col.size
-    out = np.empty((rows, cols), np.float32)
+    out = np.zeros((row.size, col.size), np.float32)
+    run_in_chunks(
+        row.size, _write_map_lifts, position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, row, col, points,
+        stencil_radius, out,
+    )  # fmt: skip
+    return out
+
+
+@compiled
+def _write_map_lifts(
+    first, last, position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, row, col, points, stencil_radius, out
+):
+    """Write the lifts of the points in the rows [``first``, ``last``) to ``out`` (rows, cols).
+
+    The other parameters are those of ``map_lifts``.
+    """
+    point, triangle = points.position, points.triangle
     up, neighbour, neighbour_normal = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(rows):
-        for j in range(cols):
-            r, c, half = triangle[i, j]
-            out[i, j] = 0.0
-            if r < 0:
+    for i in range(first, last):
+        for j in range(col.size):
+            if not points.valid[i, j]:
                 continue
+            r, c, half = triangle[i, j]
             write_up(point[i, j], up_origin, up)
             face = facet_normals[r, c, half]
             if stencil_radius > 1:
@@ -118,7 +195,6 @@ def map_lifts(position, is_cut_nw_se, facet_normals, smooth_normals, up_origin, 
                     bulge = lift_distance(position[a, b], smooth_normals[a, b], point[i, j], up)
                     lift += weights[k] * bulge if is_smooth(face, smooth_normals[a, b]) else np.nan
                 out[i, j] = lift
-    return out
 
 
 @internal

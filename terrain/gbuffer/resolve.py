@@ -169,66 +169,63 @@ def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, 
 
 
 @compiled
-def resolve_map(triangle_number, solids, trees, sqrt_albedo, points):
+def resolve_map(pixel, triangle_number, sqrt_albedo, solids, trees, points):
     """Replace the ground's points in ``points`` by those of meshes and trees where these are higher, in place.
 
-    ``triangle_number`` (rows, cols) is the number of the triangle in each pixel, from 1: of ``solids``, then of ``trees``; 0
-    without one. ``sqrt_albedo`` is that of ``resolve_perspective``.
+    ``pixel``, ``triangle_number`` and ``sqrt_albedo`` are the arrays of ``ObjectPixels``. Triangles are those of ``solids``, then
+    those of ``trees``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_yaw, curvature, px_from_m = trees
     valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, _, _ = points
-    rows, cols = triangle_number.shape
+    cols = valid.shape[1]
     solid_count = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
     down = np.array([0.0, 0.0, -1.0])
-    for i in range(rows):
-        for j in range(cols):
-            t = np.int64(triangle_number[i, j]) - 1
-            if t < 0:
-                continue
-            tree = (t - solid_count) // 6
-            if t < solid_count:
-                for c in range(3):
-                    for k in range(3):
-                        p[c, k] = solid_position[solid_triangles[t, c], k]
-                        q[c, k] = solid_px[solid_triangles[t, c], k]
-            else:
-                _write_tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, (t - solid_count) % 6)
-                for c in range(3):
-                    east, north = p[c, 0] - tree_base[tree, 0], p[c, 1] - tree_base[tree, 1]
-                    q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
-                    q[c, 1] = tree_px[tree, 1] + px_from_m[1, 0] * east + px_from_m[1, 1] * north
-                    q[c, 2] = tree_px[tree, 2] + p[c, 2] - tree_base[tree, 2]
-            u, v = _barycentric_in_plan(q, j + 0.5, i + 0.5)
-            height = q[0, 2] + u * (q[1, 2] - q[0, 2]) + v * (q[2, 2] - q[0, 2])
-            if valid[i, j] and surface_height[i, j] >= height:
-                continue
-            valid[i, j] = True
-            surface_height[i, j] = height
-            for k in range(3):
-                point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
-                for c in range(3):
-                    corners[i, j, 3 * c + k] = p[c, k]
-            _face_normal(p, normal[i, j])
-            crease[i, j] = 0.0
-            if t < solid_count:
-                kind[i, j] = MESHES
-                crease[i, j] = solid_crease[t]
-                n = solid_normals[t]
+    for n in range(len(pixel)):
+        i, j, t = np.int64(pixel[n]) // cols, np.int64(pixel[n]) % cols, np.int64(triangle_number[n]) - 1
+        tree = (t - solid_count) // 6
+        if t < solid_count:
+            for c in range(3):
                 for k in range(3):
-                    shading_normal[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
-                    albedo[i, j, k] = solid_albedo[t, k]
-                if normal[i, j, 2] < 0.0:
-                    for k in range(3):
-                        normal[i, j, k] = -normal[i, j, k]
-                        shading_normal[i, j, k] = -shading_normal[i, j, k]
-            else:
-                kind[i, j] = FOREST
-                _write_leaf_shading(
-                    point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
-                )
-            _normalise(shading_normal[i, j])
+                    p[c, k] = solid_position[solid_triangles[t, c], k]
+                    q[c, k] = solid_px[solid_triangles[t, c], k]
+        else:
+            _write_tree_triangle(p, tree_base[tree], tree_shape[tree], tree_yaw[tree], curvature, (t - solid_count) % 6)
+            for c in range(3):
+                east, north = p[c, 0] - tree_base[tree, 0], p[c, 1] - tree_base[tree, 1]
+                q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
+                q[c, 1] = tree_px[tree, 1] + px_from_m[1, 0] * east + px_from_m[1, 1] * north
+                q[c, 2] = tree_px[tree, 2] + p[c, 2] - tree_base[tree, 2]
+        u, v = _barycentric_in_plan(q, j + 0.5, i + 0.5)
+        height = q[0, 2] + u * (q[1, 2] - q[0, 2]) + v * (q[2, 2] - q[0, 2])
+        if valid[i, j] and surface_height[i, j] >= height:
+            continue
+        valid[i, j] = True
+        surface_height[i, j] = height
+        for k in range(3):
+            point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
+            for c in range(3):
+                corners[i, j, 3 * c + k] = p[c, k]
+        _face_normal(p, normal[i, j])
+        crease[i, j] = 0.0
+        if t < solid_count:
+            kind[i, j] = MESHES
+            crease[i, j] = solid_crease[t]
+            corner_normals = solid_normals[t]
+            for k in range(3):
+                shading_normal[i, j, k] = (1.0 - u - v) * corner_normals[0, k] + u * corner_normals[1, k] + v * corner_normals[2, k]
+                albedo[i, j, k] = solid_albedo[t, k]
+            if normal[i, j, 2] < 0.0:
+                for k in range(3):
+                    normal[i, j, k] = -normal[i, j, k]
+                    shading_normal[i, j, k] = -shading_normal[i, j, k]
+        else:
+            kind[i, j] = FOREST
+            _write_leaf_shading(
+                point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[n], shading_normal[i, j], albedo[i, j]
+            )
+        _normalise(shading_normal[i, j])
 
 
 @internal

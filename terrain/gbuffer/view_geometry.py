@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol, get_args
+from typing import NamedTuple, Protocol, get_args
 
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
 from skugga.terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
-from skugga.terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
+from skugga.terrain.gbuffer.id_buffer import IdBuffer, ObjectPixels, object_pixels, rasterise_map, rasterise_perspective
 from skugga.terrain.gbuffer.map_columns import column_geometry
 from skugga.terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
 from skugga.terrain.gbuffer.resolve_types import (
@@ -229,40 +229,79 @@ def _map_buffer(
     image = ground_imagery(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped_albedo(scene, image, view))
-    pixel_m = map_pixel_m(scene.world, view)
-    solids, trees = scene.objects.solids, tree_instances_in_map(scene.objects, frame, pixel_m)
-    if solids is None and trees is None:
+    objects = _map_objects(scene, view, frame)
+    if objects is None:
         return buffer
-    crs = view.grid.crs
-    solid_points = solid_vertices(scene.objects, frame)
-    solid_px = None if solids is None else _pixel_positions(view, scene.objects.solids_in_crs(crs))
-    tree_px = None if trees is None else _pixel_positions(view, scene.objects.trees_in_crs(crs)[trees.tree_number])
-    px_from_m = _px_from_m(scene, view, frame)
-    low, high = scene.height_range_m
-    heights = low - 100.0, high + scene.objects.tallest_object_m + 100.0
-    solid_mesh = None if solids is None or solid_px is None else (solid_px, solids.triangles)
-    id_buffer = rasterise_map(view, solid_mesh, trees, tree_px, px_from_m, heights)
-    albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.valid.shape, 3), np.nan, np.float32)
+    albedo = buffer.albedo
+    if albedo is None:
+        albedo = np.full((*buffer.valid.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.valid.shape, 9), np.float32)
-    solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
-    if solid_points is not None and solid_px is not None:
-        solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.objects, frame))
-    curvature = scene.world.curvature
-    tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_YAW, curvature, px_from_m)
-    if trees is not None and tree_px is not None:
-        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.quad_sizes_m, trees.yaw_cos_sin, curvature, px_from_m)
     points = ResolvedPoints(
         buffer.valid, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.surface_kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
-    resolve_map(
-        id_buffer.triangle_number if pixel_mask is None else np.where(pixel_mask, id_buffer.triangle_number, 0),
-        solid_parts,
-        tree_parts,
-        id_buffer.sqrt_albedo,
-        points,
-    )
-    return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
+    pixels = _object_pixels(scene, view, frame)
+    if pixel_mask is not None:
+        pixels = pixels.select(pixel_mask)
+    resolve_map(pixels.pixel, pixels.triangle_number, pixels.sqrt_albedo, objects.solids, objects.trees, points)
+    return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=objects.instances, solids_frame_m=objects.vertices)
+
+
+class _MapObjects(NamedTuple):
+    """The meshes and trees of a level as a map shows them.
+
+    Attributes
+    ----------
+    solids, trees
+        Their triangles in the map.
+    instances
+        The drawn trees; ``None`` without any.
+    vertices
+        float64 (n, 3), the vertices of the meshes in the frame, metres; ``None`` without any.
+    """
+
+    solids: SolidsInMap
+    trees: TreesInMap
+    instances: TreeInstances | None
+    vertices: np.ndarray | None
+
+
+def _map_objects(scene: Scene, view: MapView, frame: LocalFrame) -> _MapObjects | None:
+    """Return the meshes and trees of a level as a map shows them; ``None`` without any."""
+    pixel_m, crs, curvature = map_pixel_m(scene.world, view), view.grid.crs, scene.world.curvature
+    instances = tree_instances_in_map(scene.objects, frame, pixel_m)
+    vertices = solid_vertices(scene.objects, frame)
+    if vertices is None and instances is None:
+        return None
+    solids = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
+    if vertices is not None:
+        vertices_px = _pixel_positions(view, scene.objects.solids_in_crs(crs))
+        solids = SolidsInMap(vertices, vertices_px, _solid_faces(scene.objects, frame))
+    px_from_m = _px_from_m(scene, view, frame)
+    trees = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_YAW, curvature, px_from_m)
+    if instances is not None:
+        bases_px = _pixel_positions(view, scene.objects.trees_in_crs(crs)[instances.tree_number])
+        trees = TreesInMap(
+            instances.base_frame_m, bases_px, instances.quad_sizes_m, instances.yaw_cos_sin, curvature, px_from_m
+        )  # fmt: skip
+    return _MapObjects(solids, trees, instances, vertices)
+
+
+def _object_pixels_key(scene: Scene, view: MapView, frame: LocalFrame) -> tuple[object, ...]:
+    """Return the cache key of ``_object_pixels``: its result does not depend on the sun."""
+    return scene.world, scene.elevation, scene.objects, view, frame
+
+
+@cached("scene", 128 * MIB, key=_object_pixels_key)
+def _object_pixels(scene: Scene, view: MapView, frame: LocalFrame) -> ObjectPixels:
+    """Return the pixels of a map that show meshes or trees wherever these are higher than the ground."""
+    objects = _map_objects(scene, view, frame)
+    assert objects is not None
+    low, high = scene.height_range_m
+    heights = low - 100.0, high + scene.objects.tallest_object_m + 100.0
+    mesh = None if objects.vertices is None else (objects.solids.col_row_height, objects.solids.faces.triangles)
+    trees = objects.trees
+    return object_pixels(rasterise_map(view, mesh, objects.instances, trees.col_row_height, trees.px_from_m, heights))
 
 
 def solid_vertices(objects: SceneObjects, frame: LocalFrame) -> np.ndarray | None:

@@ -146,6 +146,22 @@ class SurfaceWindow(HeightWindow):
         is_cut_nw_se = np.where(is_visible, self.sheet.is_cut_nw_se, sheet_of(position, height).is_cut_nw_se)
         return replace(self, height_m=height, position_frame_m=position, rim=None, is_cut_nw_se=is_cut_nw_se)
 
+    def part(self, rows: slice, cols: slice) -> SurfaceWindow:
+        """Return a copy of a part of the window. ``rows`` and ``cols`` are slices of its rows and columns, with both ends."""
+        height, valid, position = (
+            np.ascontiguousarray(values[rows, cols]) for values in (self.height_m, self.valid, self.position_frame_m)
+        )
+        rim, cuts = self.rim, self.is_cut_nw_se
+        if rim is not None:
+            row, col = rim.row - rows.start, rim.col - cols.start
+            inside = (row >= 0) & (row < height.shape[0]) & (col >= 0) & (col < height.shape[1])
+            rim = RimNodes(row[inside], col[inside], rim.height_m[inside], rim.position_frame_m[inside]) if inside.any() else None
+        if cuts is not None:
+            cuts = np.ascontiguousarray(cuts[rows.start : rows.stop - 1, cols.start : cols.stop - 1])
+        return SurfaceWindow(
+            self.row0 + rows.start, self.col0 + cols.start, height, valid, position, self.up_origin_frame_m, rim, cuts
+        )
+
 
 class RimNodes(NamedTuple):
     """The n rim nodes of a window: nodes just beyond the raster that cast shadows and are not visible.

@@ -90,7 +90,7 @@ def _unexplained(rendered: RenderedView, pixel_indices: np.ndarray, dark: np.nda
         to_sun = buffer.frame.frame_from_earth @ rendered.scene.sun.to_sun_earth
         rays = ray_scene(buffer, rendered.scene, rendered.casters, ALL_CASTER_KINDS)
         (step,) = rendered.plan.steps_of_light(rendered.light)
-        facing = facing_normals(buffer, rendered.scene.light_position(rendered.light, buffer.frame))
+        facing = facing_normals(buffer, rendered.scene.light_position(rendered.light, buffer.frame), with_lifts=True)
         lifts = buffer.normal_frame if facing.lift_frame is None else facing.lift_frame
         points, normals, lift = (
             a.reshape(-1, 3)[pixel_indices].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, lifts)

@@ -125,7 +125,7 @@ def test_a_grazed_pixel_is_dark_and_boundary(tmp_path, azimuth, pixel):
     scene = _mountains(trial).with_sun(SunSpec(azimuth=float(azimuth), altitude=10.0))
     picture = trial.render_view(scene, seam_windows(trial, scene, MOUNTAIN_PX)[2])
     truth, buffer = picture.truth, picture.buffer
-    lift_frame = facing_normals(buffer, scene.light_position("sun", buffer.frame)).lift_frame
+    lift_frame = facing_normals(buffer, scene.light_position("sun", buffer.frame), with_lifts=True).lift_frame
     assert lift_frame is not None
     lift_m = ray_scene(buffer, scene, picture.casters, ALL_CASTER_KINDS).offset_m * lift_frame[pixel]
     assert 0 < _rise_above_ray(picture, *pixel) < lift_m[2]

@@ -112,7 +112,7 @@ def _first_facet() -> None:
     from skugga.shadows.truth import truth
     from skugga.terrain.gbuffer.light_facing import FacingNormals
 
-    def facing_normals(buffer: Any, light: Any) -> FacingNormals:
+    def facing_normals(buffer: Any, light: Any, with_lifts: bool = False) -> FacingNormals:
         no_pixels = np.zeros(buffer.valid.shape, bool)
         if buffer.surface is None or buffer.triangle is None:
             return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, no_pixels, no_pixels)

@@ -226,7 +226,7 @@ def test_points_are_lifted_above_all_of_their_facets(make_ground, heights, azimu
         heights[hole] = -9999.0
     scene, view = make_ground(heights)
     buffer = geometry(scene, half_step_view(view))
-    lift = facing_normals(buffer, light_position(direction_enu(azimuth, altitude), 0.0)).lift_frame
+    lift = facing_normals(buffer, light_position(direction_enu(azimuth, altitude), 0.0), with_lifts=True).lift_frame
     normals, is_touched = casting_facets(buffer)
     assert np.where(is_touched, lift @ normals.T, np.inf).min() >= 1.0 - 1e-5
 
@@ -234,7 +234,7 @@ def test_points_are_lifted_above_all_of_their_facets(make_ground, heights, azimu
 def test_a_point_of_one_facet_is_lifted_along_its_normal(make_ground):
     scene, view = make_ground(np.random.default_rng(1).uniform(0.0, 2.0, (SIDE_NODES, SIDE_NODES)))
     buffer = geometry(scene, view.shifted(0.2, 0.3).part(1, 1, SIDE_NODES - 3, SIDE_NODES - 3))
-    facing = facing_normals(buffer, light_position(direction_enu(200.0, 40.0), 0.0))
+    facing = facing_normals(buffer, light_position(direction_enu(200.0, 40.0), 0.0), with_lifts=True)
     for direction in (facing.normal_frame, facing.lift_frame):
         np.testing.assert_array_equal(direction, buffer.normal_frame)
     np.testing.assert_array_equal(facing.crease, buffer.crease)
@@ -249,7 +249,7 @@ def test_rim_points_are_lifted_inwards_for_light_along_the_rim(make_ground):
     assert buffer.valid.all()
 
     def lift_under(azimuth: float) -> np.ndarray:
-        return facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0)).lift_frame
+        return facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0), with_lifts=True).lift_frame
 
     for azimuth in (0.0, 90.0, 113.0, 270.0):
         inside = lift_under(azimuth)[1:last, 1:last][has_several_facets[1:last, 1:last]]
@@ -276,7 +276,7 @@ def test_the_rim_includes_diagonals_at_missing_nodes(make_ground):
     position[row + 3, col + 3] = height[row + 3, col + 3] = np.nan
     buffer = replace(full_buffer, surface=replace(full_buffer.surface, position_frame_m=position, height_m=height))
     lift_along_rim, lift_across_rim = (
-        facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0)).lift_frame for azimuth in (45.0, 113.0)
+        facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0), with_lifts=True).lift_frame for azimuth in (45.0, 113.0)
     )
     east, north, _ = lift_along_rim[3, 2]  # seen along the rim from (3, 2) to (2, 3), which has ground to its north-west
     assert east < -0.1 and north > 0.1
@@ -288,7 +288,7 @@ def test_steep_ground_that_falls_to_the_rim_is_lifted_inwards(make_ground):
     heights[:, 0] = 0.0
     scene, view = make_ground(heights)
     buffer = without_rim(geometry(scene, half_step_view(view)))
-    lift = facing_normals(buffer, light_position(direction_enu(0.0, 20.0), 0.0)).lift_frame
+    lift = facing_normals(buffer, light_position(direction_enu(0.0, 20.0), 0.0), with_lifts=True).lift_frame
     assert (lift[1:, 0, 0] > 0.0).all()
 
 
@@ -298,7 +298,7 @@ def test_rim_points_are_lifted_above_flat_and_steep_facets(make_ground):
     heights[6, 1] = 100.0
     scene, view = make_ground(heights)
     buffer = without_rim(geometry(scene, view))
-    facing = facing_normals(buffer, light_position(direction_enu(0.0, 80.0), 0.0))
+    facing = facing_normals(buffer, light_position(direction_enu(0.0, 80.0), 0.0), with_lifts=True)
     assert facing.normal_frame[5, 0] == pytest.approx([0.0, 0.0, 1.0])
     normals, is_touched = casting_facets(buffer)
     assert (normals[is_touched[5, 0]] @ facing.lift_frame[5, 0]).min() >= 1.0 - 1e-5
@@ -308,7 +308,7 @@ def test_a_camera_s_points_have_one_triangle_each(gl, make_ground):
     views = {"low": {"kind": "perspective", "eye": [0, -30, 30], "target": [0, 10, 0], "size": [64, 48]}}
     scene, _ = make_ground(ridge_heights(), views=views)
     buffer = geometry_buffer(scene, scene.view("low"))
-    facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
+    facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0), with_lifts=True)
     assert buffer.valid.any()
     assert facing.lift_frame is None  # the lift is along the buffer's own normals
     assert not facing.is_blocked.any()
@@ -325,7 +325,7 @@ def test_points_are_lifted_upwards_everywhere_on_the_globe(write_raster, make_sc
     view = scene.view(bounds=(-178.0, -78.0, 178.0, 78.0), size=(178, 78))
     buffer = geometry_buffer(scene, view)
     source = scene.light_position("sun", buffer.frame)
-    facing = facing_normals(buffer, source)
+    facing = facing_normals(buffer, source, with_lifts=True)
     up = buffer.position_frame_m - buffer.frame.points_from_earth(np.zeros(3))
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     assert ((facing.lift_frame * up).sum(axis=-1)[buffer.valid] > 0.9).all()
