@@ -27,6 +27,7 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.caster_types import Reach
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
+from skugga.terrain.gbuffer.map_block import trim_map_block_cache
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, overlap_windows
 from skugga.terrain.scene import Scene
@@ -324,6 +325,7 @@ def raster_parts(
             if product.when != "days":
                 report_step()
         trim_bare_ground_cache(1)
+        trim_map_block_cache(1)
 
 
 def _plans_of_scenes(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:

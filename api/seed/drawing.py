@@ -22,6 +22,7 @@ from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS
 from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
+from skugga.terrain.gbuffer.map_block import trim_map_block_cache
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
@@ -44,6 +45,7 @@ class TaskDrawer:
         start = clock.perf_counter()
         tiles, encode_s = tiles_of_task(self._scenes_by_sun[task.sun], self._spec, task)
         trim_bare_ground_cache(1)  # the next task may reuse this block under another sun, but no earlier block
+        trim_map_block_cache(1)
         index, content = ShardIndex.from_tiles(tiles)
         if content:
             self._store.write(task.shard, content)
