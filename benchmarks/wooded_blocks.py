@@ -2,9 +2,9 @@
 
     taskset -c 0 nice -n 15 python -m benchmarks.wooded_blocks --zoom 14     # one core, like a render process
 
-Each round draws one block of either level in turns: first with empty caches ("cold"), then under other suns ("new sun"). The script
-prints medians of CPU time, the ratios of the wooded block to the bare one, the passes of the wooded block, the bytes that caches hold
-for it, and the largest resident memory of the process.
+Each round draws one block of either level in turns: first with empty caches ("cold"), then under other suns ("new sun"). The
+script prints medians of CPU time, the ratios of the wooded block to the bare one, the passes of the wooded block, the bytes that
+caches hold for it, and the largest resident memory of the process.
 """
 
 from __future__ import annotations

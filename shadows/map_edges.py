@@ -27,9 +27,9 @@ from skugga.terrain.casters.caster_culling import block_ground_faces_sun
 from skugga.terrain.casters.caster_types import NO_CASTERS, Casters
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.compiled import compiled
-from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, MultisampledBuffer
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.map_block import nodes_of_samples
+from skugga.terrain.gbuffer.map_block import EDGE_SAMPLES_PER_SIDE, nodes_of_samples
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView

@@ -17,8 +17,9 @@ import numpy as np
 
 from skugga.terrain.facts.descriptor import Descriptor, LightKind
 from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
-from skugga.terrain.gbuffer.antialias import EDGE_SAMPLES_PER_SIDE, samples_per_pixel
+from skugga.terrain.gbuffer.antialias import samples_per_pixel
 from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
+from skugga.terrain.gbuffer.map_block import EDGE_SAMPLES_PER_SIDE
 from skugga.terrain.level.level import SUN, CasterKind
 
 Counts = dict[str, float]

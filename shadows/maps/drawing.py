@@ -121,7 +121,7 @@ def draw_ahead(maps: Sequence[AnyMap], draw: Callable[[AnyMap], Framebuffer]) ->
 def may_hold_casters(depth_map: DepthMap, buffer: GeometryBuffer, scene: Scene, kinds: tuple[CasterKind, ...]) -> bool:
     """Return whether anything may be drawn into a map of the sun for a map's block; always true for other maps.
 
-    It is false only where all texels would stay empty: no ground is drawn, and neither trees nor meshes reach into the map's window.
+    It is false only where all texels would stay empty: no ground is drawn, and neither trees nor meshes reach into the window.
     """
     if not isinstance(buffer.view, MapView) or depth_map.tree_bounds is None or "relief" in kinds:
         return True

@@ -2,7 +2,8 @@
 
 The loop does the work of ``shaders/receiver.glsl`` and ``shaders/shadow_map.frag.glsl`` for points of meshes, trees and smooth
 ground, in the same float32 operations and the same order. Points of meshes and trees have triangles of their own. A point of the
-ground is compared on the triangles round the nearest node of the map's grid.
+ground is compared on the triangles round the nearest node of the map's grid. The shader on llvmpipe rounds some quotients
+differently: about one comparison in a million, where a depth lies right on a step of the map, falls to the other side.
 
 Most points of a map lie in the open: no texel near them holds a caster. A loop leaves them after two texels; a software rasteriser
 transfers sixteen numbers of each point first.

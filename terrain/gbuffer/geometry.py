@@ -216,9 +216,7 @@ def map_geometry(
     return GeometryBuffer(view, frame, valid, position, height, normal, shading_normal, crease, kind, triangle, window, lift_m=lift)
 
 
-def _add_isolated_nodes(
-    window: SurfaceWindow, row: np.ndarray, col: np.ndarray, pixel_mask: np.ndarray, points: MapPoints
-) -> None:
+def _add_isolated_nodes(window: SurfaceWindow, row: np.ndarray, col: np.ndarray, pixel_mask: np.ndarray, points: MapPoints) -> None:
     """Write the points of pixels on isolated nodes into ``points``.
 
     An isolated node lies on the raster, but is not a corner of a visible triangle: the raster is one node wide there. Its triangles

@@ -244,7 +244,9 @@ def _map_buffer(
     if pixel_mask is not None:
         pixels = pixels.select(pixel_mask)
     resolve_map(pixels.pixel, pixels.triangle_number, pixels.sqrt_albedo, objects.solids, objects.trees, points)
-    return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=objects.instances, solids_frame_m=objects.vertices)
+    return replace(
+        buffer, corners_frame_m=corners, albedo=albedo, tree_instances=objects.instances, solids_frame_m=objects.vertices
+    )
 
 
 class _MapObjects(NamedTuple):

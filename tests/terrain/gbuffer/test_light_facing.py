@@ -276,7 +276,8 @@ def test_the_rim_includes_diagonals_at_missing_nodes(make_ground):
     position[row + 3, col + 3] = height[row + 3, col + 3] = np.nan
     buffer = replace(full_buffer, surface=replace(full_buffer.surface, position_frame_m=position, height_m=height))
     lift_along_rim, lift_across_rim = (
-        facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0), with_lifts=True).lift_frame for azimuth in (45.0, 113.0)
+        facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0), with_lifts=True).lift_frame
+        for azimuth in (45.0, 113.0)
     )
     east, north, _ = lift_along_rim[3, 2]  # seen along the rim from (3, 2) to (2, 3), which has ground to its north-west
     assert east < -0.1 and north > 0.1

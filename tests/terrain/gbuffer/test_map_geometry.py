@@ -213,7 +213,9 @@ def test_sub_samples_with_shared_nodes_are_identical():
             ):
                 assert np.array_equal(getattr(buffer, name), getattr(shared_buffer, name), equal_nan=True), name
             light = light_position(np.array([0.6, 0.0, 0.8]), 0.0)
-            for array, shared_array in zip(facing_normals(buffer, light, True), facing_normals(shared_buffer, light, True), strict=True):
+            for array, shared_array in zip(
+                facing_normals(buffer, light, True), facing_normals(shared_buffer, light, True), strict=True
+            ):
                 assert np.array_equal(array, shared_array, equal_nan=True)
         with pytest.raises(ValueError, match="nodes"):
             geometry_buffer(scene, view.shifted(2.0, 0.0), frame, nodes=nodes)
