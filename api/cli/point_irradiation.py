@@ -111,7 +111,7 @@ def report_irradiation(
     if as_json:
         typer.echo(report.model_dump_json(indent=2))
     else:
-        _print_report(report)
+        print_report(report)
 
 
 def _file_content(report: PointIrradiationReport, output: Path, title: str) -> str | bytes:
@@ -124,7 +124,7 @@ def _file_content(report: PointIrradiationReport, output: Path, title: str) -> s
     return irradiation_chart(report, "svg" if suffix == ".svg" else "png", title)
 
 
-def _print_report(report: PointIrradiationReport) -> None:
+def print_report(report: PointIrradiationReport) -> None:
     """Print the place, the plane, and a table with a row for each month. Causes that take nothing have no columns."""
     from rich.table import Table
 
@@ -146,7 +146,7 @@ def _print_report(report: PointIrradiationReport) -> None:
     for heading in columns:
         table.add_column(heading, justify="right")
     for n, (name, _) in enumerate(rows):
-        table.add_row(name, *(f"{values[n]:.1f}" for values in columns.values()))
+        table.add_row(name, *(f"{values[n]:z.1f}" for values in columns.values()))
     console.print(table)
     if report.remark:
         console.print(report.remark)

@@ -7,6 +7,9 @@ import json
 import pytest
 from PIL import Image
 
+from skugga.api.cli.point_irradiation import print_report
+from skugga.api.point.irradiation import LOST_FIELDS
+from skugga.api.point.irradiation_values import PointIrradiationReport
 from tests.api.cli.test_point import LON_LAT, valley  # noqa: F401
 from tests.rasters import ENGINEERING, write_geotiff
 
@@ -25,6 +28,18 @@ def test_the_table_has_months_and_losses(run, valley):  # noqa: F811
     total, open_sky, lost = (sum(float(month[column]) for month in months) for column in (1, 7, 8))
     assert total + lost == pytest.approx(open_sky, abs=2.0) and lost > 30.0
     assert lines[-1].split()[0] == "all" and float(lines[-1].split()[1]) == pytest.approx(total, abs=1.0)
+
+
+def test_the_table_has_no_negative_zero(run, valley, capsys):  # noqa: F811
+    """A small loss below 0, such as light that a far hill reflects, is 0.0."""
+    status, out, _ = run("point", valley, "--at", LON_LAT, "--irradiation", "--date", "2024-06-21", "--json")
+    assert status == 0
+    report = json.loads(out)
+    losses = {light: {"relief": 0.0, "solids": 0.0, "forest": -0.04 * (light == "lost_sky")} for light in LOST_FIELDS}
+    report["months"][0] |= losses
+    print_report(PointIrradiationReport.model_validate(report))
+    table = capsys.readouterr().out
+    assert "to trees" in table and "-0.0" not in table
 
 
 def test_files_are_written_in_the_format_of_their_suffix(run, valley, tmp_path):  # noqa: F811

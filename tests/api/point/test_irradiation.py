@@ -12,7 +12,7 @@ from PIL import Image
 
 from skugga.api.point.irradiation import COLUMNS, csv_text, irradiation_with_remark, point_irradiation
 from skugga.api.point.irradiation_chart import irradiation_chart
-from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport
+from skugga.api.point.irradiation_values import LossByCause, PointIrradiationOptions, PointIrradiationReport
 from skugga.api.point.values import PointQuery
 from skugga.terrain.errors import InputError
 from skugga.terrain.scene import Scene
@@ -153,3 +153,9 @@ def test_a_flat_world_has_no_sun_of_dates(write_raster, make_scene):
     for request_values, name in (({"year": 2023}, "year"), ({"date": date(2023, 1, 1)}, "date")):
         with pytest.raises(InputError, match=f"{name}: .*an engineering CRS is not georeferenced.* Use a level on the earth"):
             point_irradiation(scene, PointQuery(lon=0.0, lat=0.0, **request_values), PointIrradiationOptions())
+
+
+def test_sums_have_no_negative_zero():
+    """Rounding a small loss of the opposite sign leaves 0, in JSON as in the table and the CSV."""
+    loss = LossByCause(relief=-1e-7, solids=-0.0, forest=-3e-5)
+    assert loss.model_dump_json() == '{"relief":0.0,"solids":0.0,"forest":0.0}'
