@@ -88,8 +88,8 @@ def _draw_bars(axes: Any, report: PointIrradiationReport) -> list[Any]:
             style = {"facecolor": PAPER_COLOR, "edgecolor": color, "linewidth": 0.0, "hatch": LOSS_HATCH}
         handles.append(axes.bar(position, value, BAR_WIDTH, base, zorder=3, label=name, **style))
         base += value
-    axes.bar(position, [month.open_sky for month in months], BAR_WIDTH, color="none", edgecolor=INK_COLOR, linewidth=0.6, zorder=4)
-    return handles
+    outline = {"color": "none", "edgecolor": INK_COLOR, "linewidth": 0.6, "zorder": 4, "label": "under an open sky"}
+    return [*handles, axes.bar(position, [month.open_sky for month in months], BAR_WIDTH, **outline)]
 
 
 def _layers(sums: IrradiationSums) -> dict[str, float]:
