@@ -8,8 +8,10 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex, to_rgb
 from PIL import Image
 
+from skugga.api.point.charts import PAPER_COLOR, RELIEF_COLOR
 from skugga.api.point.irradiation import COLUMNS, csv_text, irradiation_with_remark, point_irradiation
 from skugga.api.point.irradiation_chart import irradiation_chart
 from skugga.api.point.irradiation_values import LossByCause, PointIrradiationOptions, PointIrradiationReport
@@ -103,6 +105,8 @@ def test_the_chart_has_causes_months_and_the_unit(valley):
     for text in ("A valley", "kWh/m²", "Jun", "direct sun", "lost to terrain", "level plane", "under an open sky"):
         assert f"<!-- {text}" in svg or text in svg, text
     assert "lost to trees" not in svg
+    # a tint without a pattern shows the loss in programs that draw no patterns
+    assert to_hex(0.25 * np.array(to_rgb(RELIEF_COLOR)) + 0.75 * np.array(to_rgb(PAPER_COLOR))) in svg
     png = Image.open(io.BytesIO(irradiation_chart(report, "png", "A valley")))
     assert min(png.size) > 600
     colors = {color for _, color in png.convert("RGB").getcolors(1 << 24)}
