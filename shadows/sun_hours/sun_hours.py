@@ -42,6 +42,7 @@ from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_posit
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.caster_types import Patch
+from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
@@ -49,7 +50,6 @@ from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import Sun
-from skugga.terrain.geo.world import transformer
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
@@ -68,12 +68,6 @@ RENDERED_STEP_MINUTES = 2.0
 
 MIN_REFINED_TIME_STEP_MINUTES = 3.0
 """Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
-
-RIM_TOLERANCE_PX = 1e-6
-"""Tolerance in pixels for the test whether a block contains the whole raster."""
-
-RIM_SAMPLES = 33
-"""Number of rows, and of columns, of positions of a raster that are projected to find its extent on another grid."""
 
 
 @dataclass(frozen=True)
@@ -381,36 +375,3 @@ def under_clear_sky(scene: Scene) -> Scene:
         return scene
     clear = level.model_copy(update={"weather": level.weather.model_copy(update={"cloud_cover": 0.0})})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))
-
-
-def holds_all_ground(scene: Scene, view: MapView) -> bool:
-    """Return whether a block contains the whole raster of its level, so that no ground lies beside it."""
-    (top, bottom), (left, right) = ground_extent(scene, view)
-    rows, cols = (
-        (-0.5 - RIM_TOLERANCE_PX, view.rows - 0.5 + RIM_TOLERANCE_PX),
-        (-0.5 - RIM_TOLERANCE_PX, view.cols - 0.5 + RIM_TOLERANCE_PX),
-    )
-    return bool(top >= rows[0] and bottom <= rows[1] and left >= cols[0] and right <= cols[1])
-
-
-def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the minimum and maximum row, and the minimum and maximum column, of a level's raster in pixels of a view.
-
-    They are counted from the centre of the view's first pixel.
-
-    The limits are infinite where PROJ cannot transform them.
-    """
-    elevation, grid = scene.elevation, view.grid
-    rows, cols = (np.linspace(-0.5, count - 0.5, RIM_SAMPLES) for count in (elevation.rows, elevation.cols))
-    x, y = elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
-    if grid.crs != elevation.crs:
-        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    row, col = (grid.row(y) - view.row0) / view.row_step, (grid.col(x) - view.col0) / view.col_step
-    if not (np.isfinite(row).all() and np.isfinite(col).all()):
-        return (-np.inf, np.inf), (-np.inf, np.inf)
-    if grid.crs.is_geographic:  # shift by multiples of 360 degrees, as near to the view as possible
-        period = 360.0 / (grid.step * view.col_step)
-        if np.ptp(col) > period * (1.0 - 1.0 / RIM_SAMPLES):
-            return (float(row.min()), float(row.max())), (-np.inf, np.inf)
-        col = col + period * np.rint(((view.cols - 1) / 2 - (col.min() + col.max()) / 2) / period)
-    return (float(row.min()), float(row.max())), (float(col.min()), float(col.max()))
