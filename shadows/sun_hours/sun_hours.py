@@ -22,6 +22,7 @@ import numpy as np
 
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
+from skugga.shadows.sun_hours.marched_clearances import MARGIN_TANGENT, MarchedGround, clearance_tangents, marched_ground
 from skugga.shadows.sun_hours.quadratics import quadratic_fit
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
 from skugga.shadows.sun_hours.spells import (
@@ -231,23 +232,47 @@ def _add_span(
     is_first_step = True
 
     def add_step(four_moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
-        walk_input = block.walk_input(day, (four_moments[1].minutes, four_moments[2].minutes), block_spells.orientation)
-        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, CORES)
+        time_range = four_moments[1].minutes, four_moments[2].minutes
+        walk_input = block.walk_input(day, time_range, block_spells.orientation)
+        bulge = block.sun_tangent_bulge(day, time_range)
+        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, bulge, CORES)
+
+    def add_clearance_tangent(after: ClearanceSample | None) -> None:
+        """Add the clearance tangents of the last moment, while its cells are in the order of its own sun."""
+        here = moments[-1]
+        around = moments[-2] if len(moments) >= 2 else here, here, here if after is None else after
+        moments[-1] = replace(here, clearance_tangent=block.clearance_tangents(day, around, block_spells.orientation))
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
+        sample = ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel())
+        if moments:
+            add_clearance_tangent(_reoriented(sample, orientation, block_spells.orientation))
         if orientation != block_spells.orientation:
-            moments = [replace(m, clearance=sun_aligned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
+            moments = [_reoriented(moment, block_spells.orientation, orientation) for moment in moments]
             block_spells = block_spells.reoriented(orientation)
-        moments.append(ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel()))
+        moments.append(sample)
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
             add_step((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
             is_first_step = False
         del moments[:-3]
+    add_clearance_tangent(None)
     start_moment, end_moment = moments[-2:]
     add_step((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
     end_spells(block_spells.spells, float(span.samples_minutes[-1]), clock)
     return block_spells
+
+
+def _reoriented(sample: ClearanceSample, before: GridOrientation, after: GridOrientation) -> ClearanceSample:
+    """Return the clearances of cells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
+    if before == after:
+        return sample
+    tangent = sample.clearance_tangent
+    return replace(
+        sample,
+        clearance=sun_aligned_copy(sample.clearance, before, after),
+        clearance_tangent=None if tangent is None else sun_aligned_copy(tangent, before, after),
+    )
 
 
 class _TerrainBlock:
@@ -258,6 +283,7 @@ class _TerrainBlock:
         self._has_all_ground = holds_all_ground(scene, nodes.view)
         self._recent_patches: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
+        self._marched_ground: MarchedGround | None = None
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show ground."""
@@ -289,6 +315,38 @@ class _TerrainBlock:
                 )
             )
             yield node_clearance.orientation, arrays[-1]
+
+    def clearance_tangents(
+        self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
+    ) -> np.ndarray | None:
+        """Return the clearance tangents of cells at the second of three moments, where sun and shade change before or after it.
+
+        The result is ``None`` if ground beside the block may cast shadows on it, or if the moments are so close that clearances in
+        metres serve. ``orientation`` is that of the second moment's sun, and of the cells. At the ends of a span the first moment
+        equals the second one, or the third one does.
+        """
+        before, here, after = moments
+        longest_minutes = max(here.minutes - before.minutes, after.minutes - here.minutes)
+        if not self._has_all_ground or longest_minutes <= MIN_REFINED_TIME_STEP_MINUTES:
+            return None
+        if self._marched_ground is None or self._marched_ground.orientation != orientation:
+            self._marched_ground = None  # free the memory before the next one is made
+            self._marched_ground = marched_ground(self._nodes, self._nodes.surface, orientation)
+        track = sun_track(day, self._nodes, self._scene.world, orientation, (here.minutes, here.minutes + 1.0))
+        tangents = [self._sun_tangent(day, moment.minutes) for moment in moments]
+        margin = MARGIN_TANGENT + max(abs(tangents[1] - tangents[0]), abs(tangents[2] - tangents[1]))
+        clearances = before.clearance, here.clearance, after.clearance
+        return clearance_tangents(self._marched_ground, track, clearances, self._height_m, margin, CORES)
+
+    def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
+        """Return the tangent of the sun's altitude midway between two moments, less the mean of those at the two."""
+        begin, end = time_range_minutes
+        begin_tangent, tangent, end_tangent = (self._sun_tangent(day, minutes) for minutes in (begin, 0.5 * (begin + end), end))
+        return tangent - 0.5 * (begin_tangent + end_tangent)
+
+    def _sun_tangent(self, day: WindowSun, minutes: float) -> float:
+        """Return the tangent of the sun's altitude at the level's anchor at a moment of a day."""
+        return float(np.tan(np.radians(day.sun_at(minutes, self._scene.world).altitude_deg)))
 
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
@@ -358,6 +416,16 @@ class _RenderedBlock:
         for number in range(len(span.samples_minutes)):
             frame = self._render(day.sun_at(span.sample_minutes(number), self._scene.world))
             yield IDENTITY_ORIENTATION, frame.visibilities[SUN] - np.float32(0.5)
+
+    def clearance_tangents(
+        self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
+    ) -> None:
+        """Return ``None``: the visible share of the sun has no angle."""
+        return None
+
+    def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
+        """Return 0: without clearance tangents the sun's path is not needed."""
+        return 0.0
 
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
