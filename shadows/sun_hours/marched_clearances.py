@@ -18,13 +18,12 @@ import numpy as np
 from skugga.shadows.horizons.march import NO_EYE_M, NO_GROUND_M, RUN, Ground, Rays, march_run
 from skugga.shadows.horizons.turned import MAX_CHORD_ERROR, rays_of, turned_ground
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
-from skugga.shadows.sun_hours.sight_walks import EARTH_CURVATURE_PER_M, SunTrack
+from skugga.shadows.sun_hours.sight_walks import EARTH_CURVATURE_PER_M, SunTrack, WalkedGround
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.terrain.compiled import compiled, map_on_cores
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
-from skugga.terrain.ground.surface import NodeHeights
 
-MARGIN_TANGENT = 0.1
+MARGIN_TANGENT = 0.03
 """Tangent by which a lower horizon is not searched, beside the sun's change of tangent until the moments before and after."""
 
 MAX_DIRECTION_ERROR = 0.001
@@ -56,15 +55,16 @@ class MarchedGround:
     first_node: tuple[int, int]
 
 
-def marched_ground(nodes: BareNodes, surface: NodeHeights, orientation: GridOrientation) -> MarchedGround:
-    """Return the ground of the heights ``surface``, which contain a block's ``nodes``, for marches in an orientation."""
-    height_m = surface.height_m
+def marched_ground(nodes: BareNodes, walked: WalkedGround, orientation: GridOrientation) -> MarchedGround:
+    """Return the finest grid of the ground that casts shadows on a block's nodes, for marches in an orientation."""
+    begin, _, first_row, first_col, rows, cols, _, _ = walked.grid_layouts[0].tolist()
+    height_m = walked.height_m[begin : begin + rows * cols].reshape(rows, cols)
     known = np.isfinite(height_m)
     level_m = np.float32(np.mean(height_m[known], dtype=np.float64)) if known.any() else np.float32(0.0)
     mirrored = GridOrientation(orientation.axes_swapped, orientation.rows_reversed, not orientation.cols_reversed)
-    top, left = int(nodes.view.row0) - surface.row0, int(nodes.view.col0) - surface.col0
+    top, left = int(nodes.view.row0) - first_row, int(nodes.view.col0) - first_col
     corners = np.array([top, top + nodes.view.rows - 1]), np.array([left, left + nodes.view.cols - 1])
-    row, col = mirrored.to_sun_aligned(*corners, *surface.shape)
+    row, col = mirrored.to_sun_aligned(*corners, rows, cols)
     return MarchedGround(orientation, turned_ground(height_m, level_m, mirrored), (int(row.min()), int(col.min())))
 
 
@@ -113,7 +113,7 @@ def clearance_tangents(
     return out
 
 
-def _tiles(marched: MarchedGround, track: SunTrack, shape: tuple[int, int]) -> Iterator[tuple[slice, slice, Rays]]:
+def _tiles(marched: MarchedGround, track: SunTrack, shape: tuple[int, ...]) -> Iterator[tuple[slice, slice, Rays]]:
     """Yield the rows and columns of tiles of the sun-aligned grid, and the rays towards the sun of each."""
     n, m = shape
     orientation = marched.orientation
@@ -167,13 +167,17 @@ def _write_tangents(
                 is_active |= lit != (before[i, j] >= 0.0) or lit != (after[i, j] >= 0.0)
             if not is_active:
                 continue
-            y = i / max(n - 1, 1)
+            y, last_col = i / max(n - 1, 1), max(m - 1, 1)
+            last_sun = np.float32(evaluate_quadratic(sun_tangent, y, (begin + count - 1) / last_col))
+            sun_per_lane = (np.float32(evaluate_quadratic(sun_tangent, y, begin / last_col)) - last_sun) / np.float32(
+                max(count - 1, 1)
+            )
             for c in range(RUN):
                 state[c], state[RUN + c] = NO_GROUND_M, NO_EYE_M
             for c in range(count):
                 j, lane = begin + c, count - 1 - c
                 lit = here[i, j] >= 0.0
-                sun[lane] = evaluate_quadratic(sun_tangent, y, j / max(m - 1, 1))
+                sun[lane] = last_sun + lane * sun_per_lane  # the quadratic is a line over so few columns
                 state[lane] = sun[lane] - margin
                 node_m = ground.height_m[first_row + i, col + lane]
                 if (lit != (before[i, j] >= 0.0) or lit != (after[i, j] >= 0.0)) and node_m > NO_GROUND_M:

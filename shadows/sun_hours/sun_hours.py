@@ -38,7 +38,7 @@ from skugga.shadows.sun_hours.spells import (
     sun_aligned_copy,
     sun_aligned_spells,
 )
-from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_minutes
+from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, LONG_STEP_MINUTES, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
@@ -54,8 +54,11 @@ from skugga.terrain.geo.sun import Sun
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-LINES_PER_COLUMN = 8
-"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``). With four lines, errors on surfaces of trees are doubled."""
+LINES_PER_COLUMN, SMOOTH_LINES_PER_COLUMN = 8, 4
+"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``), and those for ground on which long steps are accurate enough.
+
+With four lines, errors on surfaces of trees are doubled. In mountains they stay as they are.
+"""
 
 CASTER_SEARCH_STEP_MINUTES = 15.0
 """Minutes between two searches for ground beside a block that casts shadows on it.
@@ -165,10 +168,12 @@ def sun_hours(
     block_spells = _BlockSpells(view, IDENTITY_ORIENTATION, empty_spells((view.rows, view.cols)))
     if valid.any():
         step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
+        is_smooth = rules.step_minutes is None and step_minutes >= LONG_STEP_MINUTES
+        lines = SMOOTH_LINES_PER_COLUMN if is_smooth else LINES_PER_COLUMN
         for day in days:
             clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
-                block_spells = _add_span(block_spells, block, day, span, clock)
+                block_spells = _add_span(block_spells, block, day, span, clock, lines)
             end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
@@ -222,11 +227,16 @@ class _BlockSpells:
 
 
 def _add_span(
-    block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
+    block_spells: _BlockSpells,
+    block: _TerrainBlock | _RenderedBlock,
+    day: WindowSun,
+    span: SunSpan,
+    clock: ClockReading,
+    lines: int,
 ) -> _BlockSpells:
     """Return the sun at a block's cells after a span, an interval of a day with the sun up.
 
-    ``block_spells`` is the sun before it.
+    ``block_spells`` is the sun before it, and ``lines`` the sweep lines per column.
     """
     moments: list[ClearanceSample] = []
     is_first_step = True
@@ -243,7 +253,7 @@ def _add_span(
         around = moments[-2] if len(moments) >= 2 else here, here, here if after is None else after
         moments[-1] = replace(here, clearance_tangent=block.clearance_tangents(day, around, block_spells.orientation))
 
-    for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
+    for number, (orientation, clearance) in enumerate(block.clearances(day, span, lines)):
         sample = ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel())
         if moments:
             add_clearance_tangent(_reoriented(sample, orientation, block_spells.orientation))
@@ -283,7 +293,7 @@ class _TerrainBlock:
         self._has_all_ground = holds_all_ground(scene, nodes.view)
         self._recent_patches: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
-        self._marched_ground: MarchedGround | None = None
+        self._marched: tuple[WalkedGround, MarchedGround] | None = None
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show ground."""
@@ -293,15 +303,15 @@ class _TerrainBlock:
         """Return the minutes between two samples that are accurate enough on a representative day."""
         return sampling_step_minutes(self._scene, self._nodes, day, self._rules.min_altitude_deg, self._height_m)
 
-    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan, lines: int) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, how the grid is turned and the clearances (n, m) of its cells.
 
-        An array is overwritten four moments later.
+        ``lines`` are the sweep lines per column. An array is overwritten four moments later.
         """
         arrays: list[np.ndarray] = []
         for minutes, patches in self._casters_by_moment(day, span):
             self._recent_patches.append(patches)
-            node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES_PER_COLUMN)
+            node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, lines)
             spare = arrays.pop(0) if len(arrays) == 4 else None
             if spare is None or spare.shape != node_clearance.ray_height_m.shape:
                 spare = np.empty(node_clearance.ray_height_m.shape, np.float32)
@@ -321,22 +331,25 @@ class _TerrainBlock:
     ) -> np.ndarray | None:
         """Return the clearance tangents of cells at the second of three moments, where sun and shade change before or after it.
 
-        The result is ``None`` if ground beside the block may cast shadows on it, or if the moments are so close that clearances in
-        metres serve. ``orientation`` is that of the second moment's sun, and of the cells. At the ends of a span the first moment
-        equals the second one, or the third one does.
+        The result is ``None`` if coarser ground beside the block may cast shadows on it, or if the moments are so close that
+        clearances in metres serve. ``orientation`` is that of the second moment's sun, and of the cells. At the ends of a span the
+        first moment equals the second one, or the third one does.
         """
         before, here, after = moments
         longest_minutes = max(here.minutes - before.minutes, after.minutes - here.minutes)
-        if not self._has_all_ground or longest_minutes <= MIN_REFINED_TIME_STEP_MINUTES:
+        if longest_minutes <= MIN_REFINED_TIME_STEP_MINUTES:
             return None
-        if self._marched_ground is None or self._marched_ground.orientation != orientation:
-            self._marched_ground = None  # free the memory before the next one is made
-            self._marched_ground = marched_ground(self._nodes, self._nodes.surface, orientation)
+        ground = self._walked_ground()
+        if len(ground.grid_layouts) > 1:
+            return None
+        if self._marched is None or self._marched[0] is not ground or self._marched[1].orientation != orientation:
+            self._marched = None  # free the memory before the next one is made
+            self._marched = ground, marched_ground(self._nodes, ground, orientation)
         track = sun_track(day, self._nodes, self._scene.world, orientation, (here.minutes, here.minutes + 1.0))
         tangents = [self._sun_tangent(day, moment.minutes) for moment in moments]
         margin = MARGIN_TANGENT + max(abs(tangents[1] - tangents[0]), abs(tangents[2] - tangents[1]))
         clearances = before.clearance, here.clearance, after.clearance
-        return clearance_tangents(self._marched_ground, track, clearances, self._height_m, margin, CORES)
+        return clearance_tangents(self._marched[1], track, clearances, self._height_m, margin, CORES)
 
     def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
         """Return the tangent of the sun's altitude midway between two moments, less the mean of those at the two."""
@@ -356,13 +369,17 @@ class _TerrainBlock:
         """
         if time_range_minutes[1] - time_range_minutes[0] <= MIN_REFINED_TIME_STEP_MINUTES:
             return None
+        return WalkInput(
+            self._walked_ground(), sun_track(day, self._nodes, self._scene.world, orientation, time_range_minutes), self._height_m
+        )
+
+    def _walked_ground(self) -> WalkedGround:
+        """Return the ground that casts shadows at the last three moments."""
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:
-            self._ground = None  # free the memory before the next one is made
+            self._ground = self._marched = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
-        return WalkInput(
-            self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, time_range_minutes), self._height_m
-        )
+        return self._ground[1]
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         """Return the scene with the sun at a moment of a day.
@@ -411,7 +428,7 @@ class _RenderedBlock:
         """Return the minutes between two samples, which are the same for all days."""
         return RENDERED_STEP_MINUTES
 
-    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan, lines: int) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, ``IDENTITY_ORIENTATION`` and the clearances (rows, cols) of the cells."""
         for number in range(len(span.samples_minutes)):
             frame = self._render(day.sun_at(span.sample_minutes(number), self._scene.world))
