@@ -135,12 +135,14 @@ def hours_errors_min(scene: Scene, view: MapView, cells: int, **rules: float) ->
 
 
 def test_hours_in_12_minute_steps_match_rays(open_scene, monkeypatch):
-    scene = open_scene(fractal_heights_m(128), cell=30.0)
+    row, col = np.mgrid[0:128, 0:128]
+    hills = 300.0 * np.sin(row / 9.0) * np.cos(col / 11.0) + 150.0 * np.sin(row / 23.0 + col / 17.0)
+    scene = open_scene(hills, cell=30.0)
     view = raster_cell_view(scene)
     error_min = hours_errors_min(scene, view, 300, step_minutes=12.0)
     monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.MIN_REFINED_TIME_STEP_MINUTES", np.inf)
     unrefined_error_min = hours_errors_min(scene, view, 300, step_minutes=12.0)
-    assert error_min.mean() < 0.6 and error_min.mean() < 0.4 * unrefined_error_min.mean()
+    assert error_min.mean() < 0.5 and error_min.mean() < 0.4 * unrefined_error_min.mean()
 
 
 def test_hours_of_a_block_count_the_ground_beside_it(open_scene):
