@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.shadows.horizons.grid import FarGround, HorizonGrid
-from skugga.shadows.sun_hours.sun_hours import ground_extent
+from skugga.terrain.casters.ground_extent import ground_extent
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import World, transformer

@@ -15,9 +15,10 @@ from skugga.shadows.horizons.block_ground import block_plane
 from skugga.shadows.irradiation.planes import PlaneNormals, normals_in_block_plane
 from skugga.shadows.irradiation.suns import SunIntervals
 from skugga.shadows.irradiation.surfaces import BlockSurfaces, ShadingSurface
-from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, holds_all_ground, under_clear_sky
+from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, under_clear_sky
 from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.shadows.sweep.sweep import NodeClearance, clearance_of_nodes
+from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, direction_enu
