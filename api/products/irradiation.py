@@ -58,9 +58,11 @@ BYTES_PER_BAND = 8
 """Bytes of memory for each cell of a band: its sum, and that of the month that is being computed."""
 
 MAX_CONVERGENCE_DEG = 0.5
-"""Maximum turn of true north in a block. The sun's direction is that at the block's centre, and sums over all azimuths do not depend
-on where north is, so that only the azimuth of tilted planes and the minutes of sunrise vary. Wider blocks find fewer casters beside
-them."""
+"""Maximum turn of true north in a block.
+
+The sun's direction is that at the block's centre, and sums over all azimuths do not depend on where north is. So only the azimuth
+of tilted planes and the minutes of sunrise vary within a block. Wider blocks find fewer casters beside them.
+"""
 
 MAX_BANDS = 400
 """Limit of the bands of a raster: a value for each day of a year, or for each hour of two weeks."""

@@ -79,7 +79,8 @@ def horizon_blocks(
     the grid by at most ``max_convergence_deg``.
     """
     nodes = view.with_pixels_as_nodes()
-    side = min(_block_side(scene.world, nodes, max_convergence_deg), 2 ** int(np.log2(np.sqrt(MAX_BLOCK_BYTES / (4.0 * kept_azimuths)))))
+    max_side = 2 ** int(np.log2(np.sqrt(MAX_BLOCK_BYTES / (4.0 * kept_azimuths))))
+    side = min(_block_side(scene.world, nodes, max_convergence_deg), max_side)
     blocks = []
     for row in range(0, nodes.rows, side):
         for col in range(0, nodes.cols, side):
