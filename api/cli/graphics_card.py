@@ -1,8 +1,8 @@
 """Graphics cards of this machine, and what keeps OpenGL from drawing with them.
 
-EGL is a loader (libglvnd): it reads vendor files, JSON files that each name the library of one driver. A card therefore draws only if
-its device files can be opened, its driver brings an EGL library, and a vendor file names that library. Containers often lack one of
-these. EGL reports none of it: it lists Mesa's software rasteriser alone.
+EGL is a loader (libglvnd). It reads vendor files, JSON files that each name the library of one driver. So a card draws only if its
+device files can be opened, its driver has an EGL library, and a vendor file names that library. Containers often lack one of these.
+EGL does not report that: it lists Mesa's software rasteriser alone.
 
 The module imports only the standard library, so ``scripts/gpu_check.py`` can use it on a machine without packages.
 """
