@@ -323,7 +323,11 @@ def measure(args: argparse.Namespace) -> FrameMeasurements:
 
 def _commit_description(folder: Path) -> str:
     """Return hash and date of the commit that is checked out in ``folder``, or "unknown"."""
-    process = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
+    command = ["git", "log", "-1", "--format=%h of %cs"]
+    try:
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError:  # a machine without git
+        return "unknown"
     return process.stdout.strip() or "unknown"
 
 
