@@ -24,6 +24,7 @@ import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -50,7 +51,7 @@ TAIL_LINES = 40
 """Last lines of a failed step's output that are reported."""
 
 MINUTES = 9.5
-"""Time limit of all steps, minutes: below ten with the time that the report takes."""
+"""Time limit of all steps, minutes: below ten with the time that the report takes. Limits of single steps are in proportion."""
 
 STANDARD_LIBRARY_FOLDERS = tuple(map(Path, ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/lib/x86_64-linux-gnu")))
 """Folders that the dynamic linker searches anyway."""
@@ -63,6 +64,13 @@ print(json.dumps({"renderer": gl.renderer, "version": gl.version, "device": str(
                   "is_software": gl.egl_device.is_software}))
 """
 """Code of the process that prints what OpenGL draws with."""
+
+COMPILE_CODE = """
+from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, VIEWS, compile_ahead
+from skugga.terrain.cores import usable_cores
+compile_ahead([VIEWS, MAPS_OF_CASTERS, MAPS, PICTURES, MASKS], usable_cores())
+"""
+"""Code of the process that compiles the loops of pictures, on all cores."""
 
 VERSIONS_CODE = """
 import importlib.metadata, json, sys
@@ -132,6 +140,8 @@ class Recorder:
     ----------
     out
         The folder of the report.
+    minutes
+        Time limit of all steps.
     deadline
         Time (``time.monotonic``) at which the last step has to end.
     report
@@ -139,6 +149,7 @@ class Recorder:
     """
 
     out: Path
+    minutes: float
     deadline: float
     report: Report
 
@@ -152,9 +163,10 @@ class Recorder:
     ) -> Outcome:
         """Run a step within its time limit and the time that is left, record it, and return its outcome.
 
+        ``limit_s`` is its limit if all steps have ``MINUTES``; with more or less time it is longer or shorter in proportion.
         ``describe`` returns a detail for the report. It may raise ``CheckError``, which makes the step a failed one.
         """
-        limit_s = min(limit_s, max(self.deadline - time.monotonic(), 1.0))
+        limit_s = min(limit_s * self.minutes / MINUTES, max(self.deadline - time.monotonic(), 1.0))
         outcome = run_command(command, environment, limit_s)
         try:
             detail = describe(outcome) if outcome.status is not None else f"ended at its limit of {limit_s:.0f} s"
@@ -347,27 +359,39 @@ def _find_opengl(recorder: Recorder, python: Path, libraries: Path, environment:
     return True
 
 
+def _described_tests(junit_file: Path, outcome: Outcome) -> str:
+    """Return the results of a run of tests, whose file of results is written at its end."""
+    return describe_tests(junit_file)
+
+
 def _draw(recorder: Recorder, python: Path, work: Path, environment: Mapping[str, str]) -> None:
     """Compare pictures with the stored ones, and run the benchmarks."""
-    junit_file, output_folder = work / "junit.xml", ROOT / "tests" / "output"
+    output_folder = ROOT / "tests" / "output"
     renderer = {"SKUGGA_EXPECT_RENDERER": recorder.report["opengl"]["renderer"], "CI": "true"}
-    pytest = [str(python), "-m", "pytest", "-q", "--tb=short", "-p", "pytest_timeout", "-o", f"cache_dir={work / 'pytest'}"]
-    tests = [*pytest, f"--junitxml={junit_file}", "tests/shadows/test_snapshots.py", "tests/terrain/gl"]
+    pytest = [str(python), "-m", "pytest", "-v", "--tb=short", "-p", "pytest_timeout", "-o", f"cache_dir={work / 'pytest'}"]
     start = time.time()
-    recorder.run("pictures", tests, {**environment, **renderer}, 270, lambda outcome: describe_tests(junit_file))
+    recorder.run("compile loops", [str(python), "-c", COMPILE_CODE], environment, 120)
+    for name, tests_path, limit_s in (
+        ("pictures", "tests/shadows/test_snapshots.py", 200),
+        ("OpenGL tests", "tests/terrain/gl", 100),
+    ):
+        junit_file = work / f"{Path(tests_path).stem}.xml"
+        tests = [*pytest, f"--junitxml={junit_file}", tests_path]
+        recorder.run(name, tests, {**environment, **renderer}, limit_s, partial(_described_tests, junit_file))
     pictures = [path for path in sorted(output_folder.glob("*.png")) if path.stat().st_mtime >= start]
     if pictures:
         with zipfile.ZipFile(recorder.out / "pictures.zip", "w") as archive:
             for path in pictures:
                 archive.write(path, path.name)
+    picture = "SpatialAce" if "pyogrio" in recorder.report["packages"] else "street"
     benchmarks = {
-        "frames": ["--pictures", "SpatialAce", "--repeats", "3", "--no-first"],
+        "frames": ["--pictures", picture, "--repeats", "3", "--no-first"],
         "algorithms": ["thesis", "--scenes", "thesis_boxgrid", "thesis_street_sun", "--size", "640x512", "--repeats", "5"],
     }
     for name, arguments in benchmarks.items():
         figures, table = work / f"{name}.json", work / f"{name}.md"
         command = [str(python), "-m", f"benchmarks.{name}", *arguments, "--json", str(figures), "--markdown", str(table)]
-        outcome = recorder.run(f"benchmarks.{name}", command, environment, 150, lambda outcome: "")
+        outcome = recorder.run(f"benchmarks.{name}", command, environment, 120)
         if outcome.status == 0:
             recorder.report["figures"][name] = json.loads(figures.read_text(encoding="utf-8"))
             recorder.report["tables"][f"benchmarks.{name} {' '.join(arguments)}"] = table.read_text(encoding="utf-8")
@@ -393,7 +417,7 @@ def check(folder: Path, out: Path, allow_software: bool, minutes: float) -> bool
         "cores": len(os.sched_getaffinity(0)), "cards": [card.name for card in find_cards(CardPlaces())], "manifest": manifest,
         "packages": {}, "opengl_tried": [], "steps": [], "figures": {}, "tables": {},
     }  # fmt: skip
-    recorder = Recorder(out, start + 60.0 * minutes, report)
+    recorder = Recorder(out, minutes, start + 60.0 * minutes, report)
     with tempfile.TemporaryDirectory(prefix="gpu-check-") as name:
         work = Path(name)
         environment = {key: value for key, value in os.environ.items() if not key.startswith(("SKUGGA_", "PIP_", "PYTEST_"))}

@@ -33,6 +33,9 @@ PACKAGES: tuple[str, ...] = (
 )  # fmt: skip
 """Packages that the checks import, with their dependencies, as a run with these alone showed."""
 
+VECTOR_PACKAGE = "pyogrio"
+"""Package that reads the trees of the bundled levels. It has a GDAL of its own, which makes it the largest that is not provided."""
+
 USUALLY_PROVIDED = ("numpy", "scipy", "numba", "llvmlite", "pillow", "pandas", "h5py")
 """Packages that a Python for scientific work has, and that would fill the folder: 140 of 245 MB of wheels."""
 
@@ -82,10 +85,22 @@ def is_needed(package: str, name: str) -> bool:
     return not any(fnmatch(name, pattern) for pattern in patterns)
 
 
-def slim_wheel(wheel: Path, target: Path) -> None:
-    """Write a copy of a wheel without files that no check reads, and without compression.
+def strip_library(content: bytes) -> bytes:
+    """Return a shared library without its symbols for debuggers, a quarter of some wheels; unchanged without the tool ``strip``."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name, "library.so")
+        path.write_bytes(content)
+        try:
+            run = subprocess.run(["strip", "--strip-unneeded", str(path)], capture_output=True, check=False)
+        except OSError:
+            return content
+        return path.read_bytes() if run.returncode == 0 else content
 
-    Its list of files (``RECORD``) is shortened, too, so that pip finds it complete.
+
+def slim_wheel(wheel: Path, target: Path) -> None:
+    """Write a copy of a wheel without files that no check reads, symbols for debuggers, and compression.
+
+    Its list of files (``RECORD``) has the remaining ones, without digests.
     """
     package = canonicalize_name(wheel.name.split("-")[0])
     with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as copy:
@@ -95,7 +110,10 @@ def slim_wheel(wheel: Path, target: Path) -> None:
             content = source.read(info)
             if info.filename.endswith(".dist-info/RECORD"):
                 lines = content.decode().splitlines()
-                content = "".join(f"{line}\n" for line in lines if is_needed(package, line.split(",")[0])).encode()
+                rows = [line.rsplit(",", 2)[0] for line in lines]
+                content = "".join(f"{name},,\n" for name in rows if is_needed(package, name.strip('"'))).encode()
+            elif ".so" in Path(info.filename).name and content.startswith(b"\x7fELF"):
+                content = strip_library(content)
             info.compress_type = zipfile.ZIP_STORED
             copy.writestr(info, content)
 
@@ -168,7 +186,7 @@ def compress(folder: Path, archive: Path, preset: int) -> None:
             tar.add(path, path.name)
 
 
-def pack(folder: Path, provided: Sequence[str], max_mib: float, preset: int) -> str:
+def pack(folder: Path, provided: Sequence[str], with_vectors: bool, max_mib: float, preset: int) -> str:
     """Write the archive and its manifest into a folder, and return a summary.
 
     Parameters
@@ -177,6 +195,8 @@ def pack(folder: Path, provided: Sequence[str], max_mib: float, preset: int) -> 
         The folder to write, which is created.
     provided
         Packages that the other machine's Python has, and that are not packed.
+    with_vectors
+        Whether to pack what draws the bundled levels with trees.
     max_mib
         Maximum size of the folder, MiB.
     preset
@@ -190,7 +210,8 @@ def pack(folder: Path, provided: Sequence[str], max_mib: float, preset: int) -> 
     if unknown := sorted(set(provided) - set(PACKAGES)):
         raise CheckError(f"--provided {unknown[0]}: not a package of the checks. Allowed: {', '.join(PACKAGES)}.")
     locked = pinned_versions((ROOT / "requirements.lock").read_text(encoding="utf-8"), TARGET_PYTHON)
-    versions = {name: locked[name] for name in PACKAGES if name not in provided}
+    packages = [*PACKAGES, *[VECTOR_PACKAGE] * with_vectors]
+    versions = {name: locked[name] for name in packages if name not in provided}
     libraries = needed_libraries((*LOADER_LIBRARIES, *NVIDIA_NEEDS), _library_finder(), _needed_names)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -234,12 +255,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=",".join(USUALLY_PROVIDED),
         help="packages that the other machine's Python has, separated by commas; '' packs all (default: %(default)s)",
     )
+    parser.add_argument("--with-vectors", action="store_true", help="pack also what draws levels with trees, 20 MiB")
     parser.add_argument("--max-mib", type=float, default=MAX_MIB, help="maximum size of the folder; default %(default)g")
     parser.add_argument("--preset", type=int, choices=range(10), default=6, help="effort of the compression; default %(default)s")
     values = parser.parse_args(arguments)
     provided = [name.strip() for name in values.provided.split(",") if name.strip()]
     try:
-        print(pack(values.folder, provided, values.max_mib, values.preset))
+        print(pack(values.folder, provided, values.with_vectors, values.max_mib, values.preset))
     except CheckError as error:
         parser.exit(1, f"gpu_check: {error}\n")
     return 0

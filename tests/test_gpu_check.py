@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -17,6 +19,7 @@ from scripts import gpu_pack
 from scripts.gpu_check import (
     ARCHIVE,
     MANIFEST,
+    MINUTES,
     ROOT,
     TAIL_LINES,
     CheckError,
@@ -30,7 +33,17 @@ from scripts.gpu_check import (
     report_page,
     run_command,
 )
-from scripts.gpu_pack import PACKAGES, USUALLY_PROVIDED, compress, is_needed, needed_libraries, pinned_versions, slim_wheel
+from scripts.gpu_pack import (
+    PACKAGES,
+    USUALLY_PROVIDED,
+    VECTOR_PACKAGE,
+    compress,
+    is_needed,
+    needed_libraries,
+    pinned_versions,
+    slim_wheel,
+    strip_library,
+)
 from skugga.api.cli.graphics_card import NVIDIA_LIBRARY, NVIDIA_VENDOR, NVIDIA_VENDOR_FILE, CardPlaces
 
 SCRIPT = ROOT / "scripts" / "gpu_check.sh"
@@ -57,7 +70,7 @@ def test_versions_are_those_of_the_target_s_python():
 
 def test_every_packed_package_is_locked():
     locked = pinned_versions((ROOT / "requirements.lock").read_text(encoding="utf-8"), "3.12")
-    assert set(PACKAGES) <= set(locked) and set(USUALLY_PROVIDED) <= set(PACKAGES)
+    assert {*PACKAGES, VECTOR_PACKAGE} <= set(locked) and set(USUALLY_PROVIDED) <= set(PACKAGES)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +120,22 @@ def test_a_slim_wheel_lists_and_installs_its_own_files(tmp_path):
     assert (tmp_path / "site" / "hills" / "__init__.py").is_file()
 
 
+def test_a_stripped_library_keeps_what_it_exports(tmp_path, monkeypatch):
+    source, library = tmp_path / "a.c", tmp_path / "a.so"
+    source.write_text("static int seven(void) { return 7; }\nint height(void) { return seven(); }\n")
+    for tool in ("gcc", "strip"):
+        if shutil.which(tool) is None:
+            pytest.skip(f"no {tool}")
+    subprocess.run(["gcc", "-g", "-shared", "-fPIC", "-o", library, source], check=True)
+    content = library.read_bytes()
+    library.with_name("b.so").write_bytes(strip_library(content))
+    assert library.with_name("b.so").stat().st_size < len(content)
+    assert ctypes.CDLL(str(library.with_name("b.so"))).height() == 7
+    assert strip_library(b"no library") == b"no library"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert strip_library(content) == content
+
+
 def test_libraries_come_with_those_that_they_need():
     needs = {"libEGL.so.1": ["libGLdispatch.so.0", "libc.so.6"], "libGLdispatch.so.0": ["libc.so.6", "ld-linux-x86-64.so.2"]}
     libraries = needed_libraries(["libEGL.so.1"], lambda name: Path("/lib", name), lambda path: needs[path.name])
@@ -136,7 +165,7 @@ def pack_small_folder(monkeypatch, tmp_path: Path, max_mib: float = 64.0, provid
         return [make_wheel(folder)]
 
     monkeypatch.setattr(gpu_pack, "download_wheels", download_wheels)
-    return gpu_pack.pack(tmp_path / "folder", provided, max_mib, 0)
+    return gpu_pack.pack(tmp_path / "folder", provided, False, max_mib, 0)
 
 
 def test_the_manifest_says_what_is_packed_and_what_is_left_out(monkeypatch, tmp_path):
@@ -225,7 +254,7 @@ def test_a_command_is_ended_at_its_limit_with_its_processes(tmp_path):
 @pytest.fixture
 def recorder(tmp_path: Path) -> Recorder:
     """Return a recorder without steps, with a minute left."""
-    return Recorder(tmp_path, time.monotonic() + 60, empty_report())
+    return Recorder(tmp_path, MINUTES, time.monotonic() + 60, empty_report())
 
 
 def test_a_failed_step_is_recorded_with_its_last_lines(recorder, tmp_path):
@@ -245,6 +274,12 @@ def test_a_passed_step_is_recorded_without_its_output(recorder, tmp_path):
 
 def test_steps_share_the_time_that_is_left(recorder):
     recorder.deadline = time.monotonic() + 1.0
+    recorder.run("slow", ["sleep", "60"], os.environ, 50)
+    assert recorder.report["steps"][0]["detail"] == "ended at its limit of 1 s"
+
+
+def test_limits_of_steps_are_in_proportion_to_that_of_all(recorder):
+    recorder.minutes = MINUTES / 50
     recorder.run("slow", ["sleep", "60"], os.environ, 50)
     assert recorder.report["steps"][0]["detail"] == "ended at its limit of 1 s"
 

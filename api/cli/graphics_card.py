@@ -95,7 +95,7 @@ class Card:
 def find_cards(places: CardPlaces) -> list[Card]:
     """Return the graphics cards of a machine: NVIDIA's cards if there are any, else the render nodes of others."""
     nodes = sorted(places.dev.glob("nvidia[0-9]*"))
-    models = _kernel_models(places.proc) or (_smi_models(places.nvidia_smi) if nodes or places.proc.is_dir() else [])
+    models = _kernel_models(places.proc) or (_smi_models(places.nvidia_smi) if nodes else [])
     if nodes or models:
         count = max(len(nodes), len(models))
         return [
