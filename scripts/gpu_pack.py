@@ -27,9 +27,9 @@ PACKAGES: tuple[str, ...] = (
     "moderngl", "glcontext", "pyopengl", "numpy", "scipy", "numba", "llvmlite", "pillow", "rasterio", "affine", "attrs",
     "certifi", "click", "pyproj", "shapely", "mapbox-earcut", "trimesh", "pydantic", "pydantic-core", "pydantic-settings",
     "annotated-types", "typing-extensions", "typing-inspection", "python-dotenv", "morecantile", "ruamel-yaml", "pvlib",
-    "pandas", "python-dateutil", "six", "h5py", "requests", "urllib3", "idna", "charset-normalizer", "matplotlib", "typer",
-    "annotated-doc", "rich", "shellingham", "markdown-it-py", "mdurl", "pytest", "pytest-timeout", "pluggy", "iniconfig",
-    "packaging", "pygments", "pyyaml", "hypothesis", "sortedcontainers",
+    "pandas", "python-dateutil", "pytz", "tzdata", "six", "h5py", "requests", "urllib3", "idna", "charset-normalizer",
+    "matplotlib", "typer", "annotated-doc", "rich", "shellingham", "markdown-it-py", "mdurl", "pytest", "pytest-timeout",
+    "pluggy", "iniconfig", "packaging", "pygments", "pyyaml", "hypothesis", "sortedcontainers",
 )  # fmt: skip
 """Packages that the checks import, with their dependencies, as a run with these alone showed."""
 

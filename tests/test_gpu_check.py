@@ -29,6 +29,7 @@ from scripts.gpu_check import (
     describe_tests,
     describe_versions,
     last_json,
+    last_lines,
     opengl_environments,
     report_page,
     run_command,
@@ -284,6 +285,17 @@ def test_limits_of_steps_are_in_proportion_to_that_of_all(recorder):
     assert recorder.report["steps"][0]["detail"] == "ended at its limit of 1 s"
 
 
+def test_a_warm_up_may_be_ended_at_its_limit(recorder):
+    recorder.run("warm-up", ["sleep", "60"], os.environ, 0.2, may_end_early=True)
+    recorder.run("warm-up that fails", ["false"], os.environ, 30, may_end_early=True)
+    assert [step["ok"] for step in recorder.report["steps"]] == [True, False]
+
+
+def test_remarks_at_the_exit_do_not_hide_the_last_lines():
+    output = "Traceback\nValueError: 7\n" + 50 * "Error in sys.excepthook:\n\nOriginal exception was:\n"
+    assert last_lines(output) == ["Traceback", "ValueError: 7"]
+
+
 def test_a_description_may_make_a_step_a_failed_one(recorder):
     recorder.run("json", ["echo", "no json"], os.environ, 30, lambda outcome: str(last_json(outcome.output)))
     assert recorder.report["steps"][0]["detail"] == "no json" and not recorder.is_ok
@@ -303,7 +315,7 @@ def test_failed_tests_are_named(tmp_path):
         '<testsuites><testsuite><testcase name="a"/><testcase name="b"><skipped/></testcase>'
         '<testcase name="c[1]"><failure message="x"/></testcase><testcase name="d"><error/></testcase></testsuite></testsuites>'
     )
-    assert describe_tests(junit) == "1 passed, 1 skipped, 2 failed: c[1], d"
+    assert describe_tests(junit) == "1 passed, 1 skipped, 2 failed: c[1], d. The first: x"
     assert describe_tests(tmp_path / "none.xml") == "no results"
 
 
