@@ -255,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=",".join(USUALLY_PROVIDED),
         help="packages that the other machine's Python has, separated by commas; '' packs all (default: %(default)s)",
     )
-    parser.add_argument("--with-vectors", action="store_true", help="pack also what draws levels with trees, 20 MiB")
+    parser.add_argument("--with-vectors", action="store_true", help="pack also what draws levels with trees, a wheel of 32 MiB")
     parser.add_argument("--max-mib", type=float, default=MAX_MIB, help="maximum size of the folder; default %(default)g")
     parser.add_argument("--preset", type=int, choices=range(10), default=6, help="effort of the compression; default %(default)s")
     values = parser.parse_args(arguments)
