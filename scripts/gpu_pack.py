@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import lzma
+import struct
 import subprocess
 import sys
 import tarfile
@@ -57,6 +58,8 @@ NVIDIA_NEEDS = ("libXext.so.6",)
 SYSTEM_LIBRARIES = ("libc.so", "libm.so", "libdl.so", "libpthread.so", "librt.so", "ld-linux")
 """Libraries of glibc, which have to be those of the machine."""
 
+ELF_LOADED_SEGMENT = 1
+
 MAX_MIB = 64.0
 
 
@@ -85,8 +88,24 @@ def is_needed(package: str, name: str) -> bool:
     return not any(fnmatch(name, pattern) for pattern in patterns)
 
 
+def is_loadable(library: bytes) -> bool:
+    """Return whether the segments of a shared library (ELF, 64 bits) are aligned as the dynamic linker requires."""
+    (offset,) = struct.unpack_from("<Q", library, 32)
+    size, count = struct.unpack_from("<HH", library, 54)
+    for number in range(count):
+        start = offset + number * size
+        kind, _, position, address = struct.unpack_from("<IIQQ", library, start)
+        (alignment,) = struct.unpack_from("<Q", library, start + 48)
+        if kind == ELF_LOADED_SEGMENT and (address - position) % max(alignment, 1):
+            return False
+    return True
+
+
 def strip_library(content: bytes) -> bytes:
-    """Return a shared library without its symbols for debuggers, a quarter of some wheels; unchanged without the tool ``strip``."""
+    """Return a shared library without its symbols for debuggers, a quarter of some wheels.
+
+    It is unchanged without the tool ``strip``, or if that breaks it: libraries that were patched for wheels lose their alignment.
+    """
     with tempfile.TemporaryDirectory() as name:
         path = Path(name, "library.so")
         path.write_bytes(content)
@@ -94,7 +113,8 @@ def strip_library(content: bytes) -> bytes:
             run = subprocess.run(["strip", "--strip-unneeded", str(path)], capture_output=True, check=False)
         except OSError:
             return content
-        return path.read_bytes() if run.returncode == 0 else content
+        stripped = path.read_bytes()
+        return stripped if run.returncode == 0 and is_loadable(stripped) else content
 
 
 def slim_wheel(wheel: Path, target: Path) -> None:

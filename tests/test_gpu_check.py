@@ -6,6 +6,7 @@ import ctypes
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import tarfile
@@ -39,6 +40,7 @@ from scripts.gpu_pack import (
     USUALLY_PROVIDED,
     VECTOR_PACKAGE,
     compress,
+    is_loadable,
     is_needed,
     needed_libraries,
     pinned_versions,
@@ -135,6 +137,26 @@ def test_a_stripped_library_keeps_what_it_exports(tmp_path, monkeypatch):
     assert strip_library(b"no library") == b"no library"
     monkeypatch.setenv("PATH", str(tmp_path))
     assert strip_library(content) == content
+
+
+def elf_library(address: int) -> bytes:
+    """Return the headers of a shared library with one segment at offset 0x1000, which is loaded at an address."""
+    header = struct.pack("<16sHHIQQQIHHHHHH", b"\x7fELF\x02\x01\x01", 3, 62, 1, 0, 64, 0, 0, 64, 56, 1, 64, 0, 0)
+    return header + struct.pack("<IIQQQQQQ", 1, 5, 0x1000, address, address, 64, 64, 0x1000)
+
+
+def test_a_library_that_stripping_breaks_is_packed_as_it_is(monkeypatch):
+    assert is_loadable(elf_library(0x5000)) and not is_loadable(elf_library(0x5010))
+
+    def strip(command, **options):
+        Path(command[-1]).write_bytes(broken)
+        return subprocess.CompletedProcess(command, 0)
+
+    broken = elf_library(0x5010)
+    monkeypatch.setattr(gpu_pack.subprocess, "run", strip)
+    assert strip_library(elf_library(0x5000)) == elf_library(0x5000)
+    broken = elf_library(0x6000)
+    assert strip_library(elf_library(0x5000)) == broken
 
 
 def test_libraries_come_with_those_that_they_need():
