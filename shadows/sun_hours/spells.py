@@ -141,7 +141,7 @@ class ClearanceSample:
         float32 (n, m): clearances of the cells, at least 0 in sunlight.
     above_floor_sine
         (k,): the sine of the sun's altitude less that of the minimum altitude that counts, at k positions of the block.
-    clearance_tangent
+    marched_tangent
         float32 (n, m): the tangent of the sun's altitude less that of the horizon, at cells whose clearance changes its sign before
         or after the moment; undefined at other cells. ``None`` if it is not known.
     """
@@ -149,7 +149,7 @@ class ClearanceSample:
     minutes: float
     clearance: np.ndarray
     above_floor_sine: np.ndarray
-    clearance_tangent: np.ndarray | None = None
+    marched_tangent: np.ndarray | None = None
 
 
 def empty_spells(shape: tuple[int, int]) -> SunSpells:
@@ -195,7 +195,7 @@ def add_sun_between(
     floored = min(float(start_moment.above_floor_sine.min()), float(end_moment.above_floor_sine.min())) <= 0.0
     floors = np.stack([fit_matrix @ start_moment.above_floor_sine, fit_matrix @ end_moment.above_floor_sine])
 
-    start_tangent, end_tangent = start_moment.clearance_tangent, end_moment.clearance_tangent
+    start_tangent, end_tangent = start_moment.marched_tangent, end_moment.marched_tangent
     if start_tangent is None or end_tangent is None:
         start_tangent = end_tangent = NO_TANGENTS
 

@@ -250,7 +250,7 @@ def _add_span(
         """Add the clearance tangents of the last moment, while its cells are in the order of its own sun."""
         here = moments[-1]
         around = moments[-2] if len(moments) >= 2 else here, here, here if after is None else after
-        moments[-1] = replace(here, clearance_tangent=block.clearance_tangents(day, around, block_spells.orientation))
+        moments[-1] = replace(here, marched_tangent=block.clearance_tangents(day, around, block_spells.orientation))
 
     for number, (orientation, clearance) in enumerate(block.clearances(day, span, lines)):
         sample = ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel())
@@ -276,11 +276,11 @@ def _reoriented(sample: ClearanceSample, before: GridOrientation, after: GridOri
     """Return the clearances of cells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
     if before == after:
         return sample
-    tangent = sample.clearance_tangent
+    tangent = sample.marched_tangent
     return replace(
         sample,
         clearance=sun_aligned_copy(sample.clearance, before, after),
-        clearance_tangent=None if tangent is None else sun_aligned_copy(tangent, before, after),
+        marched_tangent=None if tangent is None else sun_aligned_copy(tangent, before, after),
     )
 
 
