@@ -55,7 +55,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LINES_PER_COLUMN, LONG_STEP_LINES_PER_COLUMN = 8, 4
-"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``), and those on ground that bears the long step.
+"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``), and those with the long step or longer ones.
 
 With four lines, errors on surfaces of trees are doubled. In mountains, which bear long steps, they stay as they are.
 """
@@ -168,8 +168,7 @@ def sun_hours(
     block_spells = _BlockSpells(view, IDENTITY_ORIENTATION, empty_spells((view.rows, view.cols)))
     if valid.any():
         step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
-        bears_long_steps = rules.step_minutes is None and step_minutes >= LONG_STEP_MINUTES
-        lines = LONG_STEP_LINES_PER_COLUMN if bears_long_steps else LINES_PER_COLUMN
+        lines = LINES_PER_COLUMN if step_minutes < LONG_STEP_MINUTES else LONG_STEP_LINES_PER_COLUMN
         for day in days:
             clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
