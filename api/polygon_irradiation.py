@@ -24,12 +24,15 @@ from skugga.shadows.irradiation.surfaces import BlockSurfaces, block_surfaces
 from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.geo.vectors import Features, read_features, vector_layer
+from skugga.terrain.geo.vectors import Features, attribute_names, read_features, vector_layer
 from skugga.terrain.geo.world import transformer
 from skugga.terrain.scene import Scene
 
 DRIVER_BY_SUFFIX = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".csv": "CSV"}
 """GDAL's drivers by the suffix of an output file."""
+
+ATTRIBUTE_SUFFIX = "_"
+"""End of the name of a polygon's attribute that is also the name of a figure, such as ``area_m2``."""
 
 MAX_POLYGONS = 200_000
 """Limit of the polygons of a file."""
@@ -77,7 +80,20 @@ class PolygonIrradiation:
         return self.mean_kwh_m2 * self.area_m2[:, None]
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the columns of a table, by name."""
+        """Return the columns of a table, by name: attributes of the polygons, then their irradiation.
+
+        The name of an attribute that is also that of a figure ends with ``ATTRIBUTE_SUFFIX``.
+        """
+        figures = self._figures()
+        taken = {name.lower() for name in figures}
+        attributes = {
+            f"{name}{ATTRIBUTE_SUFFIX}" if name.lower() in taken else name: _as_field(values)
+            for name, values in self.features.attributes.items()
+        }
+        return {**attributes, **figures}
+
+    def _figures(self) -> dict[str, np.ndarray]:
+        """Return the columns that are not attributes, by name."""
         columns = {
             "feature": self.features.number_in_layer, "cells": self.cells, "area_m2": self.area_m2, "slope_deg": self.slope_deg,
             "azimuth_deg": self.azimuth_deg,
@@ -89,10 +105,22 @@ class PolygonIrradiation:
         return {**columns, "remark": outside}
 
 
+def _as_field(values: np.ndarray) -> np.ndarray:
+    """Return the values (n,) of an attribute as numbers or texts, since lists cannot be written to every format."""
+    if values.dtype != object:
+        return values
+    return np.array([value if value is None or isinstance(value, str) else str(value) for value in values], object)
+
+
 def read_polygons(path: Path, scene: Scene) -> Features:
-    """Read polygons into the CRS of a level's raster. Raises ``SourceError`` for a file without polygons or with too many."""
+    """Read polygons and all their attributes into the CRS of a level's raster.
+
+    Raises ``SourceError`` for a file without polygons or with too many.
+    """
     source = str(path)
-    features = read_features(source, scene.elevation.crs, layer=vector_layer(source, (2,)))
+    layer = vector_layer(source, (2,))
+    names = attribute_names(source, 0 if layer.name is None else layer.name)
+    features = read_features(source, scene.elevation.crs, optional_attributes=names, layer=layer)
     is_polygon = shapely.get_dimensions(features.geometry) == 2
     if not is_polygon.any():
         raise SourceError(source, "no polygons", "Use a file with polygons, such as roofs or fields")

@@ -53,7 +53,7 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         with log.record_pass(ATTACHED_PASS):
             rim = rim_points(scene, view)
             if rim is not None:
-                lit &= ~(rim.valid & attached_shadow_mask(rim, scene, SUN))
+                lit[ground.window] &= ~(rim.valid & attached_shadow_mask(rim, scene, SUN))
         visibility[lit] = 1.0
     return Picture(ground.valid, (), visibility=visibility, reach=reach)
 
@@ -62,13 +62,15 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
     """Return the geometry buffer of a map's points on the rim of its ground; ``None`` without any.
 
-    It is cached for many positions of the sun in sequence.
+    It covers the window of the ground (``BareGround.window``). It is cached for many positions of the sun in sequence.
     """
     ground = bare_ground(scene, view, None)
-    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim_mask(scene, view) & ground.valid
-    if ground is None or not rim.any():
+    if ground is None:
         return None
-    return map_geometry(scene.surface(view.grid), view, ground.frame, pixel_mask=rim)
+    rim = (_rim_mask(scene, view) & ground.valid)[ground.window]
+    if not rim.any():
+        return None
+    return map_geometry(scene.surface(view.grid), ground.window_view, ground.frame, pixel_mask=rim)
 
 
 def _rim_mask(scene: Scene, view: MapView) -> np.ndarray:

@@ -149,10 +149,13 @@ def _tints(ramp: ColorRamp | None, has_latitude_tints: bool) -> Tints:
     return Tints(np.ascontiguousarray(table), first_difference.astype(np.int32))
 
 
-def sky_lit_albedo(albedo: np.ndarray, parameters: ShadingParameters) -> np.ndarray:
-    """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance."""
+def sky_lit_albedo(albedo: np.ndarray, desaturation: float) -> np.ndarray:
+    """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance.
+
+    ``desaturation`` is ``ShadingParameters.sky_light_desaturation``.
+    """
     grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
-    return albedo + parameters.sky_light_desaturation * (grey - albedo)
+    return albedo + desaturation * (grey - albedo)
 
 
 def max_slope_sky_factor(scene: Scene) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
 
+from skugga.api.cli.graphics_card import NVIDIA_VENDOR, NVIDIA_VENDOR_FILE, CardPlaces
 from skugga.api.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,6 +49,19 @@ def test_containers_have_restricted_privileges():
     for target in re.split(r"^FROM ", dockerfile, flags=re.MULTILINE)[1:]:
         if "CMD" in target:
             assert re.search(r"^USER (?!root)", target, re.MULTILINE), target.splitlines()[0]
+
+
+def test_the_image_has_what_a_card_of_nvidia_needs():
+    dockerfile = (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8")
+    (service,) = (stage for stage in re.split(r"^FROM ", dockerfile, flags=re.MULTILINE) if stage.startswith("python AS service"))
+    packages = re.search(r"apt-get install -y --no-install-recommends (.*) \\\n", service)
+    assert packages and {"libegl1", "libgl1", "libxext6"} <= set(packages[1].split())
+    vendor_file = re.search(r"echo '(.*)' \\\n *> (\S+)", service)
+    assert vendor_file and json.loads(vendor_file[1]) == NVIDIA_VENDOR
+    path = Path(vendor_file[2])
+    assert path.name == NVIDIA_VENDOR_FILE and path.parent in CardPlaces().vendor_folders
+    capabilities = re.search(r"NVIDIA_DRIVER_CAPABILITIES=(\S+)", service)
+    assert capabilities and "graphics" in capabilities[1].split(",")
 
 
 def test_nginx_waits_longer_than_a_picture_may_take():

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 
+from skugga.api.cli.graphics_card import CardPlaces, find_cards, unused_card_reason
 from skugga.terrain.errors import NoOpenGLError, SkuggaError
+from skugga.terrain.gl.egl_devices import AUTO_DEVICE, EGL_DEVICE_VARIABLE, EglDevice, ProbedDevice, egl_devices, probe_device
 
 CHECKED_PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
 
@@ -34,11 +38,13 @@ class Finding:
 
 def run_checks() -> list[Finding]:
     """Return the findings of all checks; never raises."""
+    devices = _probe_egl_devices()
     return [
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
         *map(_check_package, CHECKED_PACKAGES),
         _check_opengl(),
-        *_check_egl_devices(),
+        *_check_egl_devices(devices),
+        *_check_graphics_card(devices, CardPlaces()),
         _check_calibration(),
         _render_test_map(),
         _check_compiled_loops(),
@@ -67,22 +73,24 @@ def _check_opengl() -> Finding:
     return Finding("OpenGL", True, f"{gl.renderer}, {gl.version}, textures up to {gl.max_size}")
 
 
-def _check_egl_devices() -> list[Finding]:
-    """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
-    from skugga.terrain.gl.device import device
-    from skugga.terrain.gl.egl_devices import EGL_DEVICE_VARIABLE, egl_devices, probe_device
-
+def _probe_egl_devices() -> list[tuple[EglDevice, ProbedDevice]]:
+    """Return EGL's devices with their probes; empty without EGL."""
     try:
-        devices = egl_devices()
+        return [(egl_device, probe_device(egl_device.index)) for egl_device in egl_devices()]
     except SkuggaError:
         return []
+
+
+def _check_egl_devices(devices: Sequence[tuple[EglDevice, ProbedDevice]]) -> list[Finding]:
+    """Return a finding for each EGL device. A device that cannot render is not reported as a fault, because another may."""
+    from skugga.terrain.gl.device import device
+
     try:
         used_index = device().egl_device.index
     except SkuggaError:
         used_index = None
     findings = []
-    for egl_device in devices:
-        probe = probe_device(egl_device.index)
+    for egl_device, probe in devices:
         details = [f"no OpenGL 4.3 context ({probe.fault})" if probe.fault else f"{probe.renderer}, {probe.version}"]
         details += (
             ["in software"] * egl_device.is_software
@@ -93,6 +101,32 @@ def _check_egl_devices() -> list[Finding]:
     if len(devices) > 1:
         findings.append(Finding("several devices", True, f"{EGL_DEVICE_VARIABLE} selects the devices to use"))
     return findings
+
+
+def _check_graphics_card(devices: Sequence[tuple[EglDevice, ProbedDevice]], places: CardPlaces) -> list[Finding]:
+    """Return a finding if the machine has a graphics card and OpenGL does not draw with one.
+
+    A render node of another vendor than NVIDIA is no fault: virtual displays without 3D have one, too.
+    """
+    from skugga.terrain.gl.device import device
+
+    cards = find_cards(places)
+    try:
+        gl = device()
+    except SkuggaError:
+        renderer = "nothing"
+    else:
+        if not gl.egl_device.is_software:
+            return []
+        renderer = gl.renderer
+    if not cards:
+        return []
+    card, setting = cards[0], os.environ.get(EGL_DEVICE_VARIABLE, "").strip().lower() or AUTO_DEVICE
+    if setting != AUTO_DEVICE:
+        return [Finding("graphics card", True, f"{card.name} is not used: {EGL_DEVICE_VARIABLE} is '{setting}'")]
+    faults = [probe.fault for egl_device, probe in devices if probe.fault and not egl_device.is_software]
+    reason = unused_card_reason(card, places, os.environ, faults=faults)
+    return [Finding("graphics card", not card.is_nvidia, f"{card.name} is present, but {renderer} draws: {reason}")]
 
 
 def _check_calibration() -> Finding:

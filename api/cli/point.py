@@ -15,7 +15,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from skugga.api.cli.outputs import check_output_files
-from skugga.api.cli.point_irradiation import IrradiationTexts, report_irradiation
+from skugga.api.cli.point_irradiation import IrradiationTexts, report_irradiation, report_irradiation_of_points
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
@@ -99,7 +99,7 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
     else:
         excluded_options = {
             "--at": options.at, "--line": line if batch_option == "--points" else None, "--horizon": options.horizon,
-            "--picture": options.picture, "--year": options.year,
+            "--picture": options.picture, "--year": None if options.irradiation else options.year,
         }  # fmt: skip
         for name, value in excluded_options.items():
             if value is not None:
@@ -123,8 +123,8 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
 def _check_irradiation_options(options: PointOptions, batch_option: str | None) -> None:
     """Raise ``InputError`` for options that do not go with ``--irradiation``. ``batch_option`` is ``--points`` or ``--line``."""
     excluded_options = {
-        str(batch_option): batch_option, "--time": options.sun, "--horizon": options.horizon, "--picture": options.picture,
-        "--azimuths": options.azimuths,
+        "--line": True if batch_option == "--line" else None, "--time": options.sun, "--horizon": options.horizon,
+        "--picture": options.picture, "--azimuths": options.azimuths,
     }  # fmt: skip
     for name, value in excluded_options.items():
         if value is not None:
@@ -181,9 +181,16 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         _print_report(report, has_requested_time=has_chosen_sun)
 
 
-def report_point_irradiation(level: LevelSource, options: PointOptions, texts: IrradiationTexts) -> None:
-    """Print the irradiation at a point, and write it to the file of ``--output``. Raises ``SkuggaError`` and ``OSError``."""
+def report_point_irradiation(level: LevelSource, options: PointOptions, texts: IrradiationTexts, points: Path | None) -> None:
+    """Print the irradiation at a point, or at the points of a file, and write it to the file of ``--output``.
+
+    Raises ``SkuggaError`` and ``OSError``.
+    """
     irradiation = texts.parsed()
+    if points is not None:
+        query = _point_query(options, 0.0, 0.0)
+        report_irradiation_of_points(level, points, query, irradiation, options.output, options.as_json)
+        return
     query = _point_query(options, *_read_coordinate_pair(options.at or ""))
     report_irradiation(level, query, _read_crs(options.crs), irradiation, options.output, options.as_json)
 

@@ -1,8 +1,11 @@
-"""``skugga point --irradiation``: print the irradiation at a point by month; write it as JSON, a CSV or a chart."""
+"""``skugga point --irradiation``: print the irradiation at points by month; write it as JSON, a CSV or a chart."""
 
 from __future__ import annotations
 
 import datetime
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +17,17 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.tables import wide_console
 from skugga.api.cli.times import read_duration
 from skugga.api.cli.warnings import print_product_warnings, print_warnings
-from skugga.api.point.irradiation import csv_text, named_sums, point_irradiation, weather_warnings
+from skugga.api.point.irradiation import (
+    csv_text,
+    irradiation_at_points,
+    named_sums,
+    point_irradiation,
+    points_csv_text,
+    weather_warnings,
+)
 from skugga.api.point.irradiation_chart import irradiation_chart
 from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport, check_plane, requested_dates
+from skugga.api.point.track import read_points
 from skugga.api.point.values import PointQuery
 from skugga.shadows.irradiation.at_point import Cause
 from skugga.terrain.atomic_files import write_atomically
@@ -27,10 +38,13 @@ from skugga.terrain.geo.clock import parse_date
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_errors import allowed_phrase
 from skugga.terrain.level.level_source import LevelSource
-from skugga.terrain.scene import build_scene
+from skugga.terrain.scene import Scene, build_scene
 
 OUTPUT_SUFFIXES = (".json", ".csv", ".svg", ".png")
 """Suffixes of files of irradiation."""
+
+POINTS_OUTPUT_SUFFIXES = (".csv", ".json")
+"""Suffixes of files of the irradiation at many points."""
 
 _HEADINGS = {
     "total": "total", "beam": "beam", "circumsolar": "circumsolar", "sky": "sky", "horizon_band": "horizon band",
@@ -88,30 +102,73 @@ def report_irradiation(
 
     ``crs`` is the CRS of the query's coordinates; ``None``: degrees. Raises ``SkuggaError`` and ``OSError``.
     """
-    if output is not None and output.suffix.lower() not in OUTPUT_SUFFIXES:
-        raise InputError("--output", str(output), f"with --irradiation: {', '.join(OUTPUT_SUFFIXES)}")
-    check_output_files(level, [("--output", output)])
+    _check_irradiation(level, query, irradiation, output, OUTPUT_SUFFIXES)
+    with _scene_with_warnings(level, query, irradiation) as scene:
+        report = point_irradiation(scene, query, irradiation, crs)
+    if output is not None:
+        write_atomically(output, _file_content(report, output, scene.loaded.level.title or scene.loaded.name))
+    if as_json:
+        typer.echo(report.model_dump_json(indent=2))
+    else:
+        print_report(report)
+
+
+def report_irradiation_of_points(
+    level: LevelSource, file: Path, query: PointQuery, irradiation: PointIrradiationOptions, output: Path | None, as_json: bool
+) -> None:
+    """Print the irradiation at the points of a file, and write it to ``output`` by month, as a CSV or as JSON.
+
+    ``query`` has the dates, and the height of points without their own. Raises ``SkuggaError`` and ``OSError``.
+    """
+    _check_irradiation(level, query, irradiation, output, POINTS_OUTPUT_SUFFIXES, file)
+    points = read_points(file, query.height)
+    if not points:
+        raise InputError(str(file), Problem("no points"), "Give at least one")
+    with _scene_with_warnings(level, query, irradiation) as scene:
+        reports = irradiation_at_points(scene, points, query, irradiation)
+    content = json.dumps([report.model_dump(mode="json") for report in reports], indent=2)
+    if output is not None:
+        write_atomically(output, points_csv_text(reports) if output.suffix.lower() == ".csv" else content + "\n")
+    if as_json:
+        typer.echo(content)
+    else:
+        _print_points(reports)
+
+
+def _check_irradiation(
+    level: LevelSource,
+    query: PointQuery,
+    irradiation: PointIrradiationOptions,
+    output: Path | None,
+    suffixes: Sequence[str],
+    file: Path | None = None,
+) -> None:
+    """Raise ``InputError`` for an output without one of ``suffixes``, or over an input, and for wrong dates, before any work.
+
+    ``file`` is that of the points.
+    """
+    if output is not None and output.suffix.lower() not in suffixes:
+        raise InputError("--output", str(output), f"with --irradiation: {', '.join(suffixes)}")
+    check_output_files(level, [("--output", output)], *([] if file is None else [file]))
     try:
         _, last = requested_dates(query, irradiation)
         if irradiation.to is not None and query.date is not None and last < query.date:
             raise InputError("to", last.isoformat(), f"{query.date.isoformat()} or later")
     except InputError as error:
         raise error.prefixed("--") from None
+
+
+@contextmanager
+def _scene_with_warnings(level: LevelSource, query: PointQuery, irradiation: PointIrradiationOptions) -> Iterator[Scene]:
+    """Open the scene of a level, and print its warnings and those of the weather."""
     declare_product(POINTS)
-    loaded = load_level(level)
-    scene = build_scene(loaded)
+    scene = build_scene(load_level(level))
     print_warnings(scene)
     try:
         print_product_warnings(weather_warnings(scene, query, irradiation))
-        report = point_irradiation(scene, query, irradiation, crs)
+        yield scene
     finally:
         scene.close()
-    if output is not None:
-        write_atomically(output, _file_content(report, output, loaded.level.title or loaded.name))
-    if as_json:
-        typer.echo(report.model_dump_json(indent=2))
-    else:
-        _print_report(report)
 
 
 def _file_content(report: PointIrradiationReport, output: Path, title: str) -> str | bytes:
@@ -124,7 +181,7 @@ def _file_content(report: PointIrradiationReport, output: Path, title: str) -> s
     return irradiation_chart(report, "svg" if suffix == ".svg" else "png", title)
 
 
-def _print_report(report: PointIrradiationReport) -> None:
+def print_report(report: PointIrradiationReport) -> None:
     """Print the place, the plane, and a table with a row for each month. Causes that take nothing have no columns."""
     from rich.table import Table
 
@@ -146,7 +203,26 @@ def _print_report(report: PointIrradiationReport) -> None:
     for heading in columns:
         table.add_column(heading, justify="right")
     for n, (name, _) in enumerate(rows):
-        table.add_row(name, *(f"{values[n]:.1f}" for values in columns.values()))
+        table.add_row(name, *(f"{values[n]:z.1f}" for values in columns.values()))
     console.print(table)
     if report.remark:
         console.print(report.remark)
+
+
+def _print_points(reports: Sequence[PointIrradiationReport]) -> None:
+    """Print a table with a row for each point: light of all dates together, and what takes light."""
+    from rich.table import Table
+
+    console, first = wide_console(), reports[0]
+    console.print(f"{first.level}: {first.weather}, {first.first} to {first.last}; {first.unit}")
+    table = Table("longitude", "latitude", "ground, m", "total", "open sky", *_CAUSE_HEADINGS.values(), box=None)
+    for report in reports:
+        sums = report.all_months
+        ground = "" if report.elevation_m is None else f"{report.elevation_m:.1f}"
+        values = [] if sums is None else [sums.total, sums.open_sky, *(sums.lost(cause) for cause in _CAUSE_HEADINGS)]
+        texts = [f"{value:z.1f}" for value in values] or [""] * (2 + len(_CAUSE_HEADINGS))
+        table.add_row(f"{report.lon:.6f}", f"{report.lat:.6f}", ground, *texts)
+    console.print(table)
+    for report in reports:
+        if report.remark:
+            console.print(f"{report.lon:.6f}, {report.lat:.6f}: {report.remark}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, date
 from typing import Any
 
@@ -20,7 +21,7 @@ from skugga.api.point.irradiation_values import (
     weather_name,
 )
 from skugga.api.point.report import point_surroundings
-from skugga.api.point.values import PointQuery
+from skugga.api.point.values import PointQuery, TrackPoint
 from skugga.api.weather_file import weather_of_file
 from skugga.shadows.irradiation.at_point import CAUSES, PARTS, PointIrradiation, irradiation_at_point
 from skugga.shadows.irradiation.ground_plane import ground_plane
@@ -42,6 +43,8 @@ LOST_FIELDS = ("lost_beam", "lost_sky", "lost_reflected")
 
 COLUMNS = ("total", *PARTS, "open_sky", *(f"{field}_{cause}" for field in LOST_FIELDS for cause in CAUSES))
 """Columns of a CSV, kWh/m2."""
+
+_COLUMN_NAMES = tuple(f"{column}_kwh_m2" for column in COLUMNS)
 
 
 def point_irradiation(
@@ -105,6 +108,21 @@ def irradiation_with_remark(scene: Scene, query: PointQuery, options: PointIrrad
         )  # fmt: skip
 
 
+def irradiation_at_points(
+    scene: Scene, points: Sequence[TrackPoint], query: PointQuery, options: PointIrradiationOptions
+) -> list[PointIrradiationReport]:
+    """Return the irradiation at each of many points. Those outside the level's data have nulls and a remark.
+
+    ``query`` has the dates of all points. Raises ``InputError``.
+    """
+
+    def report_of(point: TrackPoint) -> PointIrradiationReport:
+        place = {"lon": point.lon_deg, "lat": point.lat_deg, "height": point.height_m}
+        return irradiation_with_remark(scene, query.model_copy(update=place), options)
+
+    return [report_of(point) for point in points]
+
+
 def named_sums(report: PointIrradiationReport) -> list[tuple[str, IrradiationSums]]:
     """Return the months of a report with their names; the sums of all months, ``all``, are last."""
     if report.months is None or report.all_months is None:
@@ -114,9 +132,23 @@ def named_sums(report: PointIrradiationReport) -> list[tuple[str, IrradiationSum
 
 def csv_text(report: PointIrradiationReport) -> str:
     """Return a report as a CSV with a row for each month and one for all months."""
-    header = ",".join(["month", *(f"{column}_kwh_m2" for column in COLUMNS)])
-    rows = [",".join([name, *(f"{_value(sums, column):.4f}" for column in COLUMNS)]) for name, sums in named_sums(report)]
-    return "\n".join([header, *rows]) + "\n"
+    header = ",".join(["month", *_COLUMN_NAMES])
+    return "\n".join([header, *_csv_rows(report)]) + "\n"
+
+
+def points_csv_text(reports: Sequence[PointIrradiationReport]) -> str:
+    """Return the reports of many points as one CSV: for each point the rows of ``csv_text``, or one without values."""
+    lines = [",".join(["lon", "lat", "height_m", "elevation_m", "month", *_COLUMN_NAMES])]
+    for report in reports:
+        elevation = "" if report.elevation_m is None else f"{report.elevation_m:.2f}"
+        place = f"{report.lon:.10g},{report.lat:.10g},{report.height_m:g},{elevation}"
+        lines += [f"{place},{row}" for row in _csv_rows(report) or ["all" + "," * len(COLUMNS)]]
+    return "\n".join(lines) + "\n"
+
+
+def _csv_rows(report: PointIrradiationReport) -> list[str]:
+    """Return a row of a CSV for each month of a report and one for all months; none without values."""
+    return [",".join([name, *(f"{_value(sums, column):.4f}" for column in COLUMNS)]) for name, sums in named_sums(report)]
 
 
 def _windows(scene: Scene, query: PointQuery, first: date, last: date) -> list[DailyWindow]:

@@ -37,6 +37,9 @@ MAX_LABELS = 12
 LOSS_HATCH = "/////"
 """Hatch of light that is lost."""
 
+TINT_SHARE = 0.25
+"""Share of a colour in the tint below its hatch; the rest is paper."""
+
 _LAYER_COLORS = {
     "direct sun": SUN_COLOR, "sky": SKY_LIGHT_COLOR, "reflected": REFLECTED_COLOR,
     "lost to terrain": RELIEF_COLOR, "lost to buildings": SOLIDS_COLOR, "lost to trees": FOREST_COLOR,
@@ -59,37 +62,52 @@ def irradiation_chart(report: PointIrradiationReport, format: ChartFormat, title
 
     def draw(figure: Any) -> None:
         axes = figure.add_axes((0.085, 0.16, 0.885, 0.68))
-        handles = _draw_bars(axes, report)
+        handles, labels = _draw_bars(axes, report)
         _draw_axes(axes, [month.month for month in report.months or ()])
         figure.text(0.03, 0.972, title, fontsize=12.5, fontweight="bold", color=INK_COLOR, va="top")
         place = place_text(report.lon, report.lat, report.elevation_m or 0.0, report.height_m)
         figure.text(0.03, 0.927, f"{place}    {_plane_text(report)}", fontsize=9.5, color=INK_COLOR, va="top")
         figure.text(0.03, 0.888, _sum_text(report), fontsize=9.5, color=INK_COLOR, va="top")
         figure.legend(
-            handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.015), ncols=len(handles), frameon=False, fontsize=9,
-            labelcolor=INK_COLOR, handlelength=1.3, columnspacing=1.3,
+            handles=handles, labels=labels, loc="lower center", bbox_to_anchor=(0.5, 0.015), ncols=len(handles), frameon=False,
+            fontsize=9, labelcolor=INK_COLOR, handlelength=1.3, columnspacing=1.3,
         )  # fmt: skip
 
     return chart_file(SIZE_INCHES, format, draw)
 
 
-def _draw_bars(axes: Any, report: PointIrradiationReport) -> list[Any]:
-    """Draw the bars of all months, and return the entries of the legend, from below to above."""
+def _draw_bars(axes: Any, report: PointIrradiationReport) -> tuple[list[Any], list[str]]:
+    """Draw the bars of all months, and return the entries of the legend and their names, from below to above."""
     months, everything = report.months or (), report.all_months
     assert everything is not None
     position, base = np.arange(len(months)), np.zeros(len(months))
-    handles = []
+    handles: list[Any] = []
+    labels: list[str] = []
     for name, color in _LAYER_COLORS.items():
         value = np.array([_layers(month)[name] for month in months])
-        style: dict[str, Any] = {"color": color, "linewidth": 0.0}
-        if name in LOSSES:
-            if _layers(everything)[name] <= MIN_LOSS_SHARE * everything.open_sky:
-                continue
-            style = {"facecolor": PAPER_COLOR, "edgecolor": color, "linewidth": 0.0, "hatch": LOSS_HATCH}
-        handles.append(axes.bar(position, value, BAR_WIDTH, base, zorder=3, label=name, **style))
+        is_loss = name in LOSSES
+        if is_loss and _layers(everything)[name] <= MIN_LOSS_SHARE * everything.open_sky:
+            continue
+        bars = axes.bar(position, value, BAR_WIDTH, base, zorder=3, color=_tint(color) if is_loss else color, linewidth=0.0)
+        handle: Any = bars
+        if is_loss:  # programs that draw no patterns of an SVG, such as QGIS, show the tint alone
+            hatch = {"facecolor": "none", "edgecolor": color, "linewidth": 0.0, "hatch": LOSS_HATCH}
+            handle = (bars, axes.bar(position, value, BAR_WIDTH, base, zorder=3, **hatch))
+        handles.append(handle)
+        labels.append(name)
         base += value
-    axes.bar(position, [month.open_sky for month in months], BAR_WIDTH, color="none", edgecolor=INK_COLOR, linewidth=0.6, zorder=4)
-    return handles
+    outline = {"color": "none", "edgecolor": INK_COLOR, "linewidth": 0.6, "zorder": 4}
+    outlines = axes.bar(position, [month.open_sky for month in months], BAR_WIDTH, **outline)
+    return [*handles, outlines], [*labels, "under an open sky"]
+
+
+def _tint(color: str) -> tuple[float, ...]:
+    """Return the tint below the hatch of a colour, RGB of 0 to 1."""
+    from matplotlib.colors import to_rgb
+
+    return tuple(
+        TINT_SHARE * ink + (1.0 - TINT_SHARE) * paper for ink, paper in zip(to_rgb(color), to_rgb(PAPER_COLOR), strict=True)
+    )
 
 
 def _layers(sums: IrradiationSums) -> dict[str, float]:

@@ -59,7 +59,7 @@ class IrradiationSums(_IrradiationModel):
 
     ``total`` is what the plane receives, the sum of five parts. ``open_sky`` is what it would receive without terrain and objects:
     ``total`` and all losses. ``lost_beam`` is lost sunlight with its circumsolar light, ``lost_sky`` other lost skylight.
-    ``lost_reflected`` is negative: a cause that hides the sky reflects light in its place.
+    ``lost_reflected`` is negative where a cause reflects more light, in place of the sky that it hides, than it takes.
     """
 
     total: Energy

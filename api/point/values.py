@@ -21,8 +21,8 @@ class _ReportModel(BaseModel):
 
 
 def rounded(decimals: int) -> BeforeValidator:
-    """Return a pydantic validator that rounds a number to ``decimals`` decimals and leaves ``None``."""
-    return BeforeValidator(lambda value: None if value is None else round(float(value), decimals))
+    """Return a pydantic validator that rounds a number to ``decimals`` decimals, without -0.0, and leaves ``None``."""
+    return BeforeValidator(lambda value: None if value is None else round(float(value), decimals) + 0.0)
 
 
 RoundDegrees = Annotated[float, rounded(3)]

@@ -57,6 +57,13 @@ PERIODS = ("period", "month", "day", "hour")
 BYTES_PER_BAND = 8
 """Bytes of memory for each cell of a band: its sum, and that of the month that is being computed."""
 
+MAX_CONVERGENCE_DEG = 0.5
+"""Maximum turn of true north in a block.
+
+The sun's direction is that at the block's centre, and sums over all azimuths do not depend on where north is. So only the azimuth
+of tilted planes and the minutes of sunrise vary within a block. Wider blocks find fewer casters beside them.
+"""
+
 MAX_BANDS = 400
 """Limit of the bands of a raster: a value for each day of a year, or for each hour of two weeks."""
 
@@ -216,7 +223,7 @@ class IrradiationOptions(ProductOptions):
         """Return the blocks of a map, in the form that ``blocks_of`` returns; all bands of a block are in memory."""
         from skugga.shadows.horizons.level_horizons import horizon_blocks
 
-        return horizon_blocks(scene, view, BYTES_PER_BAND * len(self.band_names) // 4)
+        return horizon_blocks(scene, view, BYTES_PER_BAND * len(self.band_names) // 4, MAX_CONVERGENCE_DEG)
 
     def store_of(self, scene: Scene, block: MapView) -> MonthFolder | None:
         """Return where finished months of a block are kept; ``None`` if they are not."""

@@ -191,7 +191,7 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
 
     On bare ground the blocks are larger, are aligned with the grid of the cells, and end at the edge of the raster.
     """
-    from skugga.shadows.sun_hours.sun_hours import ground_extent
+    from skugga.terrain.casters.ground_extent import ground_extent
     from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_terrain_only
     from skugga.terrain.geo.grid import blocks_of, step_at_anchor_m
 

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.shadows.horizons.grid import FarGround, HorizonGrid
-from skugga.shadows.sun_hours.sun_hours import ground_extent
+from skugga.terrain.casters.ground_extent import ground_extent
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import World, transformer
@@ -70,13 +70,17 @@ def block_plane(world: World, view: MapView, row: float, col: float) -> BlockPla
     return BlockPlane(steps[:, :2].T, points[0], earth_from_enu)
 
 
-def horizon_blocks(scene: Scene, view: MapView, kept_azimuths: int = 1) -> list[tuple[MapView, int, int]]:
+def horizon_blocks(
+    scene: Scene, view: MapView, kept_azimuths: int = 1, max_convergence_deg: float = MAX_CONVERGENCE_DEG
+) -> list[tuple[MapView, int, int]]:
     """Return the blocks of a map for horizons, in the form that ``skugga.terrain.geo.grid.blocks_of`` returns.
 
-    ``kept_azimuths`` is the number of azimuths whose horizons are in memory at the same time.
+    ``kept_azimuths`` is the number of azimuths whose horizons are in memory at the same time. In a block true north turns against
+    the grid by at most ``max_convergence_deg``.
     """
     nodes = view.with_pixels_as_nodes()
-    side = min(_block_side(scene.world, nodes), 2 ** int(np.log2(np.sqrt(MAX_BLOCK_BYTES / (4.0 * kept_azimuths)))))
+    max_side = 2 ** int(np.log2(np.sqrt(MAX_BLOCK_BYTES / (4.0 * kept_azimuths))))
+    side = min(_block_side(scene.world, nodes, max_convergence_deg), max_side)
     blocks = []
     for row in range(0, nodes.rows, side):
         for col in range(0, nodes.cols, side):
@@ -84,8 +88,8 @@ def horizon_blocks(scene: Scene, view: MapView, kept_azimuths: int = 1) -> list[
     return blocks
 
 
-def _block_side(world: World, nodes: MapView) -> int:
-    """Return the side of blocks in nodes, in which the axes of the grid hardly turn against true north."""
+def _block_side(world: World, nodes: MapView, max_convergence_deg: float) -> int:
+    """Return the side of blocks in nodes, in which the axes of the grid turn little against true north."""
     side = BLOCK_SIDE_NODES
     if world.is_flat:
         return side
@@ -97,7 +101,7 @@ def _block_side(world: World, nodes: MapView) -> int:
             cell = block_plane(world, nodes, row + down * half_rows, col + right * half_cols).east_north_of_cell_m
             angles.append(np.degrees(np.arctan2(cell[1, 1], cell[0, 1])))
         turn = np.abs((np.array(angles[1:]) - angles[0] + 180.0) % 360.0 - 180.0)
-        if np.isfinite(turn).all() and turn.max() <= MAX_CONVERGENCE_DEG:
+        if np.isfinite(turn).all() and turn.max() <= max_convergence_deg:
             return side
         side //= 2
     return side

@@ -198,48 +198,54 @@ def march(first, last, ground, rays, eye_height_m, eye_row, eye_col, max_chord_e
     between two crossings of rows.
     """
     state = np.empty(2 * RUN, np.float32)
+    for out_col in range(0, out.shape[1], RUN):
+        for out_row in range(first, last):
+            state[:RUN] = out[out_row, out_col : out_col + RUN]
+            state[RUN:] = eye_height_m[out_row, out_col : out_col + RUN]
+            march_run(ground, rays, eye_row + out_row, eye_col + out_col, max_chord_error, state)
+            out[out_row, out_col : out_col + RUN] = state[:RUN]
+
+
+@internal
+def march_run(ground, rays, row, col, max_chord_error, state):
+    """Raise the tangents of the horizons of a run of eyes, whose first node is node (``row``, ``col``) of the ground.
+
+    ``state`` float32 (2 * ``RUN``) holds the run's tangents, then the heights of its eyes. The other parameters are those of
+    ``march``.
+    """
     width = ground.height_m.shape[1]
     last_column = width - 2 * RUN - 1
     flat, highest_m, highest_tall_m, roughness_m = ground.flat_height_m, ground.highest_m, ground.highest_tall_m, ground.roughness_m
     max_error = max_chord_error / (np.float32(1.0) + rays.columns_per_row)
     terms, column, fall_m, distance_m = rays.row_terms, rays.column, rays.fall_m, rays.distance_m
-    for out_col in range(0, out.shape[1], RUN):
-        col = eye_col + out_col
-        for out_row in range(first, last):
-            row = eye_row + out_row
-            state[:RUN] = out[out_row, out_col : out_col + RUN]
-            state[RUN:] = eye_height_m[out_row, out_col : out_col + RUN]
-            k = tall_begin = 1
-            while k <= row and col + column[k] <= last_column:
-                first_column, nearest_m = col + column[k] - 1, distance_m[k - 1]
-                if k == tall_begin:
-                    end = k + ((row - k) & (TALL_BLOCK_ROWS - 1))
-                    tall_begin = end + 1
-                    top_m = _largest(highest_tall_m, (row - k) >> TALL_BLOCK_BITS, first_column, col + column[end] + 1 + RUN)
-                    if k > TESTED_ROWS and not _may_rise(top_m - fall_m[k], nearest_m, distance_m[end], state):
-                        k = tall_begin
-                        continue
-                block_row, end = (row - k) >> BLOCK_BITS, k + ((row - k) & (BLOCK_ROWS - 1))
-                begin, is_near, next_column = k, k <= TESTED_ROWS, col + column[end] + 1 + RUN
-                top_m = _largest(highest_m, block_row, first_column, next_column) - fall_m[k]
-                if not is_near and not _may_rise(top_m, nearest_m, distance_m[end], state):
-                    k = end + 1
-                    continue
-                while k + 3 <= end:
-                    at = (row - k) * width + col
-                    at_1, at_2, at_3 = at - width + column[k + 1], at - 2 * width + column[k + 2], at - 3 * width + column[k + 3]
-                    _four_row_slopes(
-                        flat, np.uint64(at + column[k]), np.uint64(at_1), np.uint64(at_2), np.uint64(at_3), terms, k, state
-                    )
-                    k += 4
-                while k <= end:
-                    at_row = np.uint64((row - k) * width + col + column[k])
-                    _edge_slopes(flat, at_row, at_row + ONE_U, terms[k, 0], terms[k, 1], terms[k, 2], terms[k, 3], state)
-                    k += 1
-                is_rough = _largest(roughness_m, block_row, first_column, next_column) > max_error * nearest_m
-                if is_near or (is_rough and _may_rise(top_m, nearest_m, distance_m[end], state)):
-                    _all_edge_slopes(flat, width, row, col, begin, end, rays, state)
-            out[out_row, out_col : out_col + RUN] = state[:RUN]
+    k = tall_begin = 1
+    while k <= row and col + column[k] <= last_column:
+        first_column, nearest_m = col + column[k] - 1, distance_m[k - 1]
+        if k == tall_begin:
+            end = k + ((row - k) & (TALL_BLOCK_ROWS - 1))
+            tall_begin = end + 1
+            top_m = _largest(highest_tall_m, (row - k) >> TALL_BLOCK_BITS, first_column, col + column[end] + 1 + RUN)
+            if k > TESTED_ROWS and not _may_rise(top_m - fall_m[k], nearest_m, distance_m[end], state):
+                k = tall_begin
+                continue
+        block_row, end = (row - k) >> BLOCK_BITS, k + ((row - k) & (BLOCK_ROWS - 1))
+        begin, is_near, next_column = k, k <= TESTED_ROWS, col + column[end] + 1 + RUN
+        top_m = _largest(highest_m, block_row, first_column, next_column) - fall_m[k]
+        if not is_near and not _may_rise(top_m, nearest_m, distance_m[end], state):
+            k = end + 1
+            continue
+        while k + 3 <= end:
+            at = (row - k) * width + col
+            at_1, at_2, at_3 = at - width + column[k + 1], at - 2 * width + column[k + 2], at - 3 * width + column[k + 3]
+            _four_row_slopes(flat, np.uint64(at + column[k]), np.uint64(at_1), np.uint64(at_2), np.uint64(at_3), terms, k, state)
+            k += 4
+        while k <= end:
+            at_row = np.uint64((row - k) * width + col + column[k])
+            _edge_slopes(flat, at_row, at_row + ONE_U, terms[k, 0], terms[k, 1], terms[k, 2], terms[k, 3], state)
+            k += 1
+        is_rough = _largest(roughness_m, block_row, first_column, next_column) > max_error * nearest_m
+        if is_near or (is_rough and _may_rise(top_m, nearest_m, distance_m[end], state)):
+            _all_edge_slopes(flat, width, row, col, begin, end, rays, state)
 
 
 @internal

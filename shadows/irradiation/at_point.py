@@ -3,6 +3,7 @@
 Light is computed in stages: under an open sky, behind the ground, behind ground and solids, and behind leaves as well. The loss by
 a cause is the difference of two stages, so received light and losses add up to the light under an open sky. The loss of skylight by
 trees is what would be gained without them. A cause that hides the sky reflects light in its place, which is a negative loss.
+Trees also take from the light that the ground around reflects (``skugga.shadows.irradiation.planes.reflecting_share``).
 Direct light that several casters hide is lost to the one that reaches highest, as in the report of a point
 (``skugga.shadows.point.horizon``).
 
@@ -17,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from skugga.shadows.irradiation.light import Part, SkyLight, reflected_light
-from skugga.shadows.irradiation.planes import TiltedPlane
+from skugga.shadows.irradiation.planes import LEVEL_PLANE, TiltedPlane, reflecting_share
 from skugga.shadows.irradiation.suns import SunIntervals
 from skugga.shadows.point.horizon import GROUND, LEAVES, SOLIDS, PointHorizon, Surroundings, horizon_profile, sun_occluder_groups
 
@@ -54,7 +55,8 @@ class PointIrradiation:
     open_sky
         (m,) by part: what the plane would receive under an open sky, without terrain and objects.
     lost
-        (m,) by kind of light and cause. Lost reflected light is negative: a cause that hides the sky reflects light in its place.
+        (m,) by kind of light and cause. Lost reflected light is negative where a cause reflects more light in place of the sky than
+        it takes.
     sky_view, open_sky_view
         Sky view factor of the plane, and that under an open sky.
     sky_view_of_relief
@@ -107,12 +109,17 @@ def irradiation_at_point(
     group = sun_occluder_groups(surroundings, suns.azimuth_deg, suns.altitude_deg)
     azimuth_deg = np.arange(SKY_AZIMUTHS) * (360.0 / SKY_AZIMUTHS)
     horizons_deg = _horizons_by_stage(horizon_profile(surroundings, azimuth_deg))
-    sky_views = [plane.sky_view(azimuth_deg, horizon_deg) for horizon_deg in horizons_deg]
+    sky_views, level_sky_views = (
+        [any_plane.sky_view(azimuth_deg, horizon_deg) for horizon_deg in horizons_deg] for any_plane in (plane, LEVEL_PLANE)
+    )
     sums = []
     for stage, horizon_deg in enumerate(horizons_deg):
         is_lit = ~np.isin(group, _GROUPS[:stage])
         band = plane.horizon_band(azimuth_deg, horizon_deg)
-        energy_kwh = _light_on_plane(plane, suns, light, is_lit, sky_views[stage], band, albedo) * suns.hours / 1000.0
+        without_trees = min(stage, LEAVES)  # the stage before the leaves
+        reflecting = reflecting_share(sky_views[stage], level_sky_views[stage], level_sky_views[without_trees])
+        factors = sky_views[stage], band, reflecting
+        energy_kwh = _light_on_plane(plane, suns, light, is_lit, factors, albedo) * suns.hours / 1000.0
         sums.append(np.stack([np.bincount(period_of_sun, values, period_count) for values in energy_kwh]))
     by_cause = {cause: sums[stage] - sums[stage + 1] for stage, cause in enumerate(CAUSES)}
     lost = {
@@ -131,17 +138,18 @@ def _horizons_by_stage(horizon: PointHorizon) -> list[np.ndarray]:
 
 
 def _light_on_plane(
-    plane: TiltedPlane, suns: SunIntervals, light: SkyLight, is_lit: np.ndarray, sky_view: float, band: float, albedo: float
+    plane: TiltedPlane, suns: SunIntervals, light: SkyLight, is_lit: np.ndarray, factors: tuple[float, float, float], albedo: float
 ) -> np.ndarray:
     """Return the light of n suns on a plane, W/m2 (parts, n) in the order of ``PARTS``.
 
-    ``is_lit`` (n,) tells whether the suns are seen. ``sky_view`` and ``band`` are the plane's factors of the sky and of the band at
-    its horizon. A band that is darker than the sky takes no more than the sky gives, as in pvlib.
+    ``is_lit`` (n,) tells whether the suns are seen. ``factors`` are those of the sky, of the band at its horizon, and of the light
+    that open level ground reflects. A band that is darker than the sky takes no more than the sky gives, as in pvlib.
     """
     cosine = plane.cosine_towards(suns.azimuth_deg, suns.altitude_deg) * is_lit
+    sky_view, band, reflecting = factors
     beam, circumsolar, sky = light.beam[0] * cosine, light.circumsolar[0] * cosine, light.isotropic[0] * sky_view
     horizon_band = np.maximum(light.horizon_band[0] * band, -(sky + circumsolar))
-    return np.stack([beam, circumsolar, sky, horizon_band, reflected_light(light, albedo)[0] * (1.0 - sky_view)])
+    return np.stack([beam, circumsolar, sky, horizon_band, reflected_light(light, albedo)[0] * reflecting])
 
 
 def _by_part(sums: np.ndarray) -> dict[Part, np.ndarray]:

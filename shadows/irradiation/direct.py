@@ -15,9 +15,10 @@ from skugga.shadows.horizons.block_ground import block_plane
 from skugga.shadows.irradiation.planes import PlaneNormals, normals_in_block_plane
 from skugga.shadows.irradiation.suns import SunIntervals
 from skugga.shadows.irradiation.surfaces import BlockSurfaces, ShadingSurface
-from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, holds_all_ground, under_clear_sky
+from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, under_clear_sky
 from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
 from skugga.shadows.sweep.sweep import NodeClearance, clearance_of_nodes
+from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.sun import Sun, azimuth_and_altitude, direction_enu
@@ -45,12 +46,12 @@ class DirectLight:
         ``lights`` (heights, n) are on planes that face the sun, W/m2. ``numbers`` (m,) selects suns. ``on_sun()`` is called after
         each of them.
         """
-        weights = [np.ascontiguousarray((light * suns.hours / 1000.0).T, np.float32) for light in lights]
+        energy_kwh = np.ascontiguousarray(np.moveaxis(np.stack(lights) * suns.hours / 1000.0, -1, 0), np.float32)
         sums = [_TurnedSums(self._normals, self._height_index, len(lights), surface) for surface in self._surfaces.shading]
         for number in numbers[np.argsort(suns.azimuth_deg[numbers], kind="stable")].tolist():
             towards = _towards_enu(suns, number)
             for clearance, surface_sums in zip(self._clearances(suns, number), sums, strict=True):
-                surface_sums.add(clearance, towards.astype(np.float32), [light[number] for light in weights])
+                surface_sums.add(clearance, towards.astype(np.float32), energy_kwh[number])
             on_sun()
         totals = [np.zeros(self._height_index.shape, np.float32) for _ in lights]
         for surface, surface_sums in zip(self._surfaces.shading, sums, strict=True):
@@ -93,26 +94,28 @@ class _TurnedSums:
     def __init__(self, normals: PlaneNormals, height_index: np.ndarray, count: int, surface: ShadingSurface) -> None:
         self._rasters = (*normals.components, height_index)
         self._lift_m = surface.lift_m
-        self._totals = [np.zeros(height_index.shape, np.float32) for _ in range(count)]
+        self._totals = np.zeros((count, *height_index.shape), np.float32)
         self._orientation: GridOrientation | None = None
         self._turned: tuple[np.ndarray, ...] = ()
         self._turned_lift_m: np.ndarray | None = None
-        self._sums: list[np.ndarray] = []
+        self._sums = np.zeros((count, 0, 0), np.float32)
 
-    def add(self, clearance: NodeClearance, towards: np.ndarray, weights: Sequence[np.ndarray]) -> None:
-        """Add the light of a sun in the direction ``towards`` (east, north, up); ``weights`` are each light at the heights."""
+    def add(self, clearance: NodeClearance, towards: np.ndarray, energy_kwh: np.ndarray) -> None:
+        """Add the light of a sun in the direction ``towards`` (east, north, up).
+
+        ``energy_kwh`` (count, heights) is the energy of each kind of light at the heights, on a plane that faces the sun, kWh/m2.
+        """
         self._turn(clearance.orientation)
         ray_height_m = clearance.ray_height_m
         if self._turned_lift_m is not None:
             ray_height_m = ray_height_m - self._turned_lift_m * np.float32(clearance.ray_height_per_metre)
-        for light, light_sum in zip(weights, self._sums, strict=True):
-            run_in_chunks(
-                len(light_sum), _add_direct_light, ray_height_m, clearance.shadow_ray_height_m, *self._turned, towards, light,
-                light_sum,
-            )  # fmt: skip
+        run_in_chunks(
+            len(ray_height_m), _add_direct_light, ray_height_m, clearance.shadow_ray_height_m, *self._turned, towards, energy_kwh,
+            self._sums,
+        )  # fmt: skip
 
-    def totals(self) -> list[np.ndarray]:
-        """Return the sums of all suns, float32 (rows, cols)."""
+    def totals(self) -> np.ndarray:
+        """Return the sums of all suns, float32 (count, rows, cols)."""
         self._flush()
         return self._totals
 
@@ -124,7 +127,7 @@ class _TurnedSums:
         self._orientation = orientation
         self._turned = tuple(_turned_copy(raster, orientation) for raster in self._rasters)
         self._turned_lift_m = None if self._lift_m is None else _turned_copy(self._lift_m, orientation)
-        self._sums = [np.zeros(self._turned[0].shape, np.float32) for _ in self._totals]
+        self._sums = np.zeros((len(self._totals), *self._turned[0].shape), np.float32)
 
     def _flush(self) -> None:
         """Add the sums of the current orientation to the totals."""
@@ -142,21 +145,27 @@ def _turned_copy(raster: np.ndarray, orientation: GridOrientation) -> np.ndarray
     return out
 
 
+# The loops compile to vector instructions. Unsigned indices cannot be negative, so the compiler omits a test.
+
+
 @compiled
-def _add_direct_light(first, last, ray_height, shadow_ray_height, east, north, up, height_index, towards, weights, out):
-    """Add the light of one sun to rows [first, last) of ``out``.
+def _add_direct_light(first, last, ray_height, shadow_ray_height, east, north, up, height_index, towards, energy, out):
+    """Add the light of one sun to rows [first, last) of ``out`` (kinds, n, m).
 
     A cell sees the sun if ``ray_height`` is not below ``shadow_ray_height``. ``east``, ``north`` and ``up`` are unit normals,
-    ``towards`` (3,) is the direction to the sun in these axes. ``weights`` (k,) is its light at heights, whose (fractional) number
-    is ``height_index``.
+    ``towards`` (3,) is the direction to the sun in these axes. ``energy`` (kinds, k) is the energy of each kind of light at
+    heights, whose (fractional) number is ``height_index``.
     """
     to_east, to_north, to_up = towards[0], towards[1], towards[2]
-    last_step = len(weights) - 2
+    last_step, cols = np.int32(energy.shape[1] - 2), out.shape[2]
+    cosines = np.empty(cols, np.float32)  # 0 in shadow
     for row in range(first, last):
-        for col in range(out.shape[1]):
-            index = height_index[row, col]
-            step = min(int(index), last_step)
-            share = index - np.float32(step)
+        for col in range(cols):
             cosine = max(to_up * up[row, col] + east[row, col] * to_east + north[row, col] * to_north, np.float32(0.0))
-            power = cosine * (weights[step] + share * (weights[step + 1] - weights[step]))
-            out[row, col] += power if ray_height[row, col] >= shadow_ray_height[row, col] else np.float32(0.0)
+            cosines[col] = cosine if ray_height[row, col] >= shadow_ray_height[row, col] else np.float32(0.0)
+        for kind in range(out.shape[0]):
+            at_height, sums, index = energy[kind], out[kind, row], height_index[row]
+            for col in range(cols):
+                step = min(np.int32(index[col]), last_step)
+                share, below = index[col] - np.float32(step), np.uintp(step)
+                sums[col] += cosines[col] * (at_height[below] + share * (at_height[below + np.uintp(1)] - at_height[below]))

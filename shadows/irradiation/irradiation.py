@@ -17,11 +17,11 @@ import numpy as np
 
 from skugga.shadows.irradiation.dates import Dates
 from skugga.shadows.irradiation.direct import DirectLight
-from skugga.shadows.irradiation.light import Part, SkyLight, clear_sky_light, reflected_light, weather_light
-from skugga.shadows.irradiation.planes import Plane
-from skugga.shadows.irradiation.sky import sky_of_grid
+from skugga.shadows.irradiation.light import Part, SkyLight, clear_sky_light, limit_horizon_band, reflected_light, weather_light
+from skugga.shadows.irradiation.planes import LEVEL_PLANE, Plane, PlaneNormals, TiltedPlane, normals_of_plane, reflecting_share
+from skugga.shadows.irradiation.sky import sky_of_grid, sky_of_planes
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
-from skugga.shadows.irradiation.surfaces import BlockSurfaces, block_surfaces
+from skugga.shadows.irradiation.surfaces import BlockSurfaces, ShadingSurface, block_surfaces
 from skugga.shadows.irradiation.weather_records import Weather
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
@@ -129,6 +129,8 @@ def irradiation(
     else:
         heights_m = heights_m[[0, -1]]
         suns, light = weather_light(weather, dates.windows, lon, lat)
+    if isinstance(rules.plane, TiltedPlane):
+        light = limit_horizon_band(light, suns, rules.plane)
     suns = replace(suns, hours=suns.hours * dates.days_represented(suns.moments))
     height_index = np.interp(np.nan_to_num(surfaces.height_m), heights_m, np.arange(len(heights_m))).astype(np.float32)
     if any(_targets(rules.parts, part) for part in SKY_PARTS):
@@ -194,13 +196,23 @@ def _sky_factors(surfaces: BlockSurfaces) -> dict[Part, np.ndarray]:
     """Return what the cells see of each part of the light that does not come from the sun's direction, (rows, cols)."""
     totals: dict[Part, np.ndarray] = {part: np.zeros(surfaces.height_m.shape, np.float32) for part in SKY_PARTS}
     for surface in surfaces.shading:
-        sky_view, band = sky_of_grid(surface.grid, surfaces.normals)
-        factors: dict[Part, np.ndarray] = {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
-        for part, factor in factors.items():
-            if surface.lift_m is not None:
-                factor[np.isinf(surface.lift_m)] = 0.0  # no light comes through a crown, not even from the ground around
+        for part, factor in _factors_behind(surface, surfaces.normals).items():
             totals[part] += np.float32(surface.share) * factor
     return totals
+
+
+def _factors_behind(surface: ShadingSurface, normals: PlaneNormals) -> dict[Part, np.ndarray]:
+    """Return what planes see behind a surface of each part of the light of ``SKY_PARTS``, float32 (rows, cols)."""
+    if surface.without_trees is None:
+        sky_view, band = sky_of_grid(surface.grid, normals)
+        return {"sky": sky_view, "horizon_band": band, "reflected": np.float32(1.0) - sky_view}
+    level = normals_of_plane(LEVEL_PLANE, (normals.up.shape[0], normals.up.shape[1]))
+    (sky_view, band), (level_sky_view, _) = sky_of_planes(surface.grid, [normals, level])
+    if surface.lift_m is not None:
+        for factor in (sky_view, band, level_sky_view):
+            factor[np.isinf(surface.lift_m)] = 0.0  # no light comes through a crown
+    without_trees, _ = sky_of_grid(surface.without_trees, level)
+    return {"sky": sky_view, "horizon_band": band, "reflected": reflecting_share(sky_view, level_sky_view, without_trees)}
 
 
 def _light_heights_m(low_m: float, high_m: float) -> np.ndarray:

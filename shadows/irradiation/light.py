@@ -12,11 +12,12 @@ That of weather does not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from skugga.shadows.irradiation.planes import TiltedPlane
 from skugga.shadows.irradiation.suns import SunIntervals, suns_at, time_up
 from skugga.shadows.irradiation.weather_records import RecordIntervals, Weather, as_timedelta, records_in_windows
 from skugga.shadows.irradiation.weather_sun import as_index, extraterrestrial_w_m2, without_pvlib_warnings
@@ -33,6 +34,10 @@ MAX_LOW_SUN_DEG = 10.0
 
 CLEAR_SKY_TOLERANCE = 1.1
 """Sunlight of a low sun as a multiple of that of a clear sky, as in pvlib's ``irradiance.dni``."""
+
+
+MIN_SINE = 1e-9
+"""Sine of the tilt of planes without light from the band at the horizon: level ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +225,19 @@ def _parts(
         return np.asarray(parts[part])
 
     return dni, on_plane(zenith, "poa_circumsolar"), on_plane(0.0, "poa_isotropic"), on_plane(90.0, "poa_horizon"), ghi
+
+
+def limit_horizon_band(light: SkyLight, suns: SunIntervals, plane: TiltedPlane) -> SkyLight:
+    """Return the light whose band at the horizon takes no more than the sky gives a plane in the open, as in pvlib.
+
+    Only planes that lean far over need it: they see little more of the sky than the band, which weather may leave darker.
+    """
+    tilt = np.radians(plane.tilt_deg)
+    sky = light.isotropic * (1.0 + np.cos(tilt)) / 2.0 + light.circumsolar * plane.cosine_towards(
+        suns.azimuth_deg, suns.altitude_deg
+    )
+    least = -sky / max(float(np.sin(tilt)), MIN_SINE)
+    return replace(light, horizon_band=np.maximum(light.horizon_band, least))
 
 
 def reflected_light(light: SkyLight, albedo: float) -> np.ndarray:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 MAX_TILT_DEG = 180.0
 """Tilt of a plane that faces down."""
+
+MIN_SKY_VIEW = 1e-6
+"""Sky view factor below which no share of it is told."""
 
 HORIZON_BAND_DEG = 6.5
 """Height of the horizon's band (R. Perez et al. 1986, "An anisotropic hourly diffuse radiation model for sloping surfaces").
@@ -88,6 +91,28 @@ class PlaneNormals:
     def components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The components to the east, to the north and up."""
         return self.east, self.north, self.up
+
+
+LEVEL_PLANE = TiltedPlane(0.0)
+
+_Factors = TypeVar("_Factors", float, np.ndarray)
+
+
+def reflecting_share(sky_view: _Factors, level_sky_view: _Factors, level_sky_view_without_trees: _Factors) -> _Factors:
+    """Return the share of the light that open level ground reflects which reaches planes from their surroundings.
+
+    The surroundings fill what a plane does not see of the sky. They are open ground, less the share of its skylight that trees take
+    from level ground here: none in the open, nearly all in a deep wood.
+
+    Parameters
+    ----------
+    sky_view
+        The planes' sky view factors, 0 to 1.
+    level_sky_view, level_sky_view_without_trees
+        Sky view factors of level planes at the same places, and those behind ground and buildings alone.
+    """
+    left_by_trees = level_sky_view / np.maximum(level_sky_view_without_trees, MIN_SKY_VIEW)
+    return (1.0 - sky_view) * np.minimum(left_by_trees, 1.0)
 
 
 def normals_of_slopes(east: np.ndarray, north: np.ndarray) -> PlaneNormals:

@@ -6,6 +6,8 @@ of the sky is that of J. Dozier and J. Frew (1990), equation 7b, for planes of a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skugga.shadows.horizons.azimuths import DEFAULT_AZIMUTHS, evenly_spaced_azimuths_deg
@@ -22,10 +24,18 @@ def sky_of_grid(grid: HorizonGrid, normals: PlaneNormals, azimuths: int = DEFAUL
 
     ``normals`` are those of the planes at the eyes. The factor of the band is the sine of a plane's tilt where the horizon is open.
     """
-    sums = _SkySums(normals)
+    return sky_of_planes(grid, [normals], azimuths)[0]
+
+
+def sky_of_planes(
+    grid: HorizonGrid, planes: Sequence[PlaneNormals], azimuths: int = DEFAULT_AZIMUTHS
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the results of ``sky_of_grid`` for several planes at each eye, from the same horizons."""
+    sums = [_SkySums(normals) for normals in planes]
     for horizons in horizons_towards(grid, evenly_spaced_azimuths_deg(azimuths)):
-        sums.add(horizons)
-    return sums.factors(azimuths)
+        for plane_sums in sums:
+            plane_sums.add(horizons)
+    return [plane_sums.factors(azimuths) for plane_sums in sums]
 
 
 class _SkySums:

@@ -37,12 +37,15 @@ class ShadingSurface:
         The surface round the block, for the sweep; ``None``: the ground of the block's nodes.
     lift_m
         float32 (rows, cols), metres: how far the surface lies above the eyes; infinite under crowns. ``None``: it lies at the eyes.
+    without_trees
+        The surface without its trees; ``None``: it has none.
     """
 
     grid: HorizonGrid
     share: float = 1.0
     window: HeightWindow | None = None
     lift_m: np.ndarray | None = None
+    without_trees: HorizonGrid | None = None
 
     def patches_beside(self, patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
         """Return the patches of ground that the surface does not hold itself."""
@@ -92,7 +95,7 @@ def block_surfaces(scene: Scene, view: MapView, plane: Plane, transmissivity: fl
     if wooded is not None and transmissivity < 1.0:
         lift_m = np.nan_to_num(wooded.height_m[wooded.eyes] - solid.eye_heights_m)
         lift_m[is_under_crown(solid, wooded)] = np.inf
-        shading.append(ShadingSurface(wooded, 1.0 - transmissivity, _raised(window, view, wooded), lift_m))
+        shading.append(ShadingSurface(wooded, 1.0 - transmissivity, _raised(window, view, wooded), lift_m, solid))
     tops = [float(np.nanmax(surface.window.height_m)) for surface in shading if surface.window is not None]
     low_m = float(np.nanmin(window.height_m)) if np.isfinite(window.height_m).any() else 0.0
     surface = Surface(scene.world, scene.elevation, view.grid)

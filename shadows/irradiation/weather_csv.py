@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from datetime import tzinfo
 from pathlib import Path
@@ -202,10 +203,16 @@ def _times(texts: Sequence[str], clock: str | None, name: str) -> np.ndarray:
             raise InputError(f"{OPTION}: clock", clock, "utc, an offset such as +02:00, or a time zone such as Europe/Oslo")
         try:
             index = index.tz_localize(zone, ambiguous="infer")
-        except Exception:  # pandas raises its own errors or those of pytz
+        except _clock_errors():
             problem = Problem(f"does not have all times of {name}: it skips some when summer time begins, or has them twice")
             raise InputError(f"{OPTION}: clock", problem, "Use the clock of the logger, such as +01:00") from None
     return index.tz_convert(None).to_numpy().astype("datetime64[us]")
+
+
+def _clock_errors() -> tuple[type[Exception], ...]:
+    """Return the errors that pandas raises for times that a clock skips or has twice: before pandas 3 those of pytz."""
+    pytz = sys.modules.get("pytz")  # pandas imports it where it uses it
+    return (ValueError,) if pytz is None else (ValueError, pytz.InvalidTimeError)
 
 
 def _length_min(stamps: np.ndarray, name: str) -> float:

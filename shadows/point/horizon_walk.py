@@ -23,7 +23,7 @@ from skugga.shadows.point.sight_lines import SightLines, sight_lines
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.reach import longest_shadow_m
 from skugga.terrain.compiled import compiled, internal, run_in_chunks
-from skugga.terrain.heightfield.walks import exit_share
+from skugga.terrain.heightfield.walks import exit_share, shares_per_node
 from skugga.terrain.scene import Scene
 
 NO_GROUND_TANGENT = -1e30
@@ -294,7 +294,7 @@ def _follow_line(pages, lines, walks, needed_pages, n):
         r0, c0 = (row[n, piece] + shift) / scale, (col[n, piece] + shift) / scale
         dr, dc = (row[n, piece + 1] - row[n, piece]) / scale, (col[n, piece + 1] - col[n, piece]) / scale
         start_row, start_col = row[n, piece] - row0, col[n, piece] - col0
-        per_row, per_col = 1.0 / dr if dr != 0.0 else np.inf, 1.0 / dc if dc != 0.0 else np.inf
+        per_row, per_col = shares_per_node(dr, dc)
         per_fall, per_rise = 1.0 / (dr - dc) if dr != dc else 0.0, 1.0 / (dr + dc) if dr != -dc else 0.0
         step = ENTRY_STEP_NODES / max(abs(dr), abs(dc), ENTRY_STEP_NODES)
         min_m = ds * step * (MIN_DISTANCE_NODES / ENTRY_STEP_NODES)

@@ -11,9 +11,13 @@ successive moments have different signs, it is assumed to cross 0 once between t
 - If neither line counts, an occluder has appeared or disappeared. Then the estimate is halfway between the result of linear
   interpolation and the middle of the two moments, which had the smallest error.
 
-With long time steps this estimate is refined. A walk along the line of sight finds the cell's horizon towards the sun at the
-estimated time (``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives a better time, and so on, with at
-most ``MAX_WALKS`` walks. The loops are compiled.
+With longer time steps angles take the place of metres where that is possible
+(``skugga.shadows.sun_hours.marched_clearances``): the tangents of the sun's altitude less those of the horizon. They change nearly
+linearly, so a line through those of the two moments gives the crossing.
+
+Otherwise, and with still longer time steps, the estimate is refined. A walk along the line of sight finds the cell's horizon
+towards the sun at the estimated time (``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives a better
+time, and so on, with at most ``MAX_WALKS`` walks. The loops are compiled.
 """
 
 from __future__ import annotations
@@ -45,8 +49,17 @@ then counts as lit from its own sunrise on. A cell that was sunlit at the moment
 MAX_WALKS = 3
 """Maximum number of walks along a cell's line of sight to refine one crossing."""
 
+MAX_INTERPOLATED_MINUTES = 12.5
+"""Time step, minutes, up to which clearance tangents at its two moments locate a crossing without walks.
+
+In mountains hours of sun with steps of 12 minutes are wrong by 0.04 minutes more than with steps of a minute.
+"""
+
 CROSSING_TOLERANCE_MINUTES = 1.0
 """Correction of a crossing's time, minutes, below which no further walk follows. The remaining error is a tenth of it."""
+
+NO_TANGENTS = np.zeros((0, 0), np.float32)
+"""An empty array, where the clearance tangents of cells are not known."""
 
 BAND_ROWS = 128
 """Rows that a thread processes at a time."""
@@ -128,11 +141,15 @@ class ClearanceSample:
         float32 (n, m): clearances of the cells, at least 0 in sunlight.
     above_floor_sine
         (k,): the sine of the sun's altitude less that of the minimum altitude that counts, at k positions of the block.
+    marched_tangent
+        float32 (n, m): the tangent of the sun's altitude less that of the horizon, at cells whose clearance changes its sign before
+        or after the moment; undefined at other cells. ``None`` if it is not known.
     """
 
     minutes: float
     clearance: np.ndarray
     above_floor_sine: np.ndarray
+    marched_tangent: np.ndarray | None = None
 
 
 def empty_spells(shape: tuple[int, int]) -> SunSpells:
@@ -162,6 +179,7 @@ def add_sun_between(
     fit_matrix: np.ndarray,
     is_first_step: bool,
     walk_input: WalkInput | None,
+    sun_tangent_bulge: float,
     cores: int,
 ) -> None:
     """Add the sun between the second and the third of four successive moments to ``spells``.
@@ -169,17 +187,26 @@ def add_sun_between(
     The outer two moments improve the estimate of crossings. At the start of a span (an interval with the sun up) the first moment
     equals the second one, and at its end the fourth equals the third one. ``is_first_step`` tells whether this is the first time
     step of a span. ``fit_matrix`` is the ``quadratic_fit`` for ``ClearanceSample.above_floor_sine``. ``walk_input``, unless it is
-    ``None``, refines the crossings by walks.
+    ``None``, refines the crossings by walks. ``sun_tangent_bulge`` is the tangent of the sun's altitude midway between the second
+    and the third moment, less the mean of the tangents at these two.
     """
     before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
     floored = min(float(start_moment.above_floor_sine.min()), float(end_moment.above_floor_sine.min())) <= 0.0
     floors = np.stack([fit_matrix @ start_moment.above_floor_sine, fit_matrix @ end_moment.above_floor_sine])
 
+    start_tangent, end_tangent = start_moment.marched_tangent, end_moment.marched_tangent
+    if start_tangent is None or end_tangent is None:
+        start_tangent = end_tangent = NO_TANGENTS
+
     def add_band(rows: slice) -> None:
         part = SunSpells(*(values[rows] for values in spells))
         four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
-        _add_sun(part, *four, times, floors, is_first_step, floored, rows.start, len(spells.day_minutes), clock, walk_input)
+        tangents = start_tangent[rows], end_tangent[rows]
+        _add_sun(
+            part, *four, *tangents, sun_tangent_bulge, times, floors, is_first_step, floored, rows.start, len(spells.day_minutes),
+            clock, walk_input,
+        )  # fmt: skip
 
     _run_in_bands(add_band, len(spells.day_minutes), cores)
 
@@ -235,14 +262,18 @@ def _write_clearances(ray_height, shadow_ray_heights, eye_height_m, out):
 
 
 @compiled
-def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, crosses_floor, first_row, count, clock, walk_input):
+def _add_sun(
+    spells, before, start, stop, after, start_tangent, stop_tangent, sun_tangent_bulge, times, floors, is_first_step, crosses_floor,
+    first_row, count, clock, walk_input,
+):  # fmt: skip
     """Add the sun of some rows between two moments to ``spells``, which holds these rows alone.
 
     ``before``, ``start``, ``stop`` and ``after`` (rows, cols) are the clearances at the four moments ``times`` (4,), minutes; the
-    sun between the second and the third one is added. ``floors`` (2, 6) are quadratics of the sun's height above the floor (the
-    minimum altitude that counts), as a sine, at these two moments. ``crosses_floor`` tells whether the sun may be below the floor
-    at a cell. The rows begin at row ``first_row`` of the ``count`` rows of the block. ``is_first_step``, ``clock`` and
-    ``walk_input`` are those of ``add_sun_between``.
+    sun between the second and the third one is added. ``start_tangent`` and ``stop_tangent`` (rows, cols) are the clearance
+    tangents of these two, or empty; ``sun_tangent_bulge`` is that of ``add_sun_between``. ``floors`` (2, 6) are quadratics of the
+    sun's height above the floor (the minimum altitude that counts), as a sine, at these two moments. ``crosses_floor`` tells
+    whether the sun may be below the floor at a cell. The rows begin at row ``first_row`` of the ``count`` rows of the block.
+    ``is_first_step``, ``clock`` and ``walk_input`` are those of ``add_sun_between``.
     """
     t0, t1 = times[1], times[2]
     rows, cols = start.shape
@@ -256,8 +287,13 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, c
                 continue
             begin, end = t0, t1
             if lit0 != lit1:
-                crossing = _estimate_crossing(before[i, j], e0, e1, after[i, j], times)
-                if walk_input is not None:
+                crossing = np.nan
+                if start_tangent.size and stop_tangent.size:
+                    crossing = _interpolate_crossing(start_tangent[i, j], stop_tangent[i, j], lit0, sun_tangent_bulge, t0, t1)
+                is_interpolated = not np.isnan(crossing)
+                if not is_interpolated:
+                    crossing = _estimate_crossing(before[i, j], e0, e1, after[i, j], times)
+                if walk_input is not None and not (is_interpolated and t1 - t0 <= MAX_INTERPOLATED_MINUTES):
                     crossing = _refine_crossing(walk_input, first_row + i, j, lit0, crossing, t0, t1)
                 if lit0:
                     end = crossing
@@ -285,6 +321,23 @@ def _add_sun(spells, before, start, stop, after, times, floors, is_first_step, c
                     _end_spell(spells, i, j, since, end, clock)
                     since = -1.0
             spells.spell_start_minutes[i, j] = since
+
+
+@internal
+def _interpolate_crossing(c0, c1, lit0, sun_tangent_bulge, t0, t1):
+    """Interpolate the time at which a clearance tangent crosses 0 between ``t0`` and ``t1``, where it is ``c0`` and ``c1``.
+
+    The tangent of the horizon changes linearly, that of the sun along a parabola, which rises by ``sun_tangent_bulge`` above its
+    chord. The result is NaN if the signs of the tangents do not fit ``lit0``, whether the cell is sunlit at ``t0``.
+    """
+    c0, c1 = np.float64(c0), np.float64(c1)
+    if (c0 >= 0.0) != lit0 or (c1 >= 0.0) == lit0:
+        return np.nan
+    u = c0 / (c0 - c1)
+    slope = c1 - c0 + 4.0 * sun_tangent_bulge * (1.0 - 2.0 * u)
+    if slope * (c1 - c0) > 0.0:  # one step of Newton's method, from the chord's crossing
+        u -= 4.0 * sun_tangent_bulge * u * (1.0 - u) / slope
+    return t0 + (t1 - t0) * min(max(u, 0.0), 1.0)
 
 
 @internal

@@ -22,6 +22,7 @@ import numpy as np
 
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
+from skugga.shadows.sun_hours.marched_clearances import MARGIN_TANGENT, MarchedGround, clearance_tangents, marched_ground
 from skugga.shadows.sun_hours.quadratics import quadratic_fit
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
 from skugga.shadows.sun_hours.spells import (
@@ -37,11 +38,12 @@ from skugga.shadows.sun_hours.spells import (
     sun_aligned_copy,
     sun_aligned_spells,
 )
-from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, sampling_step_minutes
+from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, LONG_STEP_MINUTES, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.orientation import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
 from skugga.terrain.casters.caster_types import Patch
+from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
@@ -49,12 +51,14 @@ from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import Sun
-from skugga.terrain.geo.world import transformer
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-LINES_PER_COLUMN = 8
-"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``). With four lines, errors on surfaces of trees are doubled."""
+LINES_PER_COLUMN, LONG_STEP_LINES_PER_COLUMN = 8, 4
+"""Sweep lines per column of nodes (``skugga.shadows.sweep.lines``), and those with the long step or longer ones.
+
+With four lines, errors on surfaces of trees are doubled. In mountains, which bear long steps, they stay as they are.
+"""
 
 CASTER_SEARCH_STEP_MINUTES = 15.0
 """Minutes between two searches for ground beside a block that casts shadows on it.
@@ -68,12 +72,6 @@ RENDERED_STEP_MINUTES = 2.0
 
 MIN_REFINED_TIME_STEP_MINUTES = 3.0
 """Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
-
-RIM_TOLERANCE_PX = 1e-6
-"""Tolerance in pixels for the test whether a block contains the whole raster."""
-
-RIM_SAMPLES = 33
-"""Number of rows, and of columns, of positions of a raster that are projected to find its extent on another grid."""
 
 
 @dataclass(frozen=True)
@@ -170,10 +168,11 @@ def sun_hours(
     block_spells = _BlockSpells(view, IDENTITY_ORIENTATION, empty_spells((view.rows, view.cols)))
     if valid.any():
         step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
+        lines = LINES_PER_COLUMN if step_minutes < LONG_STEP_MINUTES else LONG_STEP_LINES_PER_COLUMN
         for day in days:
             clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
-                block_spells = _add_span(block_spells, block, day, span, clock)
+                block_spells = _add_span(block_spells, block, day, span, clock, lines)
             end_day(block_spells.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
@@ -227,33 +226,62 @@ class _BlockSpells:
 
 
 def _add_span(
-    block_spells: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
+    block_spells: _BlockSpells,
+    block: _TerrainBlock | _RenderedBlock,
+    day: WindowSun,
+    span: SunSpan,
+    clock: ClockReading,
+    lines: int,
 ) -> _BlockSpells:
     """Return the sun at a block's cells after a span, an interval of a day with the sun up.
 
-    ``block_spells`` is the sun before it.
+    ``block_spells`` is the sun before it, and ``lines`` the sweep lines per column.
     """
     moments: list[ClearanceSample] = []
     is_first_step = True
 
     def add_step(four_moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample, ClearanceSample]) -> None:
-        walk_input = block.walk_input(day, (four_moments[1].minutes, four_moments[2].minutes), block_spells.orientation)
-        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, CORES)
+        time_range = four_moments[1].minutes, four_moments[2].minutes
+        walk_input = block.walk_input(day, time_range, block_spells.orientation)
+        bulge = block.sun_tangent_bulge(day, time_range)
+        add_sun_between(block_spells.spells, four_moments, clock, block_spells.fit_matrix, is_first_step, walk_input, bulge, CORES)
 
-    for number, (orientation, clearance) in enumerate(block.clearances(day, span)):
+    def add_clearance_tangent(after: ClearanceSample | None) -> None:
+        """Add the clearance tangents of the last moment, while its cells are in the order of its own sun."""
+        here = moments[-1]
+        around = moments[-2] if len(moments) >= 2 else here, here, here if after is None else after
+        moments[-1] = replace(here, marched_tangent=block.clearance_tangents(day, around, block_spells.orientation))
+
+    for number, (orientation, clearance) in enumerate(block.clearances(day, span, lines)):
+        sample = ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel())
+        if moments:
+            add_clearance_tangent(_reoriented(sample, orientation, block_spells.orientation))
         if orientation != block_spells.orientation:
-            moments = [replace(m, clearance=sun_aligned_copy(m.clearance, block_spells.orientation, orientation)) for m in moments]
+            moments = [_reoriented(moment, block_spells.orientation, orientation) for moment in moments]
             block_spells = block_spells.reoriented(orientation)
-        moments.append(ClearanceSample(float(span.samples_minutes[number]), clearance, span.above_floor_sine[number].ravel()))
+        moments.append(sample)
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
             add_step((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
             is_first_step = False
         del moments[:-3]
+    add_clearance_tangent(None)
     start_moment, end_moment = moments[-2:]
     add_step((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
     end_spells(block_spells.spells, float(span.samples_minutes[-1]), clock)
     return block_spells
+
+
+def _reoriented(sample: ClearanceSample, before: GridOrientation, after: GridOrientation) -> ClearanceSample:
+    """Return the clearances of cells of the grid turned by ``before`` in the order of the grid turned by ``after``."""
+    if before == after:
+        return sample
+    tangent = sample.marched_tangent
+    return replace(
+        sample,
+        clearance=sun_aligned_copy(sample.clearance, before, after),
+        marched_tangent=None if tangent is None else sun_aligned_copy(tangent, before, after),
+    )
 
 
 class _TerrainBlock:
@@ -264,6 +292,7 @@ class _TerrainBlock:
         self._has_all_ground = holds_all_ground(scene, nodes.view)
         self._recent_patches: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
+        self._marched: tuple[WalkedGround, MarchedGround] | None = None
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show ground."""
@@ -273,15 +302,15 @@ class _TerrainBlock:
         """Return the minutes between two samples that are accurate enough on a representative day."""
         return sampling_step_minutes(self._scene, self._nodes, day, self._rules.min_altitude_deg, self._height_m)
 
-    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan, lines: int) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, how the grid is turned and the clearances (n, m) of its cells.
 
-        An array is overwritten four moments later.
+        ``lines`` are the sweep lines per column. An array is overwritten four moments later.
         """
         arrays: list[np.ndarray] = []
         for minutes, patches in self._casters_by_moment(day, span):
             self._recent_patches.append(patches)
-            node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES_PER_COLUMN)
+            node_clearance = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, lines)
             spare = arrays.pop(0) if len(arrays) == 4 else None
             if spare is None or spare.shape != node_clearance.ray_height_m.shape:
                 spare = np.empty(node_clearance.ray_height_m.shape, np.float32)
@@ -296,6 +325,41 @@ class _TerrainBlock:
             )
             yield node_clearance.orientation, arrays[-1]
 
+    def clearance_tangents(
+        self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
+    ) -> np.ndarray | None:
+        """Return the clearance tangents of cells at the second of three moments, where sun and shade change before or after it.
+
+        The result is ``None`` if coarser ground beside the block may cast shadows on it, or if the moments are so close that
+        clearances in metres serve. ``orientation`` is that of the second moment's sun, and of the cells. At the ends of a span the
+        first moment equals the second one, or the third one does.
+        """
+        before, here, after = moments
+        longest_minutes = max(here.minutes - before.minutes, after.minutes - here.minutes)
+        if longest_minutes <= MIN_REFINED_TIME_STEP_MINUTES:
+            return None
+        ground = self._walked_ground()
+        if len(ground.grid_layouts) > 1:
+            return None
+        if self._marched is None or self._marched[0] is not ground or self._marched[1].orientation != orientation:
+            self._marched = None  # free the memory before the next one is made
+            self._marched = ground, marched_ground(self._nodes, ground, orientation)
+        track = sun_track(day, self._nodes, self._scene.world, orientation, (here.minutes, here.minutes + 1.0))
+        tangents = [self._sun_tangent(day, moment.minutes) for moment in moments]
+        margin = MARGIN_TANGENT + max(abs(tangents[1] - tangents[0]), abs(tangents[2] - tangents[1]))
+        clearances = before.clearance, here.clearance, after.clearance
+        return clearance_tangents(self._marched[1], track, clearances, self._height_m, margin, CORES)
+
+    def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
+        """Return the tangent of the sun's altitude midway between two moments, less the mean of those at the two."""
+        begin, end = time_range_minutes
+        begin_tangent, tangent, end_tangent = (self._sun_tangent(day, minutes) for minutes in (begin, 0.5 * (begin + end), end))
+        return tangent - 0.5 * (begin_tangent + end_tangent)
+
+    def _sun_tangent(self, day: WindowSun, minutes: float) -> float:
+        """Return the tangent of the sun's altitude at the level's anchor at a moment of a day."""
+        return float(np.tan(np.radians(day.sun_at(minutes, self._scene.world).altitude_deg)))
+
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> WalkInput | None:
         """Return the input of walks between two moments, or ``None`` if the moments are so close that walks are not needed.
 
@@ -304,13 +368,17 @@ class _TerrainBlock:
         """
         if time_range_minutes[1] - time_range_minutes[0] <= MIN_REFINED_TIME_STEP_MINUTES:
             return None
+        return WalkInput(
+            self._walked_ground(), sun_track(day, self._nodes, self._scene.world, orientation, time_range_minutes), self._height_m
+        )
+
+    def _walked_ground(self) -> WalkedGround:
+        """Return the ground that casts shadows at the last three moments."""
         patches = tuple(dict.fromkeys(patch for recent in self._recent_patches for patch in recent))
         if self._ground is None or self._ground[0] != patches:
-            self._ground = None  # free the memory before the next one is made
+            self._ground = self._marched = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
-        return WalkInput(
-            self._ground[1], sun_track(day, self._nodes, self._scene.world, orientation, time_range_minutes), self._height_m
-        )
+        return self._ground[1]
 
     def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         """Return the scene with the sun at a moment of a day.
@@ -359,11 +427,21 @@ class _RenderedBlock:
         """Return the minutes between two samples, which are the same for all days."""
         return RENDERED_STEP_MINUTES
 
-    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan, lines: int) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, ``IDENTITY_ORIENTATION`` and the clearances (rows, cols) of the cells."""
         for number in range(len(span.samples_minutes)):
             frame = self._render(day.sun_at(span.sample_minutes(number), self._scene.world))
             yield IDENTITY_ORIENTATION, frame.visibilities[SUN] - np.float32(0.5)
+
+    def clearance_tangents(
+        self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
+    ) -> None:
+        """Return ``None``: the visible share of the sun has no angle."""
+        return None
+
+    def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
+        """Return 0: without clearance tangents the sun's path is not needed."""
+        return 0.0
 
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
@@ -381,36 +459,3 @@ def under_clear_sky(scene: Scene) -> Scene:
         return scene
     clear = level.model_copy(update={"weather": level.weather.model_copy(update={"cloud_cover": 0.0})})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))
-
-
-def holds_all_ground(scene: Scene, view: MapView) -> bool:
-    """Return whether a block contains the whole raster of its level, so that no ground lies beside it."""
-    (top, bottom), (left, right) = ground_extent(scene, view)
-    rows, cols = (
-        (-0.5 - RIM_TOLERANCE_PX, view.rows - 0.5 + RIM_TOLERANCE_PX),
-        (-0.5 - RIM_TOLERANCE_PX, view.cols - 0.5 + RIM_TOLERANCE_PX),
-    )
-    return bool(top >= rows[0] and bottom <= rows[1] and left >= cols[0] and right <= cols[1])
-
-
-def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the minimum and maximum row, and the minimum and maximum column, of a level's raster in pixels of a view.
-
-    They are counted from the centre of the view's first pixel.
-
-    The limits are infinite where PROJ cannot transform them.
-    """
-    elevation, grid = scene.elevation, view.grid
-    rows, cols = (np.linspace(-0.5, count - 0.5, RIM_SAMPLES) for count in (elevation.rows, elevation.cols))
-    x, y = elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
-    if grid.crs != elevation.crs:
-        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    row, col = (grid.row(y) - view.row0) / view.row_step, (grid.col(x) - view.col0) / view.col_step
-    if not (np.isfinite(row).all() and np.isfinite(col).all()):
-        return (-np.inf, np.inf), (-np.inf, np.inf)
-    if grid.crs.is_geographic:  # shift by multiples of 360 degrees, as near to the view as possible
-        period = 360.0 / (grid.step * view.col_step)
-        if np.ptp(col) > period * (1.0 - 1.0 / RIM_SAMPLES):
-            return (float(row.min()), float(row.max())), (-np.inf, np.inf)
-        col = col + period * np.rint(((view.cols - 1) / 2 - (col.min() + col.max()) / 2) / period)
-    return (float(row.min()), float(row.max())), (float(col.min()), float(col.max()))

@@ -377,6 +377,10 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
     out = np.empty((len(cols), PARTS_PER_PATCH_SIDE * PARTS_PER_PATCH_SIDE, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
     height_m = window.coarser_window.height_m if isinstance(window, RefinedWindow) else window.height_m
+    if not np.isfinite(height_m).any():  # beside the raster
+        out[...] = 0.0
+        out[..., :2] = np.nan
+        return out
     _write_part_bounds(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS_PER_PATCH_SIDE, out)
     return out
 

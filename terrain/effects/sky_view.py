@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.climate import ColorRamp
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from skugga.terrain.facts.coarse_view import CoarseView
@@ -117,11 +118,17 @@ def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     """
     level = scene.loaded.level
     plain = scene.objects.caster_kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
-    tints = tint_table(scene.style.ramp, scene.style.has_latitude_tints).reshape(-1, 3)
-    albedo = sky_lit_albedo(tints, shading_parameters(scene, view)).max(axis=0) if plain else np.ones(3)
+    style, desaturation = scene.style, shading_parameters(scene, view).sky_light_desaturation
+    albedo = _max_sky_lit_albedo(style.ramp, style.has_latitude_tints, desaturation) if plain else np.ones(3)
     night = night_sky_share(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(twilight_sky_share(np.sin(np.radians(scene.highest_sun_deg))))
     return float((albedo * daylight_of(scene).sky_irradiance).max()) * max_slope_sky_factor(scene) * (night + (1.0 - night) * day)
+
+
+@cached("process", MIB)
+def _max_sky_lit_albedo(ramp: ColorRamp, has_latitude_tints: bool, desaturation: float) -> np.ndarray:
+    """Return the largest linear albedo (3,) of a ramp's tints as they appear in sky light (``sky_lit_albedo``), by channel."""
+    return np.asarray(sky_lit_albedo(tint_table(ramp, has_latitude_tints).reshape(-1, 3), desaturation).max(axis=0))
 
 
 def _pyramid_level(scene: Scene, view: MapView, hidden_sky: SkyView) -> float:

@@ -228,7 +228,11 @@ def _max_change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np
     sky = light.sky_irradiance * (night + (1.0 - night) * twilight_sky_share(sine))
     draped = scene.loaded.level.terrain.imagery is not None
     water_albedo = np.array(scene.style.water_albedo)
-    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(water_albedo, shading_parameters(scene, view)), water_albedo)
+    darkest, brightest = (
+        (0.0, 1.0)
+        if draped
+        else (sky_lit_albedo(water_albedo, shading_parameters(scene, view).sky_light_desaturation), water_albedo)
+    )
     dark, bright = (
         MIN_SKY_VIEW_FACTOR * sky * darkest,
         (sky + light.sun_irradiance * max(sine, 0.0) + _max_lamp_irradiance(scene)) * brightest,

@@ -16,7 +16,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays, Probes
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.heightfield.walks import exit_share, write_tile_max
+from skugga.terrain.heightfield.walks import exit_share, shares_per_node, write_tile_max
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 
 SKIP_BLOCK_CELLS = 16
@@ -174,7 +174,7 @@ def _trace_blocked(heights, block_max, row, col, height, d_row, d_col, rise, ben
             max_rate = max(abs(dr), abs(dc))
             if not (max_rate > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
-            per_row, per_col = 1.0 / dr if dr != 0.0 else np.inf, 1.0 / dc if dc != 0.0 else np.inf
+            per_row, per_col = shares_per_node(dr, dc)
             t, epsilon = MIN_OCCLUDER_CELLS / max_rate, ENTRY_STEP_CELLS / max_rate
             while t < length[i, n]:
                 r, c, h = r0 + t * dr, c0 + t * dc, height[i, n] + t * (up + bend[i, n] * t)

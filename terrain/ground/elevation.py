@@ -60,6 +60,9 @@ PLAUSIBLE_HEIGHTS_OFF_EARTH_M = (-32000.0, 32000.0)
 Olympus Mons on Mars is 21 km high, the basin Rheasilvia on Vesta 19 km deep.
 """
 
+BEYOND_MARGIN_CELLS = 2.0
+"""Distance from the raster, in cells, from which on nodes are taken to lie off it without a look at each of them."""
+
 READ_BLOCK_SIDE_CELLS = 1024
 """Side of the blocks in which heights at scattered points are read, in cells: a few points far apart do not load a whole raster."""
 
@@ -335,6 +338,19 @@ class Elevation:
         rows, cols = (count * 2**lod for count in self._lod_shape(lod))
         inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
         return bool((inside if self._wrap_period else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
+
+    def is_beyond_cells(self, lod: int, row: np.ndarray, col: np.ndarray) -> bool:
+        """Return whether all (fractional) rows and columns of the raster lie beyond one side of the cells of a level of detail.
+
+        They must be at least ``BEYOND_MARGIN_CELLS`` of these cells away, so that positions interpolated between them are off the
+        raster, too.
+        """
+        rows, cols = (count * 2**lod for count in self._lod_shape(lod))
+        margin = BEYOND_MARGIN_CELLS * 2**lod
+        sides = [row < -margin, row > rows + margin]
+        if not self._wrap_period:
+            sides += [col < -margin, col > cols + margin]
+        return any(bool(side.all()) for side in sides)
 
     def _positions_at_lod(self, lod: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Convert rows and columns of the raster to rows and columns at a level of detail, NaN off the raster.

@@ -333,6 +333,8 @@ class Surface:
             exact_rows, exact_cols, x, y = self.exact_nodes(*padded_window, stride)
             cell = self.cells_at(x, y, allow_jumps=True)
             assert cell is not None
+        if self.elevation.is_beyond_cells(self.lod, *cell):
+            return np.full((rows, cols), np.nan, np.float32), np.zeros((rows, cols), np.bool_), None
         exact = np.stack(cell, axis=-1)
         if self.elevation.surface == "blocks" or self.elevation.covers_cells(self.lod, *cell):
             cells = interpolate_nodes(exact, exact_rows, exact_cols, stride, row0, col0, rows, cols)

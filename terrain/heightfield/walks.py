@@ -10,6 +10,9 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
 
+ALONG_GRID_SLOPE = 1e-10
+"""Rows per column (or columns per row) of lines that count as parallel to the grid: 0.00001 cells in 100,000."""
+
 
 def curvature_drop_m(distance_m: np.ndarray, curvature_per_m: float) -> np.ndarray:
     """Return how far level ground lies below the horizontal plane of an eye, metres.
@@ -43,11 +46,23 @@ def write_tile_max(height_m, tile_max_m, tile_quads):
 
 
 @internal
+def shares_per_node(rows, cols):
+    """Return the shares of a piece of a line in which it passes one row and one column; inf along rows or columns.
+
+    The piece passes ``rows`` rows and ``cols`` columns; the shares have their signs. A piece within ``ALONG_GRID_SLOPE`` of the
+    grid's direction counts as parallel to it. Otherwise one that starts on a row and leaves it by less than its rounding error would
+    cross that row anew at every step.
+    """
+    least = ALONG_GRID_SLOPE * max(abs(rows), abs(cols))
+    return 1.0 / rows if abs(rows) > least else np.inf, 1.0 / cols if abs(cols) > least else np.inf
+
+
+@internal
 def exit_share(r0, per_row, c0, per_col, top, left, side_quads, min_share):
     """Return the position on a piece of a line, as a share of its length, at which it leaves a square of the grid.
 
     The piece starts at row ``r0`` and column ``c0``. It passes one row in the share ``per_row`` of its length and one column in
-    ``per_col``; they are negative towards smaller rows and columns, and inf along them. The square has its first corner at ``top``
+    ``per_col`` (``shares_per_node``). The square has its first corner at ``top``
     and ``left``, and a side of ``side_quads`` quads. The result is at least ``min_share``.
     """
     share = np.inf

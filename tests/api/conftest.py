@@ -118,7 +118,8 @@ def running(app: FastAPI) -> Iterator[Client]:
         try:
             # The socket listens already, so a request waits until the server accepts it. Tests that patch the service
             # get it after its start: a start that fails would leave its render processes running.
-            with Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
+            # Certificates are not read: that takes as long as the service's start.
+            with Client(base_url=f"http://127.0.0.1:{port}", timeout=120, verify=False) as client:
                 client.service, client.server = app.state.service, server
                 client.get("/healthz")
                 yield client

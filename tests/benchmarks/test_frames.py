@@ -23,7 +23,7 @@ from benchmarks.frame_tables import (
     paired_ratio,
     replace_between_marks,
 )
-from benchmarks.frames import PICTURES, ROOT, FrameMeasurements, frame_process, main, measure_interleaved
+from benchmarks.frames import PICTURES, ROOT, FrameMeasurements, _commit_description, frame_process, main, measure_interleaved
 from benchmarks.yardstick import Yardstick
 from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
@@ -162,3 +162,9 @@ def test_the_yardstick_shows_the_same_scene():
     assert 0.05 < dark.mean() < 0.9
     assert (darker & dark).sum() / (darker | dark).sum() > 0.8
     assert not (plain != shadowed_picture).any(axis=2)[sky].any()
+
+
+def test_a_commit_without_git_is_unknown(monkeypatch, tmp_path):
+    assert _commit_description(tmp_path) == "unknown", "not a checkout"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert _commit_description(ROOT) == "unknown"

@@ -70,7 +70,7 @@ def sun_at_point(
             "-o",
             "--output",
             metavar="FILE",
-            help="File for --horizon, --azimuths, or --irradiation (.json, .csv, .svg or .png).",
+            help="File for --horizon, --azimuths, or --irradiation (.json, .csv; of one point also .svg, .png).",
         ),
     ] = None,
     picture: Annotated[
@@ -102,7 +102,7 @@ def sun_at_point(
     options = PointOptions(at, crs, sun, date, clock, height, year, horizon, azimuths, irradiation, output, picture, as_json)
     check_point_options(options, points, line, start)
     if irradiation:
-        report_point_irradiation(level, options, texts)
+        report_point_irradiation(level, options, texts, points)
     elif points is not None:
         report_points(level, points, options)
     elif line is not None:

@@ -6,14 +6,22 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas
+import pvlib
 import pytest
 import rasterio
+from pvlib import iotools, irradiance, location
+from pyproj import Transformer
 
 from tests.rasters import write_geotiff
-from tests.shadows.irradiation.weather_files import Place, local_hours, write_epw
+from tests.shadows.irradiation.weather_files import Place, clear_sky_moments, local_hours, write_epw, write_pvgis_csv
+
+pytestmark = pytest.mark.filterwarnings("ignore:DatetimeIndex.dayofyear")  # pvlib uses a name that pandas will drop
 
 HERE = Place(9.0, 46.9, 1.0)
 FAR_AWAY = Place(16.0, 46.9, 1.0)
+CAROLINA = Place(-79.95, 36.1, -5.0)
+"""The place of the TMY3 file 723170TYA.CSV that comes with pvlib."""
 OTHER_HEMISPHERE = Place(9.0, -46.9, 1.0)
 
 
@@ -43,6 +51,45 @@ def test_the_light_of_a_file_arrives_on_open_ground(run, plain, tmp_path):
     assert tags["WEATHER"] == "here.epw" and "warning" not in error
     clear, tags, _ = light_of(run, plain, tmp_path / "clear.tif", *days)
     assert clear[4, 4] > 1.5 * values[4, 4] and tags["WEATHER"].startswith("clear sky")
+
+
+def weather_by_pvlib(folder: Path, kind: str) -> tuple[Path, pandas.DataFrame, float]:
+    """Return a weather file, what pvlib reads of it, and the minutes from its stamps to the middle of their hours."""
+    tmy3 = Path(pvlib.__file__).parent / "data" / "723170TYA.CSV"
+    frame, _ = iotools.read_tmy3(tmy3, map_variables=True, coerce_year=2023)
+    if kind == "tmy3":
+        return tmy3, frame, -30.0
+    if kind == "epw":
+        path = write_epw(folder / "a.epw", CAROLINA, frame[["ghi", "dni", "dhi"]].to_numpy().T, city="Greensboro")
+        return path, iotools.read_epw(path, coerce_year=2023)[0], 30.0
+    path = write_pvgis_csv(folder / "a.csv", CAROLINA, clear_sky_moments(CAROLINA, 10.566), 0.1761)
+    return path, iotools.read_pvgis_tmy(path, map_variables=True)[0], 10.566
+
+
+@pytest.mark.parametrize("kind", ["tmy3", "epw", "pvgis"])
+def test_a_tilted_plane_receives_what_pvlib_makes_of_a_file(run, tmp_path, kind):
+    """The sums of months, by pvlib's own readers, its sun in the middle of each hour, and its transposition."""
+    path, frame, minutes = weather_by_pvlib(tmp_path, kind)
+    east, north = Transformer.from_crs(4326, 32617, always_xy=True).transform(CAROLINA.lon_deg, CAROLINA.lat_deg)
+    plain = write_geotiff(tmp_path / "dem.tif", np.full((9, 9), 273.0, np.float32), "EPSG:32617", east - 45.0, north + 45.0, 10.0)
+    middle = frame.index + pandas.Timedelta(minutes=minutes)
+    sun = location.Location(CAROLINA.lat_deg, CAROLINA.lon_deg, altitude=273.0).get_solarposition(middle)
+    power = irradiance.get_total_irradiance(
+        35.0, 160.0, sun["apparent_zenith"].to_numpy(), sun["azimuth"].to_numpy(),
+        *(frame[part].to_numpy() for part in ("dni", "ghi", "dhi")),
+        dni_extra=irradiance.get_extra_radiation(middle).to_numpy(), albedo=0.2, model="perez-driesse",
+    )["poa_global"]  # fmt: skip
+    is_up = sun["apparent_elevation"].to_numpy() > 0.0
+    month = middle.tz_convert("Etc/GMT+5").month
+    expected = np.bincount(month, np.where(is_up, power, 0.0), 13)[1:] / 1000.0
+    status, out, error = run(
+        "point", str(plain), "--at", f"{CAROLINA.lon_deg},{CAROLINA.lat_deg}", "--irradiation", "--year", "2023",
+        "--tilt", "35", "--azimuth", "160", "--weather", str(path), "--json",
+    )  # fmt: skip
+    assert status == 0, error
+    received = np.array([month["total"] for month in json.loads(out)["months"]])
+    np.testing.assert_allclose(received, expected, rtol=0.01)
+    assert received.sum() == pytest.approx(expected.sum(), rel=2e-3)
 
 
 def test_weather_of_another_place_is_told(run, plain, tmp_path):

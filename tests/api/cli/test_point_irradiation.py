@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import pytest
 from PIL import Image
 
+from skugga.api.cli.point_irradiation import print_report
+from skugga.api.point.irradiation import LOST_FIELDS
+from skugga.api.point.irradiation_values import PointIrradiationReport
 from tests.api.cli.test_point import LON_LAT, valley  # noqa: F401
 from tests.rasters import ENGINEERING, write_geotiff
 
@@ -27,6 +31,18 @@ def test_the_table_has_months_and_losses(run, valley):  # noqa: F811
     assert lines[-1].split()[0] == "all" and float(lines[-1].split()[1]) == pytest.approx(total, abs=1.0)
 
 
+def test_the_table_has_no_negative_zero(run, valley, capsys):  # noqa: F811
+    """A small loss below 0, such as light that a far hill reflects, is 0.0."""
+    status, out, _ = run("point", valley, "--at", LON_LAT, "--irradiation", "--date", "2024-06-21", "--json")
+    assert status == 0
+    report = json.loads(out)
+    losses = {light: {"relief": 0.0, "solids": 0.0, "forest": -0.04 * (light == "lost_sky")} for light in LOST_FIELDS}
+    report["months"][0] |= losses
+    print_report(PointIrradiationReport.model_validate(report))
+    table = capsys.readouterr().out
+    assert "to trees" in table and "-0.0" not in table
+
+
 def test_files_are_written_in_the_format_of_their_suffix(run, valley, tmp_path):  # noqa: F811
     arguments = ["point", valley, "--at", LON_LAT, "--irradiation", "--date", "2024-03-01", "--to", "2024-04-30"]
     status, out, _ = run(*arguments, "--json", "-o", str(tmp_path / "table.csv"))
@@ -41,6 +57,29 @@ def test_files_are_written_in_the_format_of_their_suffix(run, valley, tmp_path):
     assert (tmp_path / "chart.svg").read_text().startswith("<?xml")
     with Image.open(tmp_path / "chart.png") as image:
         assert min(image.size) > 600
+
+
+def test_many_points_have_the_report_that_each_has_alone(run, valley, tmp_path):  # noqa: F811
+    """By month in a CSV, as JSON, and as a table. A height of the file goes before that of the option."""
+    points, output = tmp_path / "huts.csv", tmp_path / "months.csv"
+    points.write_text("lon,lat,height\n15.0,47.5,2\n15.01,47.5,\n0,0,\n")
+    dates = ["--irradiation", "--date", "2024-03-01", "--to", "2024-04-30", "--tilt", "30"]
+    arguments = ["point", valley, "--points", str(points), *dates, "--height", "1"]
+    status, out, error = run(*arguments, "--json", "-o", str(output))
+    assert (status, error) == (0, "")
+    reports = json.loads(out)
+    alone = [
+        json.loads(run("point", valley, "--at", at, "--height", high, *dates, "--json")[1])
+        for at, high in (("15.0,47.5", "2"), ("15.01,47.5", "1"))
+    ]
+    assert reports[:2] == alone and alone[0]["all_months"] != alone[1]["all_months"]
+    assert reports[2]["months"] is None and reports[2]["remark"].startswith("no ground here")
+    rows = list(csv.DictReader(output.read_text().splitlines()))
+    assert [row["month"] for row in rows] == ["2024-03", "2024-04", "all"] * 2 + ["all"]
+    assert float(rows[5]["total_kwh_m2"]) == alone[1]["all_months"]["total"] and rows[6]["total_kwh_m2"] == ""
+    assert (rows[3]["lon"], rows[3]["height_m"], rows[3]["elevation_m"]) == ("15.01", "1", f"{alone[1]['elevation_m']:.2f}")
+    status, out, _ = run(*arguments)
+    assert status == 0 and f"{alone[0]['all_months']['total']:.1f}" in out and "0.000000, 0.000000: no ground here" in out
 
 
 @pytest.mark.parametrize(
@@ -73,7 +112,10 @@ def test_wrong_options_are_one_line(run, valley, arguments, expected_text):  # n
         (["--at", LON_LAT, "--irradiation", "--to", "2024-01-01"], "--to: needs a first date. Add a date"),
         (["--at", LON_LAT, "--irradiation", "--date", "2024-02-01", "--to", "2024-01-01"], "'2024-01-01' is not allowed"),
         (["--at", "0,0", "--irradiation", "--year", "2023"], "'0,0' is not allowed. Allowed: a place on the level's data"),
-        (["--points", "huts.csv", "--irradiation"], "--points: cannot be combined with --irradiation. Use one of them"),
+        (["--line", "track.gpx", "--irradiation"], "--line: cannot be combined with --irradiation. Use one of them"),
+        (["--points", "none.csv", "--irradiation"], "none.csv: No such file or directory. Give a CSV"),
+        (["--points", "huts.csv", "--irradiation", "-o", "chart.svg"], "Allowed: with --irradiation: .csv, .json"),
+        (["--points", "huts.csv", "--irradiation", "--at", LON_LAT], "--at: cannot be combined with --points"),
         (["--irradiation"], "--at: missing"),
     ],
 )

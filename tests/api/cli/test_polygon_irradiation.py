@@ -69,6 +69,24 @@ def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
         assert row["cells"] == "0" and row["kwh_m2"] == "" and row["remark"] == "outside of the level's ground"
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".gpkg", ".geojson"])
+def test_polygons_keep_their_attributes(run, slope, tmp_path, suffix):
+    beds, out = [square(10, 12, 5), square(20, 20, 5)], tmp_path / f"beds{suffix}"
+    beds[0]["properties"] = {"name": "Möhren, früh", "row": 3, "area_m2": 1.5, "crops": ["carrot", "leek"]}
+    beds[1]["properties"] = {"name": None, "row": 4, "area_m2": 2.5, "crops": []}
+    squares = write_squares(tmp_path / "squares.geojson", *beds)
+    status, _, error = run("irradiation", str(slope), "--polygons", str(squares), "-o", str(out), "--date", "2024-06-21")
+    assert status == 0, error
+    meta, _, _, columns = pyogrio.raw.read(out, read_geometry=False)
+    values = dict(zip(meta["fields"], columns, strict=True))
+    assert list(values)[:5] == ["name", "row", "area_m2_", "crops", "feature"]
+    assert values["name"][0] == "Möhren, früh" and values["name"][1] in (None, "")
+    np.testing.assert_allclose(values["row"].astype(float), [3, 4])
+    np.testing.assert_allclose(values["area_m2_"].astype(float), [1.5, 2.5])
+    assert "carrot" in values["crops"][0] and "leek" in values["crops"][0]
+    assert (values["area_m2"].astype(float) > 2000.0).all()
+
+
 def test_a_narrow_polygon_between_centres_has_a_cell(run, slope, tmp_path):
     strip = shapely.box(WEST + 10.6 * CELL_M, NORTH - 25.0 * CELL_M, WEST + 10.9 * CELL_M, NORTH - 12.0 * CELL_M)
     feature = {"type": "Feature", "properties": {}, "geometry": json.loads(shapely.to_geojson(strip))}

@@ -96,6 +96,13 @@ def filming_client(serve_with) -> Client:
     return serve_with(fake_workers.filming)
 
 
+@pytest.fixture(scope="module")
+def refusing_client(hills_level: Path) -> Iterator[Client]:
+    """Return a service that is shared by tests whose requests start no animation."""
+    with running(create_app(Settings(workers=1), [hills_level], fake_workers.filming)) as client:
+        yield client
+
+
 def test_animation_runs_from_request_to_result(gated_service):
     service = gated_service()
     client = service.client
@@ -399,27 +406,29 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
     ],
 )
 def test_invalid_request_is_refused_before_drawing(
-    filming_client: Client, body_changes: dict[str, Any], parameter: str, expected_text: str
+    refusing_client: Client, body_changes: dict[str, Any], parameter: str, expected_text: str
 ):
-    answer = filming_client.post(
+    answer = refusing_client.post(
         ADDRESS, json={key: value for key, value in (REQUEST_BODY | body_changes).items() if value is not None}
     )
     problem = check_problem(answer, 422, "invalid_parameter", parameter)
     assert expected_text in problem["detail"]
-    assert not any(filming_client.service.animations.counts.values())
+    assert not any(refusing_client.service.animations.counts.values())
 
 
-def test_missing_or_broken_body_is_refused(filming_client: Client):
+def test_missing_or_broken_body_is_refused(refusing_client: Client):
     check_problem(
-        filming_client.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
+        refusing_client.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
     )
-    check_problem(filming_client.post(ADDRESS), 422, "invalid_parameter", "body")
-    check_problem(filming_client.post(f"{ADDRESS}?step=1h", json=REQUEST_BODY), 422, "invalid_parameter", "step")
+    check_problem(refusing_client.post(ADDRESS), 422, "invalid_parameter", "body")
+    check_problem(refusing_client.post(f"{ADDRESS}?step=1h", json=REQUEST_BODY), 422, "invalid_parameter", "step")
 
 
-def test_mp4_without_an_encoder_is_refused(filming_client: Client, monkeypatch: pytest.MonkeyPatch):
+def test_mp4_without_an_encoder_is_refused(refusing_client: Client, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("skugga.api.http.views.animation_request.find_spec", lambda name: None)
-    problem = check_problem(filming_client.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4"}), 422, "invalid_parameter", "format")
+    problem = check_problem(
+        refusing_client.post(ADDRESS, json=REQUEST_BODY | {"format": "mp4"}), 422, "invalid_parameter", "format"
+    )
     assert "no encoder of mp4" in problem["detail"]
 
 

@@ -276,7 +276,8 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
         ]  # fmt: skip
         process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
         assert process.returncode == 0, process.stdout
-        assert client.service.pool.counters.jobs_failed == 0 and client.service.pool.counters.jobs_answered > 100
+        counters = client.service.pool.counters
+        assert counters.jobs_failed == 0 and counters.jobs_answered > 20  # 69 on a slow machine
 
 
 def test_unsupported_method_is_405_with_allow(client: Client):

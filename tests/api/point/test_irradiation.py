@@ -8,11 +8,13 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex, to_rgb
 from PIL import Image
 
+from skugga.api.point.charts import PAPER_COLOR, RELIEF_COLOR
 from skugga.api.point.irradiation import COLUMNS, csv_text, irradiation_with_remark, point_irradiation
 from skugga.api.point.irradiation_chart import irradiation_chart
-from skugga.api.point.irradiation_values import PointIrradiationOptions, PointIrradiationReport
+from skugga.api.point.irradiation_values import LossByCause, PointIrradiationOptions, PointIrradiationReport
 from skugga.api.point.values import PointQuery
 from skugga.terrain.errors import InputError
 from skugga.terrain.scene import Scene
@@ -100,9 +102,11 @@ def test_the_chart_has_causes_months_and_the_unit(valley):
     report = report_of(valley, 2023)
     svg = irradiation_chart(report, "svg", "A valley").decode()
     assert svg.startswith("<?xml") and svg == irradiation_chart(report, "svg", "A valley").decode()
-    for text in ("A valley", "kWh/m²", "Jun", "direct sun", "lost to terrain", "level plane"):
+    for text in ("A valley", "kWh/m²", "Jun", "direct sun", "lost to terrain", "level plane", "under an open sky"):
         assert f"<!-- {text}" in svg or text in svg, text
     assert "lost to trees" not in svg
+    # a tint without a pattern shows the loss in programs that draw no patterns
+    assert to_hex(0.25 * np.array(to_rgb(RELIEF_COLOR)) + 0.75 * np.array(to_rgb(PAPER_COLOR))) in svg
     png = Image.open(io.BytesIO(irradiation_chart(report, "png", "A valley")))
     assert min(png.size) > 600
     colors = {color for _, color in png.convert("RGB").getcolors(1 << 24)}
@@ -153,3 +157,9 @@ def test_a_flat_world_has_no_sun_of_dates(write_raster, make_scene):
     for request_values, name in (({"year": 2023}, "year"), ({"date": date(2023, 1, 1)}, "date")):
         with pytest.raises(InputError, match=f"{name}: .*an engineering CRS is not georeferenced.* Use a level on the earth"):
             point_irradiation(scene, PointQuery(lon=0.0, lat=0.0, **request_values), PointIrradiationOptions())
+
+
+def test_sums_have_no_negative_zero():
+    """Rounding a small loss of the opposite sign leaves 0, in JSON as in the table and the CSV."""
+    loss = LossByCause(relief=-1e-7, solids=-0.0, forest=-3e-5)
+    assert loss.model_dump_json() == '{"relief":0.0,"solids":0.0,"forest":0.0}'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import date, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,10 +19,11 @@ from skugga.shadows.horizons.grid import grid_of_array
 from skugga.shadows.horizons.sky_view import ground_slopes
 from skugga.shadows.irradiation.dates import all_dates
 from skugga.shadows.irradiation.irradiation import IrradiationRules, irradiation
-from skugga.shadows.irradiation.light import Part
-from skugga.shadows.irradiation.planes import normals_of_slopes
+from skugga.shadows.irradiation.light import Part, weather_light
+from skugga.shadows.irradiation.planes import TiltedPlane, normals_of_slopes
 from skugga.shadows.irradiation.sky import sky_of_grid
 from skugga.shadows.irradiation.suns import SunIntervals, sun_intervals
+from skugga.shadows.irradiation.weather_records import Weather
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.terrain.geo.clock import SOLAR
@@ -158,6 +159,30 @@ def test_open_slopes_receive_what_pvlib_says(open_scene, place, tilt_deg, azimut
     for part in PARTS if tilt_deg in (30, 75) else ("total",):
         value = middle(sums(scene, cells_of(scene), days, part))
         assert value == pytest.approx(expected[part], rel=1e-3, abs=1e-4), part
+
+
+@pytest.mark.parametrize("tilt_deg", [120.0, 165.0, 175.0])
+def test_overhangs_under_an_overcast_sky_receive_what_pvlib_says(open_scene, tilt_deg):
+    """There the band at the horizon takes more than the sky gives to planes that nearly face down, and pvlib stops at 0."""
+    scene = open_scene(np.full((SIDE, SIDE), 500.0))
+    view = cells_of(scene)
+    row, col = view.centre_node
+    lon, lat = (float(axis) for axis in scene.world.lon_lat(view.grid.crs, view.grid.x(col), view.grid.y(row)))
+    day = [DailyWindow(SPRING, datetime(2024, 3, 21, 9, tzinfo=UTC), 240.0, 0.0)]
+    hours = np.arange("2024-03-21T08", "2024-03-21T16", dtype="datetime64[h]").astype("datetime64[us]")
+    dark, grey = np.zeros(len(hours)), np.full(len(hours), 200.0)
+    weather = Weather("overcast", hours, np.full(len(hours), 60.0), grey, dark, grey)
+    suns, _ = weather_light(weather, day, lon, lat)
+    assert suns.hours.tolist() == [1.0] * 4
+    extra = irradiance.get_extra_radiation(pandas.DatetimeIndex(suns.moments, tz="UTC"))
+    zenith, azimuth = 90.0 - suns.altitude_deg, suns.azimuth_deg
+    diffuse = irradiance.perez_driesse(tilt_deg, 180.0, grey[:4], dark[:4], extra, zenith, azimuth, return_components=True)
+    expected = float(np.sum(diffuse["poa_sky_diffuse"])) / 1000.0
+    unlimited = float(sum(np.sum(diffuse[f"poa_{part}"]) for part in ("isotropic", "circumsolar", "horizon"))) / 1000.0
+    assert unlimited < -1e-3 if tilt_deg > 150.0 else unlimited == pytest.approx(expected)
+    rules = IrradiationRules(("sky", "circumsolar", "horizon_band"), TiltedPlane(tilt_deg))
+    received = irradiation(scene, view, all_dates(day), rules, weather=weather)
+    assert middle(received.sum(axis=0)) == pytest.approx(expected, rel=1e-3, abs=2e-5)
 
 
 def test_parts_add_up_to_the_total(open_scene):

@@ -98,3 +98,25 @@ def test_far_mountains_shade_a_village_as_they_shade_bare_ground():
             )  # fmt: skip
         beam.append(np.nanpercentile(values, 90.0))
     assert beam[1] == pytest.approx(beam[0], rel=0.02) and beam[0] > 1.5
+
+
+def test_reflected_light_under_trees_is_that_of_points(level_with_objects):
+    """Under the crowns of a deep wood the ground sends next to nothing. Far from it, it is what pvlib says."""
+    level, plane = level_with_objects, TiltedPlane(60.0, 180.0)
+    raster = sums(level, IrradiationRules(("reflected",), plane))
+    grid = raster_view(level._scene).view.grid
+
+    def at_point(row: int, col: int) -> float:
+        """Return the reflected light at the middle of a cell, kWh/m2."""
+        place = float(grid.x(col)), float(grid.y(row))
+        report = level.point_irradiation(*place, date="2023-03-21", tilt=60.0, crs=level._scene.elevation.crs, step_min=60.0)
+        return report.all_months.reflected
+
+    open_ground = at_point(*OPEN)
+    assert open_ground > 0.2 and raster[OPEN] == pytest.approx(open_ground, rel=0.03)
+    in_wood = [(row, col) for row in (80, 100, 120) for col in (155, 160, 165)]
+    assert np.median([raster[cell] for cell in in_wood]) == 0.0
+    assert np.median([at_point(*cell) for cell in in_wood]) < 0.06 * open_ground
+    before_the_wood = 100, 130
+    assert at_point(*before_the_wood) == pytest.approx(raster[before_the_wood], rel=0.1)
+    assert 0.5 * open_ground < raster[before_the_wood]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.irradiation.ground_plane import ground_plane
-from skugga.shadows.irradiation.planes import TiltedPlane
+from skugga.shadows.irradiation.planes import TiltedPlane, reflecting_share
 from skugga.shadows.point.place import place_at
 
 AZIMUTH_DEG = np.arange(360.0)
@@ -94,3 +94,15 @@ def test_columns_are_level_ground(write_raster, make_scene):
     raster = write_raster(heights, "EPSG:32633", 500_000.0, 5_300_000.0, 10.0)
     scene = make_scene(raster, terrain={"surface": "blocks"})
     assert ground_plane(scene, place_at(scene, (500_100.0, 5_299_900.0), scene.elevation.crs)).tilt_deg == 0.0
+
+
+@pytest.mark.parametrize(
+    ("sky_view", "level", "without_trees", "share"),
+    [
+        (1.0, 1.0, 1.0, 0.0), (0.8, 0.8, 0.8, 0.2), (0.5, 1.0, 1.0, 0.5), (0.01, 0.02, 1.0, 0.0198), (0.3, 0.4, 0.8, 0.35),
+        (0.0, 0.0, 0.0, 0.0), (0.2, 0.9, 0.8, 0.8),
+    ],
+)  # fmt: skip
+def test_surroundings_reflect_what_trees_leave_of_their_light(sky_view, level, without_trees, share):
+    """In the open, in a valley, of an open wall, in a deep wood, beside trees in a valley, and without any sky."""
+    assert reflecting_share(sky_view, level, without_trees) == pytest.approx(share, abs=1e-12)

@@ -9,6 +9,7 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pandas
 import pvlib
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -511,6 +512,19 @@ def test_bad_files_are_refused_in_one_line(tmp_path, monkeypatch, case):
         read_weather(name, columns)
     assert message in str(caught.value) and "\n" not in str(caught.value)
     assert name in str(caught.value) or "weather_columns" in str(caught.value)
+
+
+def test_other_errors_than_those_of_a_clock_are_not_blamed_on_it(tmp_path, monkeypatch):
+    """A want of memory while times are localised is no fault of the clock."""
+
+    def fail(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(pandas.DatetimeIndex, "tz_localize", fail)
+    path = tmp_path / "a.csv"
+    path.write_text(csv_text("2023-03-26T02:30Z,1", "2023-03-26T03:30Z,1").replace("Z,", ","))
+    with pytest.raises(MemoryError):
+        read_weather(path, {"stamp": "end", "clock": "Europe/Oslo"})
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path):

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from skugga.api.raster_view import raster_view
-from skugga.shadows.sun_hours.steps import LONG_STEP_MINUTES, SHORT_STEP_MINUTES, missed_minutes, sampling_step_minutes
+from skugga.shadows.sun_hours.steps import (
+    LONG_STEP_MINUTES,
+    SHORT_STEP_MINUTES,
+    interpolation_error_minutes,
+    missed_minutes,
+    sampling_step_minutes,
+)
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
@@ -43,6 +49,18 @@ def test_missed_minutes_cancel_opposite_errors():
     assert missed_minutes(np.concatenate([sunlit_series("##.########"), sunlit_series("...........")]), 5) == pytest.approx(
         [1.0, 0.0]
     )
+
+
+def test_interpolation_error_by_hand():
+    rising = np.arange(-6.0, 7.0)[None]
+    assert interpolation_error_minutes(rising, 12) == pytest.approx(0.0)
+    kinked = np.where(rising < 0.0, rising, 2.0 * rising)  # 6 minutes of sun; the chord from -6 to 12 has 8
+    assert interpolation_error_minutes(kinked, 12) == pytest.approx(2.0)
+    assert interpolation_error_minutes(kinked, 6) == pytest.approx(0.0)
+    glance = np.where(np.abs(rising) < 2.0, 1.0, -1.0)  # 3 minutes of sun between the samples
+    assert interpolation_error_minutes(glance, 12) == pytest.approx(3.0)
+    assert interpolation_error_minutes(np.concatenate([glance, rising]), 12) == pytest.approx(1.5)
+    assert interpolation_error_minutes(np.empty((5, 0)), 12) == 0.0
 
 
 @pytest.fixture

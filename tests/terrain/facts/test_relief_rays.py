@@ -43,3 +43,17 @@ def test_walls_block_exactly_the_rays_below_their_crests(wall: int, is_transpose
     blocked = is_blocked(field, *np.stack([row, col])[swap], towards[swap], rise)
     clear = np.abs(crest_m - WALL_M) > 1.0
     assert (blocked == (crest_m < WALL_M))[clear].all()
+
+
+@pytest.mark.timeout(120, method="thread")
+@pytest.mark.parametrize("across", [-1e-20, 1e-20, -1e-13, 1e-13])
+@pytest.mark.parametrize("is_transposed", [False, True])
+def test_rays_along_a_row_pass_many_cells(across: float, is_transposed: bool) -> None:
+    """Rounding turns a ray along a row a little; it must not cross that row anew after each millionth of a cell."""
+    heights_m = np.zeros((SKIP_BLOCK_CELLS + 2, 100_000), np.float32)
+    heights_m[:, -2:] = WALL_M
+    start, towards = np.array([[float(SKIP_BLOCK_CELLS)], [2.0]]), np.array([[across], [1.0]])
+    swap = slice(None, None, -1) if is_transposed else slice(None)
+    field = np.ascontiguousarray(heights_m.T) if is_transposed else heights_m
+    for rise, meets_the_wall in ((98.0e-5, True), (101.0e-5, False)):
+        assert is_blocked(field, *start[swap], towards[swap], np.array([rise])).tolist() == [meets_the_wall]

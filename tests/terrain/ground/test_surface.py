@@ -207,3 +207,24 @@ def test_columns_have_no_rim(write_raster, make_scene):
     scene = make_scene(write_raster(np.ones((4, 5), np.float32), ENGINEERING, 0.0, 40.0, 10.0), terrain={"surface": "blocks"})
     height, _ = Columns(scene.world, scene.elevation, 0).heights(-2, -2, 8, 9)
     np.testing.assert_array_equal(np.isfinite(height), np.pad(np.ones((4, 5), bool), 2))
+
+
+@pytest.mark.parametrize("lod", [0, 2])
+@pytest.mark.parametrize("crs", ["EPSG:32633", "EPSG:4326"])
+def test_nodes_beside_the_raster_are_found_without_a_look_at_each(write_raster, make_scene, monkeypatch, crs, lod):
+    cell, origin = (30.0, (500e3, 5200e3)) if crs == "EPSG:32633" else (1 / 3600, (15.0, 47.0))
+    scene = make_scene(write_raster(np.ones((40, 50), np.float32), crs, *origin, cell))
+    surface = scene.surface(scene.view(size=(8, 8)).grid.coarser(lod))
+    windows = [(row, col, 16, 16) for row in range(-420, 480, 60) for col in range(-420, 480, 60)]
+    found = [surface._heights_and_rim(*window) for window in windows]
+    skipped = [
+        surface.elevation.is_beyond_cells(surface.lod, *surface.cells_at(*surface.exact_nodes(*window, surface.stride)[2:]))
+        for window in windows
+    ]
+    assert 0 < sum(skipped) < len(windows)
+    monkeypatch.setattr(type(surface.elevation), "is_beyond_cells", lambda *_: False)
+    for window, (height, valid, rim) in zip(windows, found, strict=True):
+        looked_at = surface._heights_and_rim(*window)
+        np.testing.assert_array_equal(height, looked_at[0])
+        np.testing.assert_array_equal(valid, looked_at[1])
+        assert (rim is None) == (looked_at[2] is None)
