@@ -86,10 +86,17 @@ def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bo
 
 
 def _cache_key(buffer: GeometryBuffer, light: LightPosition, with_lifts: bool = False) -> tuple[object, ...]:
-    """Return the cache key of ``facing_normals``. Buffers that differ only in their points share it if these do not matter."""
-    if not _is_position_independent(buffer, light):
-        return buffer, light, with_lifts
-    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m, light
+    """Return the cache key of ``facing_normals``. Buffers that differ only in their points share it if these do not matter.
+
+    In a map they matter to a directional light only where no point is moved to the smooth ground: the ray from a moved point is
+    not tested against the facets below it. So a buffer and its moved copy (``move_to_smooth_ground``) share their normals.
+    """
+    arrays = buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m
+    if _is_position_independent(buffer, light):
+        return *arrays, light
+    if light.w == 0.0 and not with_lifts:
+        return *arrays, buffer.valid, buffer.surface, buffer.view, light
+    return buffer, light, with_lifts
 
 
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
@@ -141,6 +148,8 @@ def _write_facing_facets(
             if not ground[i, j]:
                 continue
             count = facets_at(faces, is_cut_nw_se, row[i], col[j], facets)
+            if count <= 1 and lift is None:
+                continue
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
             max_facing, best, faces_away = -np.inf, 0, False

@@ -16,6 +16,7 @@ from skugga.shadows.truth.truth import ALL_CASTER_KINDS, lit_mask, ray_scene
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.gbuffer.light_facing import facing_normals
+from skugga.terrain.gbuffer.smooth_ground import move_to_smooth_ground
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import direction_enu
@@ -334,3 +335,18 @@ def test_points_are_lifted_upwards_everywhere_on_the_globe(write_raster, make_sc
     day = buffer.valid & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
     rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
     assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.is_blocked[day].any()
+
+
+def test_points_moved_to_the_smooth_ground_keep_the_normals_of_the_others(make_ground):
+    """The two buffers share one entry of the cache, so that computing either gives the same normals for a directional light."""
+    row, col = np.mgrid[:24, :24]
+    scene, view = make_ground(60.0 * np.exp(-((row - 11.0) ** 2 + (col - 12.0) ** 2) / 30.0), 200.0, 20.0)
+    view = view.finer(8)
+    buffer = geometry_buffer(scene, view, scene.world.frame_near(view.grid.crs, *view.centre))
+    sun = scene.light_position("sun", buffer.frame)
+    moved = move_to_smooth_ground(buffer, sun)
+    own, shared = (facing_normals.__wrapped__(points, sun) for points in (moved, buffer))
+    assert own.is_lifted.sum() > 100
+    for name in ("normal_frame", "crease", "is_blocked", "is_lifted"):
+        np.testing.assert_array_equal(getattr(own, name), getattr(shared, name), err_msg=name)
+    assert facing_normals(moved, sun) is facing_normals(buffer, sun)
