@@ -128,7 +128,10 @@ def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def compute_views(rasters: Sequence[Path], folder: Path) -> None:
-    """Draw all perspective views of the bundled levels. The parameters are not used."""
+    """Draw all perspective views of the bundled levels, and the street by each algorithm that a plan may choose on another device.
+
+    The parameters are not used.
+    """
     from skugga.api.catalogue import bundled_levels
     from skugga.api.cli.snapshot import snapshot
     from skugga.api.request import ProductRequest
@@ -138,6 +141,9 @@ def compute_views(rasters: Sequence[Path], folder: Path) -> None:
         for name, view in load_level(path).level.views.items():
             if view.kind == "perspective":
                 snapshot(path, name, ProductRequest(), {}, (480, 384))
+    (street,) = (path for path in bundled_levels() if path.stem == "thesis_street")
+    for algorithm in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid"):
+        snapshot(street, "main", ProductRequest(), {"algorithm": algorithm}, (480, 384))
 
 
 def compute_masks(rasters: Sequence[Path], folder: Path) -> None:

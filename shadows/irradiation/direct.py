@@ -16,7 +16,7 @@ from skugga.shadows.irradiation.planes import PlaneNormals, normals_in_block_pla
 from skugga.shadows.irradiation.suns import SunIntervals
 from skugga.shadows.irradiation.surfaces import BlockSurfaces, ShadingSurface
 from skugga.shadows.sun_hours.sun_hours import LINES_PER_COLUMN, under_clear_sky
-from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
+from skugga.shadows.sweep.orientation import GridOrientation, copy_values
 from skugga.shadows.sweep.sweep import NodeClearance, clearance_of_nodes
 from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
@@ -141,7 +141,7 @@ def _turned_copy(raster: np.ndarray, orientation: GridOrientation) -> np.ndarray
     """Return a raster (rows, cols) in the order of an orientation of the grid."""
     view = orientation.sun_aligned_view(raster)
     out = np.empty(view.shape, view.dtype)
-    copy_in_blocks(view, out)
+    copy_values(view, out)
     return out
 
 

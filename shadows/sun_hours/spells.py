@@ -30,7 +30,7 @@ import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import evaluate_quadratic
 from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
-from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks
+from skugga.shadows.sweep.orientation import GridOrientation, copy_values
 from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_OCCLUDER_CLEARANCE = np.float32(1e6)
@@ -168,7 +168,7 @@ def sun_aligned_copy(values: np.ndarray, before: GridOrientation, after: GridOri
     """Return a copy of values (n, m) of the grid turned by ``before`` in the order of the grid turned by ``after``."""
     view = after.sun_aligned_view(before.grid_order_view(values))
     out = np.empty(view.shape, view.dtype)
-    copy_in_blocks(view, out)
+    copy_values(view, out)
     return out
 
 

@@ -76,7 +76,7 @@ class GridOrientation:
         """Return a contiguous copy of a window of ``grid_order_view``."""
         view = self.grid_order_view(values)[window]
         out = np.empty(view.shape, view.dtype)
-        copy_in_blocks(view, out)
+        copy_values(view, out)
         return out
 
     @property
@@ -92,12 +92,18 @@ def orientation_towards(rows: float, cols: float) -> GridOrientation:
     return GridOrientation(swapped, main > 0, cross > 0)
 
 
-@compiled
-def copy_in_blocks(values, out):
-    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache.
+def copy_values(values: np.ndarray, out: np.ndarray) -> None:
+    """Copy values (rows, cols) to ``out``, in blocks where one array is stored by rows and the other by columns."""
+    along = [int(np.argmin(np.abs(array.strides))) for array in (values, out)]
+    if along[0] == along[1]:
+        np.copyto(out, values)
+    else:
+        _copy_in_blocks(values, out)
 
-    This matters if one array is stored by rows and the other by columns.
-    """
+
+@compiled
+def _copy_in_blocks(values, out):
+    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache."""
     rows, cols = values.shape
     for r0 in range(0, rows, 64):
         for c0 in range(0, cols, 64):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.sweep.grid import GridWindow, allocate_bordered_grid, close_border
-from skugga.shadows.sweep.orientation import GridOrientation, copy_in_blocks, orientation_towards
+from skugga.shadows.sweep.orientation import GridOrientation, copy_values, orientation_towards
 from skugga.shadows.sweep.position_cubics import position_cubics
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.grid import Grid
@@ -111,7 +111,7 @@ class SunRays:
     def bordered_sun_aligned_copy(self, values: np.ndarray) -> np.ndarray:
         """Return values (rows, cols) float32 of the grid's nodes as a sun-aligned grid with border columns."""
         with_border, inside = allocate_bordered_grid(*(values.shape[::-1] if self.orientation.axes_swapped else values.shape))
-        copy_in_blocks(values, self.orientation.grid_order_view(inside))
+        copy_values(values, self.orientation.grid_order_view(inside))
         return close_border(with_border)
 
     def sun_aligned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> GridWindow:

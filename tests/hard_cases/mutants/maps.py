@@ -2,7 +2,27 @@
 
 from __future__ import annotations
 
-from tests.hard_cases.mutants.mutant import Mutant, cases, constant, edited, edited_shader
+from collections.abc import Callable
+
+from tests.hard_cases.mutants.mutant import Mutant, cases, constant, edited, edited_shader, wrapped
+
+
+def edited_receiver(*changes: tuple[str, str]) -> Callable[[], None]:
+    """Return a defect of the shader that looks points up in depth maps. The loops on the CPU that do the same work are off.
+
+    Tests compare the loops with the shader, point by point.
+    """
+    defects = (
+        edited_shader("shadows/maps/receiver", *changes),
+        wrapped("shadows.maps.lookup:_has_loop", lambda original: lambda depth_map, settings: False),
+    )
+
+    def apply() -> None:
+        for apply_defect in defects:
+            apply_defect()
+
+    return apply
+
 
 MUTANTS = {
     "sixteen_bits_always": Mutant(
@@ -12,7 +32,7 @@ MUTANTS = {
     ),
     "no_half_step": Mutant(
         "depths are compared without regard to their rounding",
-        edited_shader("shadows/maps/receiver", ("uses_offset ? 0.5 * depth_step : 0.0", "0.0")),
+        edited_receiver(("uses_offset ? 0.5 * depth_step : 0.0", "0.0")),
         cases("test_depth", "test_depths_are_right_to_within_a_step", "shadow_map")
         + cases("test_depth", "test_sixteen_bits_are_enough_for_mountains", "shadow_map")
         + cases("test_depth", "test_more_bits_are_taken_where_they_are_needed", "shadow_map"),
@@ -96,7 +116,7 @@ MUTANTS = {
     ),
     "triangles_before_themselves": Mutant(
         "a map's point lies behind its own triangle by the rounding that it should be before it",
-        edited_shader("shadows/maps/receiver", ("- slack_m;", "+ slack_m;")),
+        edited_receiver(("- slack_m;", "+ slack_m;")),
         cases("test_bias", "test_a_footprint_in_the_ground", "shadow_map"),
     ),
     "random_lattice": Mutant(
