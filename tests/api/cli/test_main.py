@@ -321,19 +321,6 @@ def test_compare_refuses_an_unwritable_output_at_once(run, tmp_path, option):
     assert (tmp_path / "file").read_text() == "kept"
 
 
-def test_truth_needs_no_opengl(tmp_path):
-    """Ray tracing of a map view creates no OpenGL context, and the stats record none."""
-    code = (
-        "import sys; sys.argv = ['skugga', 'render', 'jacksboro', '--size', '60x60', '--algorithm', 'truth',"
-        f" '-o', {str(tmp_path / 'x.png')!r}, '--stats', {str(tmp_path / 's.json')!r}]\n"
-        "from skugga.api.cli.main import main; main()"
-    )
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert process.returncode == 0, process.stderr
-    report = json.loads((tmp_path / "s.json").read_text())
-    assert report["device"] is None and report["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
-
-
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-inf", "1e10"])
 @pytest.mark.parametrize("command", ["render", "select"])
 def test_a_clock_beyond_its_range_is_refused(run, tmp_path, command, seconds):
