@@ -71,12 +71,13 @@ def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
 
 
 def map_on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
-    """Return ``work(part)`` of all parts, computed on several cores. With one core it runs in this thread.
+    """Return ``work(part)`` of all parts, computed on several cores. With one core, or for one part, it runs in this thread.
 
     Use ``run_in_chunks`` for the rows of a loop. Here the caller divides the work into parts. The call creates its own threads, so
     ``work`` itself may call ``run_in_chunks``.
     """
-    if cores == 1:
+    parts = list(parts)
+    if cores == 1 or len(parts) < 2:  # to start threads takes longer than the loops of a small raster
         return [work(part) for part in parts]
     with ThreadPoolExecutor(cores) as threads:
         return list(threads.map(work, parts))

@@ -1,8 +1,7 @@
-"""Run every front end with an added feature, and print their answers as JSON. ``tests.copies`` runs this on a modified
+"""Run every front end with added features, and print their answers as JSON. ``tests.copies`` runs this on a modified
 copy.
 
-``python -m tests.probe LEVEL setting|product|parameter``. Its render process draws nothing, except for a product: it
-answers with its job.
+``python -m tests.probe HILLS PLANE``. Its render process draws only the added product; otherwise it answers with its job.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from skugga.api.workers.jobs import (
     Snapshot,
     WorkerReady,
 )
-from skugga.api.workers.render_worker import run_job, run_worker
+from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.api.workers.worker_state import WorkerState, block_view
 from skugga.selector.candidates import name_of
@@ -49,12 +48,18 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 from tests.api.conftest import running
 
+PRODUCT = "steepness"
+"""Name of the added product."""
+
 TILES = "/levels/hills/tiles/WebMercatorQuad/12/2144/1432"
 TILE, SNAPSHOT, PLAN = f"{TILES}.png", "/levels/hills/snapshot.png", "/levels/hills/plan"
 
 
 def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
-    """Run a render process that answers with the job's options and the sun that it would draw under."""
+    """Run a render process that draws ``PRODUCT``, and otherwise answers with the job's options and the sun that it would
+    draw under.
+    """
+    state = WorkerState("told")
     pipe.send(WorkerReady("told"))
     while True:
         try:
@@ -64,8 +69,8 @@ def echo_worker(pipe: Connection, config: WorkerConfig) -> None:
         if isinstance(job, HeartbeatRequest):
             pipe.send(HeartbeatResponse())
             continue
-        if isinstance(job, DescriptorJob | DescriptorPlanJob):
-            pipe.send(run_job(job, WorkerState("told")))
+        if isinstance(job, DescriptorJob | DescriptorPlanJob) or getattr(job.request, "product", None) == PRODUCT:
+            pipe.send(run_job(job, state))
             continue
         sun = job.request.applied_to(build_scene(load_level(job.level.path))).sun
         payload = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
@@ -200,7 +205,10 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     import skugga
     from skugga.api.products import product_table
 
-    params, folder = {"layer": "steepness", "gain": 2}, level.parent
+    level_path, layer = f"/levels/{level.stem}", f"{level.stem}:{PRODUCT}"
+    tiles = TILES.replace("/levels/hills", level_path)
+    tile_path = f"{tiles}.png"
+    params, folder = {"layer": PRODUCT, "gain": 2}, level.parent
     raster, archive = folder / "steepness.tif", folder / "steepness.pmtiles"
 
     def value_range(array: np.ndarray, rim: int = 4) -> list[float]:
@@ -222,26 +230,26 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
         part = picture[rows[0] + 4 : rows[-1] - 3, cols[0] + 4 : cols[-1] - 3]
         return np.unique(part.reshape(-1, 4), axis=0).tolist()
 
-    output = run_skugga("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
+    output = run_skugga("compute", str(level), "--product", PRODUCT, "--gain", "2", "-o", str(raster))
     assert output[0] == 0, output
     with rasterio.open(raster) as dataset, skugga.open_level(level) as open_level:
-        command_array, python_array = dataset.read(1), open_level.compute("steepness", gain=2.0)
-    neighbour_tiles = [[fetch_values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
+        command_array, python_array = dataset.read(1), open_level.compute(PRODUCT, gain=2.0)
+    neighbour_tiles = [[fetch_values(tiles.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
     bounds = matrix_sets.get("WebMercatorQuad").xy_bounds(2144, 1432, 12)
     wms = {
-        "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": "hills:steepness", "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
+        "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": layer, "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
         "WIDTH": 200, "HEIGHT": 200, "FORMAT": "image/png", "TRANSPARENT": "TRUE", "GAIN": 2,
     }  # fmt: skip
     output = run_skugga(
-        "seed", str(level), "--zooms", "12-12", "--layer", "steepness", "--gain", "2", "--workers", "1", "-o", str(archive)
+        "seed", str(level), "--zooms", "12-12", "--layer", PRODUCT, "--gain", "2", "--workers", "1", "-o", str(archive)
     )
     assert output[0] == 0, output
     with archive.open("rb") as file:
         seeded = Reader(MmapSource(file)).get(12, 2144, 1432)
-    tile = client.get(TILE, params=params)
+    tile = client.get(tile_path, params=params)
     assert seeded == tile.content, "the archive has the tile that the service has"
-    tilejson = client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=params).json()
-    level_document = client.get("/levels/hills").json()
+    tilejson = client.get(f"{level_path}/WebMercatorQuad/tilejson.json", params=params).json()
+    level_document = client.get(level_path).json()
     documents = {
         name: client.get(address).text
         for name, address in (
@@ -251,25 +259,25 @@ def probe_product(level: Path, client: httpx.Client) -> dict[str, Any]:
     mask = ("--product", "mask", "--gain", "2", "-o", str(raster))
     return {
         "command": value_range(command_array), "python": value_range(python_array),
-        "tile": value_range(fetch_values(f"{TILES}.npy")), "double tile": value_range(fetch_values(f"{TILES}@2x.npy")),
+        "tile": value_range(fetch_values(f"{tiles}.npy")), "double tile": value_range(fetch_values(f"{tiles}@2x.npy")),
         "across blocks": value_range(np.block(neighbour_tiles)),
-        "map": value_range(fetch_values("/levels/hills/map.npy", width=300)), "colors": centre_colors(tile.content),
+        "map": value_range(fetch_values(f"{level_path}/map.npy", width=300)), "colors": centre_colors(tile.content),
         "wms": centre_colors(client.get("/wms", params=wms).content), "seeded": centre_colors(seeded),
         "map_layers": level_document["map_layers"], "products": {item["name"]: item for item in level_document["products"]},
         "tilejson": {"tiles": tilejson["tiles"][0], "legend": tilejson["skugga"]["legend"]["title"]},
-        "legend": [client.get(f"/levels/hills/legend.{kind}", params=params).headers["content-type"] for kind in ("png", "svg")],
-        **{f"{name} capabilities": ["hills:steepness" in text, "LegendURL" in text] for name, text in documents.items()},
+        "legend": [client.get(f"{level_path}/legend.{kind}", params=params).headers["content-type"] for kind in ("png", "svg")],
+        **{f"{name} capabilities": [layer in text, "LegendURL" in text] for name, text in documents.items()},
         "help": " ".join(run_skugga("compute", "--help")[1].split()),
         "openapi": parameter_by_path(client.get("/openapi.json").json(), "gain"), "docs": product_table(),
-        "tags": [client.get(TILE, params={**params, "gain": gain}).headers["etag"] for gain in (2, 3)],
+        "tags": [client.get(tile_path, params={**params, "gain": gain}).headers["etag"] for gain in (2, 3)],
         "refusals": [
-            client.get(TILE, params=query).json() for query in ({"gain": 2}, {**params, "gain": 99}, {**params, "gain": "x"})
+            client.get(tile_path, params=query).json() for query in ({"gain": 2}, {**params, "gain": 99}, {**params, "gain": "x"})
         ],
         "refused": [
             run_skugga("compute", str(level), *mask),
-            run_skugga("compute", str(level), "--product", "steepness", "--gain", "99", "-o", str(raster)),
+            run_skugga("compute", str(level), "--product", PRODUCT, "--gain", "99", "-o", str(raster)),
         ],
-        "in perspective": run_skugga("render", str(level), "--view", "across", "--layer", "steepness", "-o", str(raster)),
+        "in perspective": run_skugga("render", str(level), "--view", "across", "--layer", PRODUCT, "-o", str(raster)),
     }  # fmt: skip
 
 
@@ -287,13 +295,8 @@ def probe_parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    level_file, feature = Path(sys.argv[1]), sys.argv[2]
-    if feature == "product":
-        write_inclined_plane(level_file.with_suffix(".tif"))
-    worker = run_worker if feature == "product" else echo_worker
-    with running(create_app(Settings(workers=1), [level_file], worker)) as served:
-        print(
-            json.dumps(
-                {"setting": probe_setting, "product": probe_product, "parameter": probe_parameter}[feature](level_file, served)
-            )
-        )
+    hills, plane = Path(sys.argv[1]), Path(sys.argv[2])
+    write_inclined_plane(plane.with_suffix(".tif"))
+    with running(create_app(Settings(workers=1), [hills, plane], echo_worker)) as served:
+        probes = {"setting": (probe_setting, hills), "product": (probe_product, plane), "parameter": (probe_parameter, hills)}
+        print(json.dumps({feature: probe(level, served) for feature, (probe, level) in probes.items()}))

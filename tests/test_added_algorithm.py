@@ -373,8 +373,10 @@ def algorithm_names_by_module(root: Path) -> dict[str, set[str]]:
     names_by_module: dict[str, set[str]] = {}
     for package in ("terrain", "shadows", "selector", "api"):
         for path in (root / package).rglob("*.py"):
-            name = path.relative_to(root).as_posix()
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name, text = path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
+            if not any(algorithm in text for algorithm in PATH_BY_ALGORITHM):
+                continue  # most modules: to parse them takes seconds
+            for node in ast.walk(ast.parse(text)):
                 if (
                     isinstance(node, ast.Constant)
                     and node.value in PATH_BY_ALGORITHM

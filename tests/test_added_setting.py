@@ -7,7 +7,6 @@ files.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -84,16 +83,12 @@ A_PARAMETER: Edits = {
 PERSPECTIVE_VIEW = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0]}
 
 
-@pytest.fixture
-def probe_output(tmp_path: Path):
-    """Return ``probe_output(edits, topic)``, which returns the output of the probe on a copy with those edits."""
-
-    def run_probe(edits: Edits, topic: str) -> dict:
-        return run_module_json(
-            copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills", views={"across": PERSPECTIVE_VIEW}), topic
-        )
-
-    return run_probe
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    """Return the output of the probe on a copy with all additions, by addition."""
+    folder = tmp_path_factory.mktemp("additions")
+    levels = [write_level(folder, name, views={"across": PERSPECTIVE_VIEW}) for name in ("hills", "plane")]
+    return run_module_json(copy_with(folder, {**A_SETTING, **A_PRODUCT, **A_PARAMETER}), "tests.probe", *levels)
 
 
 def test_additions_edit_the_documented_number_of_files():
@@ -101,27 +96,27 @@ def test_additions_edit_the_documented_number_of_files():
     assert [len(edits) for edits in (A_SETTING, A_PRODUCT, A_PARAMETER)] == [1, 1, 2]
 
 
-def test_a_new_setting_appears_in_every_interface(probe_output):
-    output = probe_output(A_SETTING, "setting")
+def test_a_new_setting_appears_in_every_interface(output):
+    answers = output["setting"]
 
-    value, refusal = output["level file"]
+    value, refusal = answers["level file"]
     assert value == "bright" and "shadows.gloss" in refusal and "'dull'" in refusal
-    for name, text in output["help"].items():
+    for name, text in answers["help"].items():
         assert "--gloss" in text and "How shadows shine (dull or bright)." in text, name
 
     unused_reason = {
         "name": "gloss bright",
         "reason": "set by the request, without effect: no chosen algorithm has this setting",
     }
-    (status, _, err), reasons = output["render"]
+    (status, _, err), reasons = answers["render"]
     assert status == 0 and unused_reason in reasons, err
-    status, out, err = output["select"]
+    status, out, err = answers["select"]
     assert status == 0 and unused_reason in json.loads(out)["reasons"], err
-    assert unused_reason in output["plan of facts"]
-    status, _, err = output["refused"]
+    assert unused_reason in answers["plan of facts"]
+    status, _, err = answers["refused"]
     assert status == 2 and "gloss" in err and "loud" in err and "'bright'" in err
 
-    documented = output["openapi"]
+    documented = answers["openapi"]
     assert {path.rpartition("/")[2] for path in documented} == {
         "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "snapshot.{format}", "plan",
         "lines.json",
@@ -130,63 +125,57 @@ def test_a_new_setting_appears_in_every_interface(probe_output):
         assert parameter["description"] == "How shadows shine."
         assert {"enum": ["dull", "bright"], "type": "string"} in parameter["schema"]["anyOf"]
     for name in ("tile", "snapshot"):
-        assert json.loads(output["http"][name])[0] == {"gloss": "bright"}, "the setting reaches the render process"
-    assert output["http"]["plan"][0] == {"gloss": "bright"}
-    assert output["http"]["tilejson"][0].endswith("?gloss=bright")
-    for problem in output["refusals"]:
+        assert json.loads(answers["http"][name])[0] == {"gloss": "bright"}, "the setting reaches the render process"
+    assert answers["http"]["plan"][0] == {"gloss": "bright"}
+    assert answers["http"]["tilejson"][0].endswith("?gloss=bright")
+    for problem in answers["refusals"]:
         assert problem["status"] == 422 and problem["parameter"] == "gloss" and "'dull' or 'bright'" in problem["detail"]
-    for tags in output["tags"].values():
+    for tags in answers["tags"].values():
         assert len(set(tags)) == 2
 
-    assert '"gloss": "bright"' in output["pin"]
-    assert "Bright gloss" in output["words"]
-    assert output["candidate"].endswith("-bright")
+    assert '"gloss": "bright"' in answers["pin"]
+    assert "Bright gloss" in answers["words"]
+    assert answers["candidate"].endswith("-bright")
 
 
-def test_a_new_product_appears_in_every_interface(probe_output, tmp_path):
+def test_a_new_product_appears_in_every_interface(output):
     """The ground rises 0.75 to the east for each metre of the map. By a factor of 2 the result is 1.5 in every interface."""
-    output = probe_output(A_PRODUCT, "product")
+    answers = output["product"]
     for interface in ("command", "python", "tile", "double tile", "map", "across blocks"):
-        low, high, share = output[interface]
+        low, high, share = answers[interface]
         assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (interface, low, high)
         assert share == 1.0, f"{interface}: a share of the values is missing"
-    assert output["colors"] == output["wms"] == output["seeded"], "pictures of all interfaces have the colour of 1.5 in the scale"
-    assert len(output["colors"]) == 1 and output["colors"][0][3] == 255
+    assert answers["colors"] == answers["wms"] == answers["seeded"], "pictures of all interfaces have the colour of 1.5"
+    assert len(answers["colors"]) == 1 and answers["colors"][0][3] == 255
     assert (
-        "steepness" in output["map_layers"]
-        and {"name": "steepness", "legend": True}.items() <= output["products"]["steepness"].items()
+        "steepness" in answers["map_layers"]
+        and {"name": "steepness", "legend": True}.items() <= answers["products"]["steepness"].items()
     )
-    assert output["tilejson"]["tiles"].endswith("?layer=steepness&gain=2.0") and output["tilejson"]["legend"] == "Steepness"
-    assert output["legend"] == ["image/png", "image/svg+xml"]
+    assert answers["tilejson"]["tiles"].endswith("?layer=steepness&gain=2.0") and answers["tilejson"]["legend"] == "Steepness"
+    assert answers["legend"] == ["image/png", "image/svg+xml"]
     for capabilities in ("wms capabilities", "wmts capabilities"):
-        assert output[capabilities] == [True, True], capabilities
-    assert "steepness: Factor of the steepness." in output["help"] and "--gain" in output["help"]
-    assert {path.rpartition("/")[2] for path in output["openapi"]} == {
+        assert answers[capabilities] == [True, True], capabilities
+    assert "steepness: Factor of the steepness." in answers["help"] and "--gain" in answers["help"]
+    assert {path.rpartition("/")[2] for path in answers["openapi"]} == {
         "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "lines.json",
     }  # fmt: skip
-    assert all("Factor of the steepness." in parameter["description"] for parameter in output["openapi"].values())
-    assert "| `steepness` | made-up steepness of the ground |" in output["docs"]
-    assert output["tags"][0] != output["tags"][1]
-    for problem in output["refusals"]:
+    assert all("Factor of the steepness." in parameter["description"] for parameter in answers["openapi"].values())
+    assert "| `steepness` | made-up steepness of the ground |" in answers["docs"]
+    assert answers["tags"][0] != answers["tags"][1]
+    for problem in answers["refusals"]:
         assert problem["status"] == 422 and problem["parameter"] == "gain", problem
-    for status, _, err in output["refused"]:
+    for status, _, err in answers["refused"]:
         assert status == 2 and err.count("\n") == 1 and "gain" in err, err
-    status, _, err = output["in perspective"]
+    status, _, err = answers["in perspective"]
     assert status == 2 and "layer: 'steepness' is not allowed. Allowed: the layers of a perspective view: color" in err
 
 
-def test_without_its_record_a_product_is_unknown(probe_output):
-    """This shows that the probe depends on the record."""
-    with pytest.raises(AssertionError, match="No such option: --gain"):
-        probe_output({}, "product")
-
-
-def test_a_new_parameter_reaches_picture_and_entity_tags(probe_output):
-    output = probe_output(A_PARAMETER, "parameter")
-    assert len(output["openapi"]) == 7
-    for headline in output["http"]:
+def test_a_new_parameter_reaches_picture_and_entity_tags(output):
+    answers = output["parameter"]
+    assert len(answers["openapi"]) == 7
+    for headline in answers["http"]:
         assert json.loads(headline) == [{}, 42.0]
-    assert "raised=12" in output["tilejson"][0]
-    for tags in output["tags"].values():
+    assert "raised=12" in answers["tilejson"][0]
+    for tags in answers["tags"].values():
         assert len(set(tags)) == 2
-    assert output["refusal"]["parameter"] == "raised"
+    assert answers["refusal"]["parameter"] == "raised"

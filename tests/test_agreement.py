@@ -43,7 +43,7 @@ from tests.agreement import (
 from tests.api.conftest import Client, running
 from tests.conftest import SHARED_DATA
 
-POINTS = 1000
+POINTS = 300
 QUICK = [("hills", "winter")]
 GROUNDS = (*MADE_GROUNDS, *DATA_GROUNDS)
 

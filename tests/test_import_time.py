@@ -20,6 +20,7 @@ from skugga.api.cli.lazy_commands import COMMANDS
 from skugga.selector.cost.device_estimate import typical_profile
 from skugga.selector.cost.device_profile import save_profile
 from skugga.terrain.gl.device import renderer_and_version
+from tests.params import mark_long_except
 from tests.rasters import write_geotiff
 
 ROOT = Path(__file__).parents[1]
@@ -185,15 +186,35 @@ def test_answers_without_work_import_nothing_heavy(name, tmp_path, monkeypatch):
     assert imported_modules <= allowed, output
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_of_a_command_imports_nothing_heavy(command, tmp_path):
-    status, imported_modules, output = run_skugga([command, "--help"], tmp_path)
-    assert status == 0 and f"Usage: skugga {command}" in output
-    assert imported_modules <= HELP_MODULES[command]
+HELP_SCRIPT = """
+import sys
+from skugga.api.cli.main import main
+commands, imports = sys.argv[1:], {}
+for command in commands:
+    sys.argv[:] = ["skugga", command, "--help"]
+    try:
+        main()
+    except SystemExit as ended:
+        assert not ended.code, command
+    imports[command] = sorted(sys.modules)
+print(imports, file=sys.stderr)
+"""
 
 
-@pytest.mark.parametrize("name", COMPLETION_CASES)
-@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_help_of_commands_imports_nothing_heavy(tmp_path):
+    """One process shows the help of all commands, those with the fewest imports first."""
+    commands = sorted(HELP_MODULES, key=lambda command: len(HELP_MODULES[command]))
+    process = subprocess.run(
+        [sys.executable, "-c", HELP_SCRIPT, *commands], capture_output=True, text=True, cwd=tmp_path, check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    for command, modules in eval(process.stderr).items():
+        assert f"Usage: skugga {command}" in process.stdout
+        assert SLOW_MODULES & set(modules) <= HELP_MODULES[command], command
+
+
+@pytest.mark.parametrize(("shell", "name"), [*(("bash", name) for name in COMPLETION_CASES), ("zsh", "options")])
 def test_completion_imports_nothing_heavy(shell, name, tmp_path):
     line, word, allowed = COMPLETION_CASES[name]
     words = line.split(" ")
@@ -216,7 +237,7 @@ def _known_device() -> None:
     save_profile(typical_profile(*renderer_and_version()))
 
 
-@pytest.mark.parametrize("name", COMMAND_ARGUMENTS)
+@pytest.mark.parametrize("name", mark_long_except(COMMAND_ARGUMENTS, "levels", "shade", "sunhours", "point"))
 @pytest.mark.usefixtures("_known_device")
 def test_commands_import_only_the_libraries_they_need(name, folder):
     arguments, allowed = COMMAND_ARGUMENTS[name]

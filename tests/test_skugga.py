@@ -65,7 +65,9 @@ def test_unknown_name_is_an_attribute_error():
 
 
 def test_names_are_imported_by_star():
-    assert run_python("from skugga import *; print(shadow.__name__, OpenLevel.__name__)") == "shadow OpenLevel"
+    names: dict[str, object] = {}
+    exec("from skugga import *", names)
+    assert names["shadow"] is skugga.shadow and names["OpenLevel"] is skugga.OpenLevel
 
 
 def test_help_shows_every_name():
@@ -80,40 +82,32 @@ def test_names_survive_pickling():
         assert pickle.loads(pickle.dumps(value)) is value
 
 
-SHADE_SCRIPT = """
-import numpy
-heights = numpy.zeros((20, 20), "float32"); heights[10, 10] = 50
-array = xarray.DataArray(heights, dims=("y", "x"), coords={"y": 600.0 - 30 * numpy.arange(20), "x": 30.0 * numpy.arange(20)})
-print(int(array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=20).sum()) > 2)
-"""
-
-
-@pytest.mark.parametrize("imports", ["import skugga, xarray", "import xarray, skugga", "import skugga, rioxarray, xarray"])
-def test_arrays_of_xarray_have_the_accessor(imports):
-    """This holds for each order of imports. Warnings are errors."""
-    pytest.importorskip("rioxarray")
-    assert run_python(f"{imports}\n{SHADE_SCRIPT}") == "True"
-
-
 def test_xarray_is_not_imported_for_its_accessor():
     assert run_python("import skugga, sys; print('xarray' in sys.modules)") == "False"
 
 
+USE_ACCESSOR = """
+import importlib, numpy, sys
+name = "skugga.api.library.accessor"
+was_imported = name in sys.modules
+heights = numpy.zeros((20, 20), "float32"); heights[10, 10] = 50
+array = xarray.DataArray(heights, dims=("y", "x"), coords={"y": 600.0 - 30 * numpy.arange(20), "x": 30.0 * numpy.arange(20)})
+shadow = array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=20)
+importlib.reload(skugga)
+print(was_imported, int(shadow.sum()) > 2, type(array.skugga).__name__, xarray.DataArray.skugga.__name__)
+"""
+
+
 def test_accessor_is_imported_when_it_is_used():
+    """It is registered once, even after a reload. Warnings are errors."""
     pytest.importorskip("rioxarray")
-    code = (
-        "import skugga, xarray, sys; name = 'skugga.api.library.accessor'; before = name in sys.modules;"
-        "print(hasattr(xarray.DataArray, 'skugga'), before, type(xarray.DataArray([1]).skugga).__name__)"
-    )
-    assert run_python(code) == "True False SkuggaAccessor"
+    assert run_python(f"import skugga, xarray\n{USE_ACCESSOR}") == "False True SkuggaAccessor _accessor"
 
 
-def test_accessor_is_registered_once_after_a_reload():
+@pytest.mark.parametrize("imports", ["import xarray, skugga", "import skugga, rioxarray, xarray"])
+def test_accessor_is_registered_for_each_order_of_imports(imports):
     pytest.importorskip("rioxarray")
-    assert (
-        run_python("import skugga, xarray, importlib; importlib.reload(skugga); print(xarray.DataArray.skugga.__name__)")
-        == "_accessor"
-    )
+    assert run_python(f"{imports}; print(hasattr(xarray.DataArray, 'skugga'))") == "True"
 
 
 def test_there_is_no_accessor_without_rioxarray():

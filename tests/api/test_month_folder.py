@@ -22,7 +22,7 @@ def level(tmp_path: Path):
 
 
 def test_a_stopped_run_continues_with_its_months(level, tmp_path, monkeypatch):
-    options = {"date": "2023-01-30", "to": "2023-03-02", "per": "month", "checkpoint": tmp_path / "months"}
+    options = {"date": "2023-01-30", "to": "2023-03-02", "per": "month", "step_min": 60.0, "checkpoint": tmp_path / "months"}
     whole = level.irradiation(**{**options, "checkpoint": None})
     computed: list[int] = []
     direct = DirectLight.irradiation
@@ -43,7 +43,7 @@ def test_a_stopped_run_continues_with_its_months(level, tmp_path, monkeypatch):
 
 
 def test_other_requests_do_not_take_the_months(level, tmp_path):
-    options = {"date": "2023-06-21", "part": "beam", "checkpoint": tmp_path / "months"}
+    options = {"date": "2023-06-21", "part": "beam", "step_min": 60.0, "checkpoint": tmp_path / "months"}
     ground = level.irradiation(**options)
     level_planes = level.irradiation(**options, plane="level")
     assert len(list((tmp_path / "months").iterdir())) == 2

@@ -30,33 +30,38 @@ from tests.rasters import write_geotiff
 CELL_M = 30.0
 
 
-@pytest.fixture
-def scene(tmp_path: Path):
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory):
     """Scene of fractal mountains."""
-    built_scene = build_scene(
-        load_level(write_geotiff(tmp_path / "own.tif", fractal_heights_m(150), "EPSG:32632", 500e3, 5200e3, CELL_M))
-    )
+    raster = tmp_path_factory.mktemp("mountains") / "own.tif"
+    built_scene = build_scene(load_level(write_geotiff(raster, fractal_heights_m(150), "EPSG:32632", 500e3, 5200e3, CELL_M)))
     yield built_scene
     built_scene.close()
 
 
-def write_and_read(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **extent) -> tuple[np.ndarray, Path]:
-    """Write a raster of sun hours with steps of ``step`` minutes. Return its values (rows, cols) and its path.
+@pytest.fixture(scope="module")
+def whole_hours(scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Path]:
+    """Hours of the scene's raster, and their file."""
+    return write_and_read(scene, tmp_path_factory.mktemp("hours"))
+
+
+def write_and_read(scene: Scene, folder: Path, **extent) -> tuple[np.ndarray, Path]:
+    """Write a raster of sun hours with steps of an hour. Return its values (rows, cols) and its path.
 
     ``extent`` are arguments of ``raster_view``.
     """
-    path = folder / f"{quantity}.tif"
+    path = folder / "hours.tif"
     progress: list[tuple[int, int]] = []
-    request = sun_hours_of(date=date(2024, 3, 21), clock="utc", quantity=quantity, step_min=step)
+    request = sun_hours_of(date=date(2024, 3, 21), clock="utc", step_min=60.0)
     write_rasters(scene, raster_view(scene, **extent), [request], [path], on_step=lambda *update: progress.append(update))
     assert progress[-1][0] == progress[-1][1] and sorted(progress) == progress
     with rasterio.open(path) as dataset:
         return dataset.read(1), path
 
 
-def test_a_part_equals_the_whole(scene, tmp_path):
-    full_hours, path = write_and_read(scene, tmp_path)
-    with rasterio.open(path) as dataset, rasterio.open(tmp_path / "own.tif") as source_dataset:
+def test_a_part_equals_the_whole(scene, whole_hours, tmp_path):
+    full_hours, path = whole_hours
+    with rasterio.open(path) as dataset, rasterio.open(scene.loaded.path) as source_dataset:
         assert (dataset.transform, dataset.shape, dataset.crs) == (
             source_dataset.transform,
             source_dataset.shape,
@@ -67,8 +72,8 @@ def test_a_part_equals_the_whole(scene, tmp_path):
     np.testing.assert_array_equal(part, full_hours[70:120, 20:80])
 
 
-def test_blocks_of_sun_hours_join(scene, tmp_path, monkeypatch):
-    full_hours, _ = write_and_read(scene, tmp_path)
+def test_blocks_of_sun_hours_join(scene, whole_hours, tmp_path, monkeypatch):
+    full_hours, _ = whole_hours
     monkeypatch.setattr(module, "BARE_BLOCK_SIDE_NODES", 64)
     assert len(sun_blocks(scene, raster_view(scene).view)) == 9
     block_hours, _ = write_and_read(scene, tmp_path)
@@ -78,10 +83,9 @@ def test_blocks_of_sun_hours_join(scene, tmp_path, monkeypatch):
     )  # minutes: sweep lines run elsewhere between nodes
 
 
-def test_cells_of_another_crs_and_shape_give_the_same_hours(scene, tmp_path):
-    native_hours, path = write_and_read(scene, tmp_path)
-    (tmp_path / "far").mkdir()
-    geographic_hours, other = write_and_read(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
+def test_cells_of_another_crs_and_shape_give_the_same_hours(scene, whole_hours, tmp_path):
+    native_hours, path = whole_hours
+    geographic_hours, other = write_and_read(scene, tmp_path, crs="EPSG:4326", resolution=0.0004)
     with rasterio.open(other) as other_file, rasterio.open(path) as native_dataset:
         rows, cols = (np.random.default_rng(1).integers(10, 90, 400) for _ in range(2))
         x, y = warped(other_file.crs, native_dataset.crs, *(other_file.transform @ (cols + 0.5, rows + 0.5)))
@@ -109,7 +113,7 @@ def test_objects_reduce_hours_of_sun(gl, tmp_path):
     text = "version: 1\nterrain: {source: flat.tif}\nmeshes: [{source: house.geojson, height: high}]\nsun: none\n"
     level.write_text(text, encoding="utf-8")
     with_house = build_scene(load_level(level))
-    hours, _ = write_and_read(with_house, tmp_path, step=60.0)
+    hours, _ = write_and_read(with_house, tmp_path)
     with pytest.raises(InputError, match="height"):
         request = sun_hours_of(date=date(2024, 3, 21), clock="utc", height=1.5)
         write_rasters(with_house, raster_view(with_house), [request], [tmp_path / "a.tif"])

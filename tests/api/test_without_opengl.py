@@ -57,10 +57,22 @@ def level(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_line_draws_terrain_without_opengl(level: Path, environment: dict[str, str]):
     folder = level.parent
     picture_path, raster_path, refused_path = folder / "drawn.png", folder / "shaded.tif", folder / "refused.png"
-    size = ["--size", "200x200"]
+    stats_path, size = folder / "stats.json", ["--size", "200x200"]
     commands = [
         ["render", str(level), "-o", str(picture_path), *size],
         ["shade", str(level), "-o", str(raster_path)],
+        [
+            "render",
+            str(level),
+            "-o",
+            str(folder / "truth.png"),
+            "--algorithm",
+            "truth",
+            "--size",
+            "60x60",
+            "--stats",
+            str(stats_path),
+        ],
         ["render", str(level), "-o", str(refused_path), "--view", "eye", *size],
         ["render", str(level), "-o", str(refused_path), "--algorithm", "shadow_map", *size],
         ["calibrate"],
@@ -69,8 +81,10 @@ def test_the_command_line_draws_terrain_without_opengl(level: Path, environment:
     command = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
     process = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
     assert process.returncode == 0, process.stderr
-    map_result, mask, *opengl_results, doctor = map(json.loads, process.stdout.splitlines())
-    assert map_result == mask == [0, "", ""]
+    map_result, mask, truth, *opengl_results, doctor = map(json.loads, process.stdout.splitlines())
+    assert map_result == mask == truth == [0, "", ""]
+    report = json.loads(stats_path.read_text())
+    assert report["device"] is None and report["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
     color = snapshot(level, "map", ProductRequest(), {}, size=(200, 200)).computed.array
     with Image.open(picture_path) as picture:
         assert picture.convert("RGB").tobytes() == color[..., :3].tobytes(), "the picture equals that with OpenGL"

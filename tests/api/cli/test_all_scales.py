@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 
 from skugga.api import map_probing
+from skugga.api.cli.main import main
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.map_probing import map_block, probe_blocks, probed_scales
 from skugga.api.workers.jobs import ZoomTiles
@@ -25,14 +29,31 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
 
-@pytest.fixture
-def probe_rows(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+@pytest.fixture(scope="module")
+def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the probes that the tests save."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def written_rows(hills_level: Path, cache_folder: Path) -> list[dict]:
     """Return the rows of ``select --all-scales --write``."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
-    status, out, err = run("select", str(hills_level), "--all-scales", "--budget", "1s", "--write", "--json")
-    assert status == 0 and err.startswith("Saved to "), err
-    return list(json.loads(out))
+    arguments = ["skugga", "select", str(hills_level), "--all-scales", "--budget", "1s", "--write", "--json"]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        patch.setenv("XDG_CACHE_HOME", str(cache_folder))
+        patch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
+        patch.setattr(sys, "argv", arguments)
+        with pytest.raises(SystemExit) as exit_info:
+            main()
+    assert exit_info.value.code == 0 and err.getvalue().startswith("Saved to "), err.getvalue()
+    return list(json.loads(out.getvalue()))
+
+
+@pytest.fixture
+def probe_rows(gl, written_rows: list[dict], cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+    """Return the rows of ``select --all-scales --write`` whose probes are in the user's cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_folder))
+    return written_rows
 
 
 def saved_probe_files() -> list[Path]:
@@ -91,8 +112,8 @@ def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path
     assert len(map_probing.probe_centers(scene, coarse_m)) == 1
     places = map_probing.probe_centers(scene, fine_m)
     assert len(places) == 3 and places[0] == (0.5, 0.5)
-    coarse_probes = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
-    fine_probes = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)
+    coarse_probes = probe_blocks(scene, coarse_m, typical_device(), budget_s=0.2)
+    fine_probes = probe_blocks(scene, fine_m, typical_device(), budget_s=0.2)
     assert len(fine_probes.observations["sun"]) >= 3 > 0 < len(coarse_probes.observations["sun"])
     assert fine_probes.plan.view == "map"
 

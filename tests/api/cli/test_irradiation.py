@@ -68,7 +68,7 @@ def test_blocks_of_irradiation_join(run, raster, tmp_path, monkeypatch):
         monkeypatch.setattr(block_ground, "BLOCK_SIDE_NODES", side)
         monkeypatch.setattr(block_ground, "MIN_BLOCK_SIDE_NODES", min(side, block_ground.MIN_BLOCK_SIDE_NODES))
         path = tmp_path / f"{side}.tif"
-        status, _, error = run("irradiation", str(raster), "-o", str(path), "--date", "2024-03-21")
+        status, _, error = run("irradiation", str(raster), "-o", str(path), "--date", "2024-03-21", "--step", "60m")
         assert status == 0, error
         values.append(read(path)[0])
     difference = np.abs(values[1] - values[0])

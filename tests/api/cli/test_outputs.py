@@ -17,6 +17,7 @@ import rasterio
 from skugga.api.cli.outputs import check_output_files
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
+from tests.params import mark_long_except
 from tests.rasters import write_geotiff
 
 UTM = "EPSG:32633"
@@ -141,7 +142,7 @@ def test_contours_on_a_full_disk_keep_the_old_file(run, folder, full_disk):
         assert np.isfinite(dataset.read(1)).any()
 
 
-@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("signal_number", mark_long_except([signal.SIGTERM, signal.SIGINT], signal.SIGTERM))
 def test_an_interrupted_run_leaves_no_partial_file(folder, signal_number):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")

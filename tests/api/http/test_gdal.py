@@ -115,7 +115,7 @@ def test_wmts_driver_reads_another_time(client: Client, tmp_path):
     assert (default_dataset.pixels[valid] != dataset.pixels[valid]).any()
 
 
-@pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sky_view", "sunhours"])
+@pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sunhours"])
 def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
     """A layer of the capabilities, read as PNG at a time, equals the map of the same extent and size bit for bit."""
     time = TIME[:10] if layer == "sunhours" else TIME

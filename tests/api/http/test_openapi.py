@@ -252,7 +252,7 @@ CHECKS = (
 
 
 @pytest.mark.long
-def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: Path, tmp_path: Path):
+def test_schemathesis_finds_no_fault_in_a_minute(folder: Path, hills_level: Path, tmp_path: Path):
     """A real service answers examples, values at and past every bound, and random ones.
 
     Requests come one after the other, so that the service sheds no load.
@@ -270,14 +270,14 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
         schema_file.write_text(json.dumps(narrow_document(client.get("/openapi.json").json())), encoding="utf-8")
         command = [
             sys.executable, "-m", "schemathesis.cli", "run", str(schema_file), "--url", str(client.base_url),
-            "--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--max-examples", "30", "--max-time", "100",
+            "--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--max-examples", "30", "--max-time", "50",
             "--request-timeout", "60",
             "--generation-deterministic", "--no-color", "--warnings", "off",
         ]  # fmt: skip
         process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
         assert process.returncode == 0, process.stdout
         counters = client.service.pool.counters
-        assert counters.jobs_failed == 0 and counters.jobs_answered > 20  # 69 on a slow machine
+        assert counters.jobs_failed == 0 and counters.jobs_answered > 5, "requests reach the render process"
 
 
 def test_unsupported_method_is_405_with_allow(client: Client):

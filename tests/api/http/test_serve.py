@@ -11,7 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.api.conftest import CORNER, ZOOM
+from skugga.api.cli.main import main
+from tests.api.conftest import CORNER, ZOOM, write_level
 
 ROOT = Path(__file__).resolve().parents[3]
 TIMEOUT_S = 60
@@ -26,25 +27,6 @@ if __name__ == "__main__":
     serve(Settings(port=0, workers=1), [Path(path) for path in sys.argv[1:]])
 """
 
-INSPECT_SCRIPT = f"""
-import sys
-from pathlib import Path
-from skugga.api.http.server.app import create_app
-from skugga.api.settings import Settings
-from skugga.terrain.gl import device as gl
-from tests.api.conftest import running
-
-if __name__ == "__main__":
-    app = create_app(Settings(workers=1), [Path(sys.argv[1])])
-    assert "pvlib" not in sys.modules, "a service without requests does not import pvlib"
-    with running(app) as client:
-        tile = client.get("/levels/timed/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png")
-        assert tile.status_code == 200, tile.content
-        assert "server-timing" in tile.headers
-    assert not gl.is_device_open(), "the service's process has made an OpenGL context"
-    assert "pvlib" not in sys.modules
-"""
-
 
 @contextmanager
 def serving_process(
@@ -54,15 +36,19 @@ def serving_process(
     command = [sys.executable, "-c", SERVE_SCRIPT, *map(str, levels)]
     with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stderr is not None
-            for line in process.stderr:
-                match = re.search(log_pattern, line)
-                if match:
-                    yield process, match.group(1)
-                    return
-            raise AssertionError(f"the service ended without a log line that matches '{log_pattern}'")
+            yield process, next_log_match(process, log_pattern)
         finally:
             process.kill()
+
+
+def next_log_match(process: subprocess.Popen[str], log_pattern: str) -> str:
+    """Return the first group of the next match of ``log_pattern`` in a service's log."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        match = re.search(log_pattern, line)
+        if match:
+            return match.group(1)
+    raise AssertionError(f"the service ended without a log line that matches '{log_pattern}'")
 
 
 def is_running(pid: int) -> bool:
@@ -73,12 +59,22 @@ def is_running(pid: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("signal_number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
-def test_signal_ends_service_and_worker(hills_level: Path, signal_number: signal.Signals):
-    with serving_process([hills_level], r"render process (\d+) ready") as (process, worker):
-        process.send_signal(signal_number)
+def test_service_loads_no_opengl_and_ends_with_its_worker(folder: Path):
+    """The level's sun has a time: that needs pvlib, which imports pandas, but only in the render process."""
+    level = write_level(folder, "summer", sun={"time": "2024-06-21T18:00:00+02:00"})
+    with serving_process([level], r"on (http://\S+)") as (process, address):
+        worker = next_log_match(process, r"render process (\d+) ready")
+        with httpx.Client(base_url=address, timeout=TIMEOUT_S) as client:
+            tile = client.get(f"/levels/summer/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png")
+        assert tile.status_code == 200, tile.content
+        assert "server-timing" in tile.headers
+        libraries = [Path(f"/proc/{pid}/maps").read_text() for pid in (process.pid, worker)]
+        assert ["libEGL" in text for text in libraries] == [False, True], "only the render process has OpenGL"
+        assert ["/pandas/" in text for text in libraries] == [False, True], "only the render process imports pvlib"
+
+        process.send_signal(signal.SIGTERM)
         _, log_text = process.communicate(timeout=TIMEOUT_S)
-        assert process.returncode in (0, -signal_number)
+        assert process.returncode in (0, -signal.SIGTERM)
         assert "Traceback" not in log_text
         assert not is_running(int(worker))
 
@@ -104,20 +100,13 @@ def test_worker_ends_with_a_killed_service(hills_level: Path):
         assert not is_running(int(worker))
 
 
-def test_service_process_has_no_opengl(hills_level: Path, client):
-    timed = hills_level.with_name("timed.yaml")
-    process = subprocess.run(
-        [sys.executable, "-c", INSPECT_SCRIPT, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S
-    )
-    assert process.returncode == 0, process.stderr
-
-
-def test_invalid_level_ends_the_service_at_once(tmp_path: Path):
+def test_invalid_level_ends_the_service_at_once(tmp_path: Path, monkeypatch, capsys):
     level_file = tmp_path / "wrong.yaml"
     level_file.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
-    script = "import sys; from skugga.api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
-    command = [sys.executable, "-c", script, str(level_file)]
-    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S)
-    assert process.returncode == 2
-    assert process.stderr.count("\n") == 1
-    assert "wrong.yaml" in process.stderr and "version" in process.stderr
+    monkeypatch.setattr(sys, "argv", ["skugga", "serve", str(level_file)])
+    with pytest.raises(SystemExit) as exit_info:
+        main()
+    assert exit_info.value.code == 2
+    error_text = capsys.readouterr().err
+    assert error_text.count("\n") == 1
+    assert "wrong.yaml" in error_text and "version" in error_text

@@ -55,15 +55,16 @@ def test_sun_hours_tile_agrees_with_points(client: Client):
 
 
 def test_sun_hours_tiles_are_cached_per_date(client: Client):
-    _, answer = tile_of(client)
-    _, cached_response = tile_of(client)
+    noon = "window=11:30-12:30"
+    _, answer = tile_of(client, f"{SUN_HOURS_QUERY}&{noon}")
+    _, cached_response = tile_of(client, f"{SUN_HOURS_QUERY}&{noon}")
     assert cached_response.content == answer.content and "kept" in cached_response.headers["server-timing"]
     assert "x-skugga-caster-reach" not in answer.headers
-    summer = tile_of(client, "layer=sunhours&date=2024-06-21")[1]
+    summer = tile_of(client, f"layer=sunhours&date=2024-06-21&{noon}")[1]
     assert summer.headers["etag"] != answer.headers["etag"] and summer.content != answer.content
     path = answer.request.url.raw_path.decode()
     assert client.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
-    first = picture(tile_of(client, f"{SUN_HOURS_QUERY}&quantity=first&clock=Europe/Zurich")[1])
+    first = picture(tile_of(client, f"{SUN_HOURS_QUERY}&{noon}&quantity=first&clock=Europe/Zurich")[1])
     assert (first != picture(answer)).any()
 
 

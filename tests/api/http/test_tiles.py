@@ -104,6 +104,7 @@ def test_tiles_equal_the_pixels_of_a_larger_map(client: Client, layer: str):
     matrix_set, format = matrix_sets.get("WebMercatorQuad"), "npy" if "npy" in PRODUCTS[layer].map_formats else "png"
     first, last = matrix_set.xy_bounds(columns[0], rows[0], ZOOM), matrix_set.xy_bounds(columns[-1], rows[-1], ZOOM)
     query = {"layer": layer, **({"date": "2024-12-21"} if layer in ("irradiation", "sunhours") else {})}
+    query |= {"window": "11:00-13:00"} if layer == "sunhours" else {}
     extent = {"bbox": f"{first.left},{last.bottom},{last.right},{first.top}", "crs": "EPSG:3857", "width": 512}
 
     def read(path: str, **parameters: object) -> np.ndarray:

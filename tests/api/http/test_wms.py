@@ -158,7 +158,7 @@ def test_getmap_time_sets_the_sun(client: Client):
 
 def test_getmap_accepts_options_of_products(client: Client):
     """Keys are case-insensitive. Wrong values, and options of another product, are refused."""
-    hours = {**MAP, "LAYERS": "hills:sunhours", "TIME": "2024-12-21"}
+    hours = {**MAP, "LAYERS": "hills:sunhours", "TIME": "2024-12-21", "WINDOW": "11:30-12:30"}
     hours_picture, first = (pixels(client.get("/wms", params={**hours, **options})) for options in ({}, {"quantity": "first"}))
     assert hours_picture.any() and (hours_picture != first).any()
     for query in ({**hours, "QUANTITY": "weeks"}, {**MAP, "QUANTITY": "first"}):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -69,11 +70,23 @@ def assert_chunks_equal(product: str, lazy: xarray.DataArray, whole: xarray.Data
     assert float(error.mean()) < mean and float(error.max()) < largest
 
 
+@cache
+def whole_result(product: str, crs: str) -> xarray.DataArray:
+    """Return a product of the hills in one piece. Several tests compare with it."""
+    return PRODUCTS[product](georeferenced_hills(crs))
+
+
+PRODUCTS_BY_CRS: dict[str, list[str]] = {
+    "EPSG:4326": list(PRODUCTS), "EPSG:3035": ["hours", "horizons"], "EPSG:3031": ["shadow of a time", "first sun"],
+    "EPSG:2056": ["shadow", "sky view"], "EPSG:32633": ["shadow", "hours", "horizons"], "EPSG:3857": ["shadow", "first sun"],
+}  # fmt: skip
+"""Products that are compared in a CRS: all in degrees, and in each projection some of those that depend on it."""
+
+
 @IGNORE_NOT_GEOREFERENCED
-@pytest.mark.parametrize("crs", GRIDS_BY_CRS)
-@pytest.mark.parametrize("product", PRODUCTS)
+@pytest.mark.parametrize(("crs", "product"), [(crs, product) for crs, names in PRODUCTS_BY_CRS.items() for product in names])
 def test_chunks_equal_the_whole_in_any_crs(crs, product):
-    full_result = PRODUCTS[product](georeferenced_hills(crs))
+    full_result = whole_result(product, crs)
     assert full_result.rio.crs.to_string() == crs and full_result.notnull().any()
     lazy = PRODUCTS[product](georeferenced_hills(crs).chunk({"y": 40, "x": 70}))
     assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50)) and lazy.dtype == full_result.dtype
@@ -114,8 +127,10 @@ ROTATED_POLES: dict[str, Callable[[], xarray.DataArray]] = {
 
 
 @IGNORE_NOT_GEOREFERENCED
-@pytest.mark.parametrize("crs_form", ROTATED_POLES)
-@pytest.mark.parametrize("product", PRODUCTS)
+@pytest.mark.parametrize(
+    ("crs_form", "product"),
+    [*(("PROJ", product) for product in PRODUCTS), *((form, name) for form in ("WKT", "CF") for name in ("shadow", "first sun"))],
+)
 def test_chunks_of_a_rotated_pole_equal_the_whole(crs_form, product):
     """All forms of the CRS give the same result."""
     array = ROTATED_POLES[crs_form]()
@@ -125,7 +140,8 @@ def test_chunks_of_a_rotated_pole_equal_the_whole(crs_form, product):
     lazy = PRODUCTS[product](array.chunk(dict(zip(array.dims, (40, 70), strict=True))))
     assert lazy.chunks is not None and lazy.chunks[-2:] == ((40, 40, 10), (70, 50))
     assert_chunks_equal(product, lazy.compute(), full_result)
-    np.testing.assert_array_equal(full_result, PRODUCTS[product](ROTATED_POLES["PROJ"]()))
+    if crs_form != "PROJ":
+        np.testing.assert_array_equal(full_result, PRODUCTS[product](ROTATED_POLES["PROJ"]()))
 
 
 @IGNORE_NOT_GEOREFERENCED
@@ -176,9 +192,13 @@ def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
 
 
 @IGNORE_NOT_GEOREFERENCED
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32633"])
-@pytest.mark.parametrize("steps", [(-1, 1), (1, -1), (-1, -1)])
-@pytest.mark.parametrize("chunks", [None, {"y": 40, "x": 70}])
+@pytest.mark.parametrize(
+    ("crs", "steps", "chunks"),
+    [
+        ("EPSG:4326", (-1, 1), {"y": 40, "x": 70}), ("EPSG:4326", (1, -1), None),
+        ("EPSG:32633", (-1, -1), {"y": 40, "x": 70}), ("EPSG:32633", (1, -1), None),
+    ],
+)  # fmt: skip
 def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
     upright = georeferenced_hills(crs)
     flipped = upright.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
@@ -186,7 +206,7 @@ def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
         answer = PRODUCTS[product](flipped if chunks is None else flipped.chunk(chunks)).compute()
         xarray.testing.assert_equal(answer.y, flipped.y)
         xarray.testing.assert_equal(answer.x, flipped.x)
-        assert_chunks_equal(product, answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](upright))
+        assert_chunks_equal(product, answer.sortby("x").sortby("y", ascending=False), whole_result(product, crs))
 
 
 @IGNORE_NOT_GEOREFERENCED

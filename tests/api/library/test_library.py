@@ -193,6 +193,7 @@ def test_the_accessor_refuses_invalid_arrays(heights):
         heights.expand_dims("band").skugga.shadow(**LOW_SUN)
 
 
+@pytest.mark.long
 def test_the_layer_of_a_map_has_the_options_of_its_level(tmp_path):
     """The undeclared nodata of the raster's eastern half is no ground in the layer either."""
     heights = np.full((61, 61), 900.0, np.float32)

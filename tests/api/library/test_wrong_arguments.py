@@ -62,7 +62,8 @@ ARRAY_FUNCTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "sunlit": (skugga.sunlit, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, altitude_deg=12.0, lines=8, cores=1)),
     "horizon": (skugga.horizon, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, lines=4, cores=1)),
     "sun_hours": (
-        skugga.sun_hours, dict(height_m=GROUND, cell_m=30.0, date="2024-03-21", lat_deg=46.0, lon_deg=7.0, step_min=60.0),
+        skugga.sun_hours,
+        dict(height_m=GROUND, cell_m=30.0, date="2024-03-21", lat_deg=46.0, lon_deg=7.0, step_min=60.0, window="10:00-12:00"),
     ),
     "open_heights": (
         lambda **arguments: skugga.open_heights(**arguments).close(), dict(height_m=GROUND, transform=TRANSFORM, crs="EPSG:32633"),

@@ -91,10 +91,24 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     new_cluster.close()
 
 
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """File of rough ground."""
+    return write_ground(tmp_path_factory.mktemp("ground") / "dem.tif", rough_ground(120))
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path: Path, ground: Path) -> Run:
     """A run over rough ground that has not started."""
-    return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", ZOOMS)
+    return Run(ground, tmp_path / "out.pmtiles", ZOOMS)
+
+
+@pytest.fixture(scope="module")
+def local_archive(tmp_path_factory: pytest.TempPathFactory, ground: Path) -> bytes:
+    """Content of the archive that the run writes without a cluster."""
+    run = Run(ground, tmp_path_factory.mktemp("local") / "here.pmtiles", ZOOMS)
+    run()
+    return run.output.read_bytes()
 
 
 def seed_on_cluster(
@@ -102,7 +116,7 @@ def seed_on_cluster(
     cluster: Cluster,
     on_end: Callable[[TaskCompletion], None] = lambda end: None,
     shards: str = "",
-    cluster_timeout_s: float = 60.0,
+    cluster_timeout_s: float = 300.0,
 ) -> list[str]:
     """Seed on a cluster, and return the name of the worker that drew each task."""
     worker_names: list[str] = []
@@ -121,18 +135,8 @@ def seed_on_cluster(
     return worker_names
 
 
-def test_a_cluster_with_object_storage_writes_the_same_archive(run, cluster, tmp_path, object_store):
-    cluster.add_worker()
-    cluster.add_worker()
-    worker_names = seed_on_cluster(run, cluster, shards=f"{object_store}/dask")
-    assert len(set(worker_names)) == 2 and not (run.work / "shards").exists()
-    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    local_run()
-    assert run.output.read_bytes() == local_run.output.read_bytes()
-    assert all(name.endswith(".tiles") for name in open_store(f"{object_store}/dask").names())
-
-
-def test_dead_workers_are_replaced(run, cluster, tmp_path):
+def test_dead_workers_are_replaced_and_the_archive_is_the_same(run, cluster, local_archive, object_store):
+    """The shards are in an object store, from where the archive is written."""
     first = cluster.add_worker()
     cluster.add_worker()
     ends = 0
@@ -144,13 +148,13 @@ def test_dead_workers_are_replaced(run, cluster, tmp_path):
             first.kill()
             cluster.add_worker()
 
-    seed_on_cluster(run, cluster, kill)
-    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    local_run()
-    assert first.wait(10) == -signal.SIGKILL and run.output.read_bytes() == local_run.output.read_bytes()
+    seed_on_cluster(run, cluster, kill, shards=f"{object_store}/dask")
+    assert first.wait() == -signal.SIGKILL and run.output.read_bytes() == local_archive
+    assert not (run.work / "shards").exists()
+    assert all(name.endswith(".tiles") for name in open_store(f"{object_store}/dask").names())
 
 
-def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
+def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, local_archive):
     cluster.add_worker()
     ends = 0
 
@@ -162,9 +166,7 @@ def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
             cluster.add_worker()  # a worker ends with its scheduler
 
     seed_on_cluster(run, cluster, restart)
-    local_run = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
-    local_run()
-    assert run.output.read_bytes() == local_run.output.read_bytes()
+    assert run.output.read_bytes() == local_archive
 
 
 def test_a_slow_worker_gets_fewer_tasks(run, cluster):
@@ -175,6 +177,7 @@ def test_a_slow_worker_gets_fewer_tasks(run, cluster):
         "c.persistent_process.draw\nc.persistent_process.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
     )
     cluster.add_worker(before=slow)
+    wait_until(lambda: workers_of(cluster) == 2)  # a worker that joins late may find no task left
     counts = sorted(Counter(seed_on_cluster(run, cluster)).values())
     assert len(counts) == 2 and counts[0] < counts[1]
 
@@ -209,8 +212,8 @@ def test_render_processes_start_early_and_end_with_the_run(cluster):
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition holds. Fail after a minute."""
-    end = time.monotonic() + 60.0
+    """Wait until a condition holds. Fail after five minutes: processes of a busy machine start slowly."""
+    end = time.monotonic() + 300.0
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.1)

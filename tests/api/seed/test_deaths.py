@@ -1,4 +1,4 @@
-"""Fifty kills at random moments, of render processes and of the run itself: no work is lost, and no byte changes."""
+"""Twenty kills at random moments, of render processes and of the run itself: no work is lost, and no byte changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.api.seed.runs import rough_ground, write_ground
 
 pytestmark = pytest.mark.long
 
-DEATHS, RUN_KILL_INTERVAL = 50, 4
+DEATHS, RUN_KILL_INTERVAL = 20, 4
 """Every fourth kill hits the run itself."""
 
 SEED_OPTIONS = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
@@ -59,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_fifty_kills_do_not_change_the_archive(folder: Path):
+def test_twenty_kills_do_not_change_the_archive(folder: Path):
     rng = random.Random(28)
     subprocess.run(command(folder, "whole.pmtiles", "--workers", "1", "--json"), check=True, capture_output=True)
     deaths, done_before, runs = 0, 0, 0
@@ -96,9 +96,9 @@ def test_a_signal_ends_a_run_and_its_processes(folder: Path):
         assert run.stderr is not None and run.stderr.readline().startswith("[1/")
         children = render_processes(run.pid)
         run.send_signal(signal.SIGTERM)
-        assert run.wait(20) == 128 + signal.SIGTERM
+        assert run.wait(120) == 128 + signal.SIGTERM
     assert len(children) >= 1
-    until = time.monotonic() + 20
+    until = time.monotonic() + 120
     while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < until:
         time.sleep(0.1)
     assert not any(Path(f"/proc/{pid}").exists() for pid in children)

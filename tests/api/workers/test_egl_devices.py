@@ -52,6 +52,7 @@ def test_seeding_processes_have_device_numbers(monkeypatch: pytest.MonkeyPatch):
     assert [number for _, _, number in pool_arguments] == [0, 1, 2]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("gl")
 def test_a_service_uses_two_devices(hills_level: Path, tmp_path: Path):
     environment = {
