@@ -50,8 +50,8 @@ def shares_per_node(rows, cols):
     """Return the shares of a piece of a line in which it passes one row and one column; inf along rows or columns.
 
     The piece passes ``rows`` rows and ``cols`` columns; the shares have their signs. A piece within ``ALONG_GRID_SLOPE`` of the
-    grid's direction counts as parallel to it. Otherwise one that starts on a row and leaves it by less than its rounding error would
-    cross that row anew at every step.
+    grid's direction counts as parallel to it. Otherwise one that starts on a row and leaves it by less than its rounding error
+    would cross that row anew at every step.
     """
     least = ALONG_GRID_SLOPE * max(abs(rows), abs(cols))
     return 1.0 / rows if abs(rows) > least else np.inf, 1.0 / cols if abs(cols) > least else np.inf

@@ -109,7 +109,7 @@ class RenderedView:
         return _recent_truths[key]
 
     def _truth_key(self) -> bytes:
-        """Return a digest of all that truth depends on: the files of the level, its bodies and lights now, and the view's points."""
+        """Return a digest of all that truth depends on: the level's files, its bodies and lights now, and the view's points."""
         buffer, digest = self.buffer, sha256(repr((self.view, self.light)).encode())
         for path in sorted(self.folder.iterdir()):
             digest.update(path.name.encode())

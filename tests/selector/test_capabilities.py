@@ -210,7 +210,12 @@ def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_sc
 
 @pytest.mark.parametrize(
     ("azimuth", "name", "overrides"),
-    [(180.0, "shadow_map", {}), (0.0, "shadow_map", {"algorithm": "sweep"}), (90.0, "sweep", {}), (90.0, "sweep", {"algorithm": "sweep"})],
+    [
+        (180.0, "shadow_map", {}),
+        (0.0, "shadow_map", {"algorithm": "sweep"}),
+        (90.0, "sweep", {}),
+        (90.0, "sweep", {"algorithm": "sweep"}),
+    ],
 )
 def test_plan_draws_maps_near_a_pole_by_shadow_maps(gl, write_raster, make_scene, azimuth, name, overrides):
     """Rows of a map in degrees narrow towards the pole. Under a sun in the east, lines run along the rows."""
@@ -372,6 +377,7 @@ def test_cli_reports_a_refusal_in_one_line(level_file, monkeypatch, capsys, tmp_
     assert not (tmp_path / "x.png").exists()
 
 
+@pytest.mark.long
 def test_http_reports_a_refusal_as_a_problem(level_file):
     """The status is 422, the type ``application/problem+json``, and the parameter is named. Supported requests are drawn."""
     with running(create_app(Settings(workers=1), [level_file(ground) for ground in ("level", "uneven", "earth")])) as client:
