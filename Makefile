@@ -22,7 +22,7 @@ help:
 	@echo "make run           set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
-	@echo "make test-thorough all hard cases at length by all algorithms, about an hour"
+	@echo "make test-thorough all hard cases at length by all algorithms, goldens on another rasteriser; over an hour"
 	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
 	@echo "make test-clients  QGIS, GDAL's tools and nginx before a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
@@ -51,7 +51,7 @@ test-long: setup
 
 # The hard cases by all algorithms, at length: for whoever changes one of these, and before docs/hard-cases.md is written anew.
 test-thorough: setup
-	$(PYTEST) -n 2 --dist loadfile -m thorough $(or $(ARGS),tests/hard_cases)
+	$(PYTEST) -n 2 --dist loadfile -m thorough $(ARGS)
 
 # Without the viewer and the map clients there is nothing to test: here they have to be had.
 test-browser: setup viewer $(MAP_CLIENTS) chromium

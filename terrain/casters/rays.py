@@ -128,7 +128,8 @@ class RayScene:
             raise RenderError("embreex: the package is not installed. Run: pip install 'skugga[truth]'.") from None
 
         scene = rtcore_scene.EmbreeScene(robust=True)
-        for vertices, triangles in parts:
+        for all_vertices, all_triangles in parts:
+            vertices, triangles = _drop_unused_vertices(all_vertices, all_triangles)
             local = np.nan_to_num(vertices - self._centre).astype(np.float32)
             mesh_construction.TriangleMesh(scene, local, np.ascontiguousarray(triangles, np.int32))
         return scene
@@ -189,6 +190,18 @@ class RayScene:
             active = active[~opaque]
         stopped[active] = True
         return stopped
+
+
+def _drop_unused_vertices(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (n, 3) that triangles (m, 3) use, and the triangles with their indices.
+
+    Nodes off the raster, most of those of some sheets, have no triangles, and Embree would store them all.
+    """
+    if len(triangles) >= len(vertices):  # as good as all are used
+        return vertices, triangles
+    is_used = np.zeros(len(vertices), np.bool_)
+    is_used[triangles] = True
+    return vertices[is_used], (np.cumsum(is_used) - 1)[triangles]
 
 
 def bounding_box(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -183,7 +183,10 @@ def _trace_blocked(heights, block_max, row, col, height, d_row, d_col, rise, ben
                     break
                 block_row, block_col = int(r) // side, int(c) // side
                 if up >= 0.0 and h > block_max[block_row, block_col]:
-                    t = exit_share(r0, per_row, c0, per_col, block_row * side, block_col * side, float(side), t) + epsilon
+                    # The first blocks include the margin before the raster. A ray along it would leave them anew at every step.
+                    top = block_row * side if block_row else -ENTRY_STEP_CELLS
+                    left = block_col * side if block_col else -ENTRY_STEP_CELLS
+                    t = exit_share(r0, per_row, c0, per_col, top, left, float(side), t) + epsilon
                     continue
                 row_before, row_after, row_fraction = cell_interval(r, rows)
                 col_before, col_after, col_fraction = cell_interval(c, cols)

@@ -102,6 +102,7 @@ def test_writing_tables_between_marks_is_idempotent():
     assert replace_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
 
 
+@pytest.mark.long
 def test_alternating_sides_of_equal_code_draw_equal_frames():
     """Both sides are this checkout. With a moved sun and camera everything is drawn again. Without changes the map is cached."""
     measurements = FrameMeasurements()

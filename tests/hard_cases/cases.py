@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -65,6 +66,12 @@ MIN_CAST_SHADOW_PX = 100
 RECORD_PROPERTY = "hard_case"
 """The key under which a test reports its figures."""
 
+MAX_RECENT_TRUTHS = 64
+"""Maximum number of truths that are kept for further algorithms: more than any case has."""
+
+_recent_truths: dict[bytes, Truth] = {}
+"""The latest truths, oldest first."""
+
 View = MapView | PerspectiveView
 
 
@@ -84,6 +91,7 @@ class RenderedView:
     casters: Casters
     visibility: np.ndarray
     log: PassLog
+    folder: Path
 
     @property
     def dark(self) -> np.ndarray:
@@ -92,8 +100,31 @@ class RenderedView:
 
     @cached_property
     def truth(self) -> Truth:
-        """Ray-traced truth of the view."""
-        return trace_truth(self.buffer, self.scene, self.casters, light=self.light)
+        """Ray-traced truth of the view, computed once for all algorithms that draw the same points of the same scene."""
+        key = self._truth_key()
+        if key not in _recent_truths:
+            while len(_recent_truths) >= MAX_RECENT_TRUTHS:
+                del _recent_truths[next(iter(_recent_truths))]
+            _recent_truths[key] = trace_truth(self.buffer, self.scene, self.casters, light=self.light)
+        return _recent_truths[key]
+
+    def _truth_key(self) -> bytes:
+        """Return a digest of all that truth depends on: the level's files, its bodies and lights now, and the view's points."""
+        buffer, digest = self.buffer, sha256(repr((self.view, self.light)).encode())
+        for path in sorted(self.folder.iterdir()):
+            digest.update(path.name.encode())
+            digest.update(path.read_bytes().replace(str(self.folder).encode(), b""))
+        scene = self.scene
+        state = scene.sun, scene.world.curvature, scene.clock_seconds, scene.lamp_overrides, self.casters.patches
+        digest.update(repr(state).encode())
+        solids = scene.objects.solids
+        for array in (
+            buffer.position_frame_m, buffer.valid, buffer.normal_frame, buffer.crease, buffer.surface_kind, buffer.lift_m,
+            None if solids is None else solids.vertices_earth_m,
+        ):  # fmt: skip
+            if array is not None:
+                digest.update(np.ascontiguousarray(array))
+        return digest.digest()
 
     @cached_property
     def errors(self) -> ErrorMetrics:
@@ -183,7 +214,7 @@ class Trial:
         visibility = fill_steps(plan.steps_of_light(light), buffer, scene, casters, plan.effect_names, log)
         visibility[attached_shadow_mask(buffer, scene, light)] = 0.0
         visibility[~buffer.valid] = np.nan
-        return RenderedView(scene, view, plan, light, buffer, casters, visibility, log)
+        return RenderedView(scene, view, plan, light, buffer, casters, visibility, log, self.folder)
 
 
 Measure = Callable[[Trial], Mapping[str, float]]

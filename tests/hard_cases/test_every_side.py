@@ -57,7 +57,7 @@ def raster_shadow(trial: Trial, heights: np.ndarray, sun: tuple[float, float], p
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_CASTER_KINDS)
         return buffer.valid & (attached_shadow_mask(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
-    return trial.render_view(scene, view, map_size=4096 if trial.thorough else 1024).dark
+    return trial.render_view(scene, view, map_size=4096 if trial.thorough else 512).dark
 
 
 @hard_case(

@@ -23,7 +23,10 @@ ALL_GOLDENS_FILTER = " and ".join(f"not {name}" for name in UNSUPPORTED_LEVELS)
 
 @pytest.mark.parametrize(
     ("test_filter", "count"),
-    [(FEW_GOLDENS_FILTER, 6), pytest.param(ALL_GOLDENS_FILTER, 28, marks=pytest.mark.long)],
+    [
+        pytest.param(FEW_GOLDENS_FILTER, 6, marks=pytest.mark.long),
+        pytest.param(ALL_GOLDENS_FILTER, 28, marks=pytest.mark.thorough),
+    ],
     ids=["few", "all"],
 )
 def test_goldens_on_softpipe(gl, test_filter, count):

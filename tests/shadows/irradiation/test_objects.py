@@ -86,6 +86,7 @@ def test_trees_let_their_share_through(level_with_objects):
     assert opaque[shaded_by_wood] < 0.9 * clear[shaded_by_wood]
 
 
+@pytest.mark.long
 def test_far_mountains_shade_a_village_as_they_shade_bare_ground():
     """Cells so small that far ground is coarser: behind the cells it casts no shadow, towards the sun it does."""
     x, y = Transformer.from_crs(4326, 32616, always_xy=True).transform(-84.1584, 36.2273)

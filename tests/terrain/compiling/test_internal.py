@@ -78,9 +78,10 @@ def _internal_loops_named_in_python(module: ast.Module) -> Iterator[str]:
 def _internal_loops_of(name: str) -> set[str]:
     """Return the names of a module's loops that only other loops call; empty if the module has no file."""
     path = ROOT / f"{name.replace('.', '/')}.py"
-    if not path.is_file():
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    if "@internal" not in text:
         return set()
-    body = ast.parse(path.read_text(encoding="utf-8")).body
+    body = ast.parse(text).body
     return {node.name for node in body if isinstance(node, ast.FunctionDef) and _loop_decorator(node) == "internal"}
 
 

@@ -57,3 +57,16 @@ def test_rays_along_a_row_pass_many_cells(across: float, is_transposed: bool) ->
     field = np.ascontiguousarray(heights_m.T) if is_transposed else heights_m
     for rise, meets_the_wall in ((98.0e-5, True), (101.0e-5, False)):
         assert is_blocked(field, *start[swap], towards[swap], np.array([rise])).tolist() == [meets_the_wall]
+
+
+@pytest.mark.timeout(30, method="thread")
+@pytest.mark.parametrize("is_transposed", [False, True])
+def test_rays_along_the_first_row_pass_many_cells(is_transposed: bool) -> None:
+    """A ray in the margin before the first row, which it slowly leaves, must not leave that row anew at every step."""
+    heights_m = np.zeros((2, 4000), np.float32)
+    heights_m[:, -2:] = WALL_M
+    start, towards = np.array([[-1e-9], [2.0]]), np.array([[-2e-10], [1.0]])
+    swap = slice(None, None, -1) if is_transposed else slice(None)
+    field = np.ascontiguousarray(heights_m.T) if is_transposed else heights_m
+    for rise, meets_the_wall in ((0.024, True), (0.026, False)):
+        assert is_blocked(field, *start[swap], towards[swap], np.array([rise])).tolist() == [meets_the_wall]
