@@ -109,11 +109,13 @@ def _sun_options(raster: Path) -> list[object]:
 def compute_maps(rasters: Sequence[Path], folder: Path) -> None:
     """Draw blocks of ``rasters`` that have only relief, from several directions of the sun. ``folder`` is not used.
 
-    A render process also draws the shadow of a wall when it starts.
+    A render process also draws the shadow of a wall when it starts, and times a device that is not calibrated.
     """
+    from skugga.api.device_calibration import calibration
     from skugga.api.workers.warm_up import warm_up
 
     warm_up(needs_opengl=True)
+    calibration()
     _draw_blocks(rasters, ["shadow"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
 
 
