@@ -167,11 +167,17 @@ def test_shown_visibility_is_kept_per_light(gl, tower):
     np.testing.assert_array_equal(sun_frame.opacity, frame.opacity)
 
 
+def turn_loops_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let shaders look up the points of maps, as they do for lamps and for the sun's disc."""
+    monkeypatch.setattr(lookup, "_has_loop", lambda depth_map, settings: False)
+
+
 @pytest.mark.parametrize(("place", "light"), [("ridge", (250, 12)), ("tower", (110, 40))])
 def test_lookup_of_gathered_points_equals_all_points(gl, place, light, request, monkeypatch):
     scene = request.getfixturevalue(place).with_sun(SunSpec(azimuth=light[0], altitude=light[1]))
     gathered_counts: list[int] = []
     in_rows = lookup._reshape_to_rows
+    turn_loops_off(monkeypatch)
     monkeypatch.setattr(lookup, "_reshape_to_rows", lambda values: (gathered_counts.append(len(values)), in_rows(values))[1])
     gathered_frame = render(scene, view_of(scene), algorithm="shadow_map")
     assert gathered_counts and 0 < max(gathered_counts) < SIDE_M * SIDE_M
@@ -186,6 +192,7 @@ def test_lookup_of_gathered_points_equals_all_points(gl, place, light, request, 
 @pytest.mark.parametrize(("place", "filter"), [("ridge", 1), ("tower", 3), ("ridge", 5)])
 def test_lookup_shortcut_for_empty_maps_keeps_the_picture(gl, place, filter, request, monkeypatch):
     scene = request.getfixturevalue(place)
+    turn_loops_off(monkeypatch)
     shortcut_frame = render(scene, view_of(scene, SMALL_SIDE_PX), algorithm="shadow_map", filter=filter)
     original = type(gl).program
 

@@ -15,6 +15,7 @@ import pyogrio
 import pytest
 import shapely
 
+from skugga.shadows.maps import lookup
 from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
@@ -232,12 +233,17 @@ def test_programs_are_compiled_on_demand(gl, build, monkeypatch):
     assert any("shadows/maps/depth_tree.frag" in label.split() for label in gl.programs)
 
 
-def test_program_labels_name_compiled_constants(gl, build):
-    """Map points share triangles and are looked up by shaders. Points of perspective views are looked up by a loop."""
+def test_program_labels_name_compiled_constants(gl, build, monkeypatch):
+    """Points of maps and of perspective views are looked up by loops, or else by shaders."""
     for taps in (1, 3):
         loops = record_of(render_uncached(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility").loops
         assert loops[0].split() == ["shadows/maps/point_lookup", f"taps={taps}"]
-        visibility = record_of(render_uncached(build(), "map", algorithm="shadow_map", filter=taps, map_size=256), "visibility")
+        map_settings = {"algorithm": "shadow_map", "filter": taps, "map_size": 256}
+        loops = record_of(render_uncached(build(), "map", **map_settings), "visibility").loops
+        assert loops[0].split() == ["shadows/maps/map_point_lookup", f"taps={taps}"]
+        with monkeypatch.context() as patch:
+            patch.setattr(lookup, "_has_loop", lambda depth_map, settings: False)
+            visibility = record_of(render_uncached(build(), "map", **map_settings), "visibility")
         assert visibility.loops == ()
         assert f"taps={taps}" in visibility.programs[0].split() and "shadows/maps/shadow_map.frag" in visibility.programs[0].split()
         assert {"depth_map", "position_frame_m"} <= set(visibility.textures)
