@@ -59,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_twenty_kills_do_not_change_the_archive(folder: Path):
+def test_kills_do_not_change_the_archive(folder: Path):
     rng = random.Random(28)
     subprocess.run(command(folder, "whole.pmtiles", "--workers", "1", "--json"), check=True, capture_output=True)
     deaths, done_before, runs = 0, 0, 0

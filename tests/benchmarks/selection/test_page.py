@@ -19,7 +19,7 @@ def test_only_the_tables_between_the_marks_change():
     assert with_tables(text, "new\n") == f"before\n{START}new\n{END}after\n"
 
 
-@pytest.mark.long
+@pytest.mark.thorough  # all choices of all policies are judged again, which takes several minutes
 def test_the_page_agrees_with_the_measured_table():
     """``python -m benchmarks.selection judge --write`` updates the page."""
     text = PAGE.read_text(encoding="utf-8")
