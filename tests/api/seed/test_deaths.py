@@ -19,8 +19,8 @@ from tests.api.seed.runs import rough_ground, write_ground
 
 pytestmark = pytest.mark.long
 
-DEATHS, RUN_KILL_INTERVAL = 20, 4
-"""Every fourth kill hits the run itself."""
+DEATHS, RUN_KILL_INTERVAL = 10, 3
+"""Every third kill hits the run itself."""
 
 SEED_OPTIONS = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
 
