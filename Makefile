@@ -49,7 +49,8 @@ test: setup $(if $(CI),viewer,viewer-if-possible)
 test-long: setup
 	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "long and not browser" $(ARGS)
 
-# The hard cases by all algorithms, at length: for whoever changes one of these, and before docs/hard-cases.md is written anew.
+# The hard cases by all algorithms, at length, and other checks of minutes: for whoever changes an algorithm or a policy, and before
+# docs/hard-cases.md is written anew.
 test-thorough: setup
 	$(PYTEST) -n 2 --dist loadfile -m thorough $(ARGS)
 

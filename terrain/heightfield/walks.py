@@ -62,8 +62,8 @@ def exit_share(r0, per_row, c0, per_col, top, left, side_quads, min_share):
     """Return the position on a piece of a line, as a share of its length, at which it leaves a square of the grid.
 
     The piece starts at row ``r0`` and column ``c0``. It passes one row in the share ``per_row`` of its length and one column in
-    ``per_col`` (``shares_per_node``). The square has its first corner at ``top``
-    and ``left``, and a side of ``side_quads`` quads. The result is at least ``min_share``.
+    ``per_col`` (``shares_per_node``). The square has its first corner at ``top`` and ``left``, and a side of ``side_quads`` quads.
+    The result is at least ``min_share``.
     """
     share = np.inf
     if per_row < np.inf:
