@@ -10,6 +10,8 @@ Most pictures have pixels between the nodes. Their ground comes from one geometr
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
@@ -22,6 +24,7 @@ from skugga.terrain.casters.caster_types import NO_CASTERS
 from skugga.terrain.casters.reach import find_reach_of_nodes
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import apply_sky_view
+from skugga.terrain.effects.texture_shading import texture_factor
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
@@ -35,7 +38,10 @@ from skugga.terrain.shading import shaded_ground_srgb, slope_sky_view_factor
 SKY_VIEW_PASS = "sky_view"
 """Name of the effect that darkens ground with little visible sky, and of its pass."""
 
-SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, REFRACTION_PASS})
+TEXTURE_PASS = "texture_shading"
+"""Name of the effect that brightens ridges and darkens valleys, and of its pass."""
+
+SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, TEXTURE_PASS, REFRACTION_PASS})
 """Effects that this path supports."""
 
 
@@ -79,6 +85,10 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     if SKY_VIEW_PASS in plan.effect_names:
         with log.record_pass(SKY_VIEW_PASS):
             pass  # the ground already includes its sky view
+    if TEXTURE_PASS in plan.effect_names:
+        with log.record_pass(TEXTURE_PASS):
+            textured_share = ground.visible_sky_share * texture_factor(scene, ground.window_view)
+            ground = replace(ground, visible_sky_share=textured_share)
     with log.record_pass(SHADING_PASS):
         color = shaded_ground_srgb(ground, scene, lit) if "color" in needs else None
         opacity = np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)

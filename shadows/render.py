@@ -307,7 +307,7 @@ def render_block(
     shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
         picture, shading_visibilities = anti_alias_block(scene, plan, own_pixels, visibilities, log)
-    block = ShadingBlock(scene, view, picture.buffer, shading_visibilities)
+    block = ShadingBlock(scene, view, picture.buffer, shading_visibilities, picture)
     linear = _shade_block(block, plan, log)
     with log.record_pass(SHADING_PASS):
         if not isinstance(view, MapView):

@@ -41,7 +41,7 @@ FLAT_GROUND_ALBEDO = 0.42
 NORTH_EARTH, ZERO_VECTOR = np.array([0.0, 0.0, 1.0]), np.zeros(3)
 """The earth's axis, and its placeholder where latitude has no effect."""
 
-SKY_IRRADIANCE_SHARE = 0.28
+SKY_IRRADIANCE_SHARE = 0.42
 """Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``MIN_EXPOSURE_SUN_ALTITUDE_DEG``."""
 
 LEVEL_GROUND_EXPOSURE = 0.86

@@ -20,6 +20,15 @@ TONE_CURVE_START, TONE_CURVE_RANGE = 0.6, 0.4
 MIN_SLOPE_SKY_FACTOR = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
+OBJECT_SUNWARD_SHARE = 0.4
+"""Factor of the sunward share of sky light on buildings and trees.
+
+Styles choose that share for relief inside shadow. On walls, which are vertical, it would leave no light on the far side.
+"""
+
+GROUND_REFLECTANCE = 0.2
+"""Share of the light on level ground that reaches buildings and trees from below: the usual albedo of land."""
+
 MIN_SUN_ALTITUDE_COSINE = 0.15
 """Lower bound of the cosine of the sun's altitude, by which the loops divide.
 
@@ -242,12 +251,15 @@ def shade_rows(
             cos_zenith = n[0] * ux + n[1] * uy + n[2] * uz
             cos_sun = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
             if has_sun:
+                sunward_share = directional_share if kind[i, j] == RELIEF else OBJECT_SUNWARD_SHARE * directional_share
                 if kind[i, j] == RELIEF and not has_true_slopes:
                     cos_sun, cos_zenith = _exaggerated_cosines(cos_sun, cos_zenith, sine, exaggeration, limit)
-                sky_view = sky_view * _slope_sky_factor(cos_sun, cos_zenith, sine, directional_share)
+                sky_view = sky_view * _slope_sky_factor(cos_sun, cos_zenith, sine, sunward_share)
                 if kind[i, j] == RELIEF:
                     cos_sun = _slope_direct_light(cos_sun, sine, terminator)
             sky_light_share = night + (1.0 - night) * twilight_sky_share(sine)
+            visible_ground_share = 0.0 if kind[i, j] == RELIEF else 0.5 * (1.0 - cos_zenith)
+            level_direct = max(sine, 0.0) * _direct_fade(sine)
             direct = (translucent_share + (1.0 - translucent_share) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
@@ -263,6 +275,8 @@ def shade_rows(
                 light = surface_color[k] * sun[k] * direct + (surface_color[k] + greying * (grey - surface_color[k])) * sky[k] * (
                     sky_light_share * sky_view
                 )
+                ground_light = GROUND_REFLECTANCE * (sun[k] * level_direct + sky[k] * sky_light_share)
+                light += surface_color[k] * ground_light * visible_ground_share
                 if lamplight is not None:
                     light += surface_color[k] * lamplight[i, j, k]
                 light = tone_curve(light)

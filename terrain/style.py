@@ -75,6 +75,8 @@ class Style:
         Share of the sky's light that comes from the sun's side, 0 to 1.
     terminator_light_share
         Share of level ground's direct light below which slopes fade into attached shadow; 0: Lambert's law alone.
+    texture_strength
+        Maximum share by which ridges and valleys of a map change the sky's light (``skugga.terrain.effects.texture_shading``).
     air_veil_share, air_veil_scale_height_m
         Share of the veil at height 0, and the height in metres over which it falls to 1/e.
     slope_exaggeration, max_shaded_slope
@@ -96,6 +98,7 @@ class Style:
     sky_light_desaturation: float = 0.6
     sunward_sky_light_share: float = 0.75
     terminator_light_share: float = 0.5
+    texture_strength: float = 0.55
     air_veil_share: float = 0.0
     air_veil_scale_height_m: float = 1500.0
     slope_exaggeration: float = 1.0
@@ -135,14 +138,14 @@ STYLES = {
         Style(
             "urban", "light stone for streets and roofs; the edges of buildings are not exaggerated",
             ((0.0, "#e4e0d8"),),
-            sky_light_desaturation=0.8, sunward_sky_light_share=0.3, max_shaded_slope=0.7,
+            sky_light_desaturation=0.8, sunward_sky_light_share=0.3, texture_strength=0.0, max_shaded_slope=0.7,
             has_natural_ground=False,
         ),
         Style(
             "analysis", "white ground, plain Lambert's law, even blue shadow: to look at the shadows themselves",
             ((0.0, "#f4f4f4"),),
             sunlight_color=(1.0, 1.0, 1.0), sky_light_color=(0.42, 0.60, 1.0), sky_light_desaturation=1.0,
-            sunward_sky_light_share=0.0,
+            sunward_sky_light_share=0.0, texture_strength=0.0,
             terminator_light_share=0.0, min_exaggerated_pixel_m=np.inf, has_natural_ground=False,
         ),
     )

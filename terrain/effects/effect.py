@@ -14,6 +14,7 @@ import numpy as np
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -69,12 +70,19 @@ class ShadingBlock:
         pixels (``skugga.terrain.gbuffer.antialias``).
     visibilities
         Visible share of each light, by name, in [0, 1], (rows, cols): 0 in shadow.
+    picture
+        The picture that the buffer belongs to, with the pixels of its samples. ``None`` if the buffer has no samples.
     """
 
     scene: Scene
     view: MapView | PerspectiveView
     buffer: GeometryBuffer
     visibilities: dict[str, np.ndarray]
+    picture: MultisampledBuffer | None = None
+
+    def pixels_of_points(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns (n,) of the view's pixels to which the buffer's points at ``row`` and ``col`` (n,) belong."""
+        return (row, col) if self.picture is None else self.picture.pixels_of_points(row, col)
 
 
 class PixelSize(NamedTuple):

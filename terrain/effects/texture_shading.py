@@ -1,0 +1,99 @@
+"""Texture shading: in maps, ridges receive more of the sky's light and valleys less, so that relief inside shadow stays readable.
+
+**Rendering.** The sky light of ground in a map is multiplied by ``1 + strength * tanh(GAIN * texture / pixel)``. The texture is the
+fractional Laplacian of the heights at the map's pixels (``skugga.terrain.ground.texture``). It has no direction, so it also shows
+ridges that run along the sun's rays. Shadows and direct light do not change. Buildings and trees keep their light.
+
+**Predicate.** The texture of a pixel is at most a constant times the steepest slope, by the triangle inequality. The effect is not
+needed if that bound darkens no surface that only the sky lights by more than a step of 255.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
+from skugga.terrain.effects.sky_view import max_darkening_steps, max_sky_lit_color
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.surface import Surface, map_pixel_m
+from skugga.terrain.ground.texture import RADIUS_NODES, max_texture_per_slope, relief_texture
+from skugga.terrain.scene import Scene
+
+GAIN = 5.0
+"""Factor of the texture per pixel. Natural relief, with a root mean square of 0.05 to 0.11, then changes light by 0.25 to 0.5."""
+
+
+def judge(descriptor: Descriptor) -> Verdict:
+    """Return whether the effect is needed, with the reason."""
+    facts = descriptor.facts["texture_shading"]
+    if not facts:
+        return Verdict(False, "a perspective view, not a map")
+    strength, brightest = facts["strength"], facts["sky_lit"]
+    assert isinstance(strength, float) and isinstance(brightest, float)
+    if strength == 0.0:
+        return Verdict(False, "the style has no texture shading")
+    slope = float(np.tan(np.radians(descriptor.highest_slope_deg)))
+    change = strength * float(np.tanh(GAIN * float(facts["exaggeration"]) * max_texture_per_slope() * slope))
+    steps = max_darkening_steps(brightest, change)
+    text = f"ridges and valleys change the sky's light by up to {100.0 * change:.2g} %: "
+    return Verdict(True, f"{text}{steps} steps of 255") if steps > 1 else Verdict(False, f"{text}at most one step of 255")
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
+    """Return the facts of texture shading. The result is empty for a perspective view.
+
+    - ``strength``: maximum share by which the style changes the sky's light.
+    - ``exaggeration``: the style's factor of slopes in this map.
+    - ``sky_lit``: the brightest linear colour of ground that only the sky lights.
+    """
+    if not isinstance(view, MapView):
+        return {}
+    return {
+        "strength": scene.style.texture_strength,
+        "exaggeration": scene.style.slope_exaggeration_at(map_pixel_m(scene.world, view)),
+        "sky_lit": max_sky_lit_color(scene, view),
+    }
+
+
+def apply_texture_shading(skylight: np.ndarray, block: ShadingBlock) -> None:
+    """Multiply the sky light of a map's ground by its texture factor. Samples of a pixel get the factor of the pixel."""
+    assert isinstance(block.view, MapView)
+    factor = texture_factor(block.scene, block.view)
+    is_ground = block.buffer.surface_kind == RELIEF
+    own_rows = slice(0, block.view.rows)
+    np.multiply(skylight[own_rows], factor, out=skylight[own_rows], where=is_ground[own_rows])
+    if len(skylight) > block.view.rows:
+        row, col = np.nonzero(is_ground[block.view.rows :])
+        row += block.view.rows
+        skylight[row, col] *= factor[block.pixels_of_points(row, col)]
+
+
+def _cache_key(scene: Scene, view: MapView) -> tuple[object, ...]:
+    """Return the cache key of ``texture_factor``: its result does not depend on the sun."""
+    return scene.world, scene.elevation, view, scene.style.texture_strength, scene.style.slope_exaggeration
+
+
+@cached("scene", 96 * MIB, key=_cache_key)
+def texture_factor(scene: Scene, view: MapView) -> np.ndarray:
+    """Return the factor of sky light in each pixel of a map, float32 (rows, cols); 1 without ground."""
+    pixels, style = view.with_pixels_as_nodes(), scene.style
+    pixel_m = map_pixel_m(scene.world, view)
+    surface = Surface(scene.world, scene.elevation, pixels.grid)
+    nodes = surface.height_window(
+        int(pixels.row0) - RADIUS_NODES, int(pixels.col0) - RADIUS_NODES, pixels.rows + 2 * RADIUS_NODES,
+        pixels.cols + 2 * RADIUS_NODES,
+    )  # fmt: skip
+    texture = relief_texture(nodes.height_m)
+    texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / pixel_m)
+    return np.float32(1.0) + np.float32(style.texture_strength) * np.tanh(texture, out=texture)
+
+
+EFFECT = Effect(
+    "texture shading: in maps, ridges get more of the sky's light and valleys less", judge, facts, "skylight", apply_texture_shading
+)
