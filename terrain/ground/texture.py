@@ -3,8 +3,8 @@
 The filter multiplies a heightfield's spectrum by the frequency to the power ``EXPONENT`` (L. Brown 2010, *Texture shading: a new
 technique for depicting terrain relief*). Ridges and valleys of all sizes show at once, whatever side the light comes from.
 
-The filter here is its kernel, tapered to 0 at ``RADIUS_NODES``. So a node's texture depends on its surroundings alone, and blocks of
-a map meet without a seam. The taper cuts off landforms that are several times as wide as the radius.
+The filter here is its kernel, tapered to 0 at ``RADIUS_NODES``. So a node's texture depends on its surroundings alone, and
+blocks of a map meet without a seam. The taper cuts off landforms that are several times as wide as the radius.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from skugga.terrain.cache import MIB, cached
 EXPONENT = 0.8
 """Exponent of the frequency: 0 returns the heights, 2 their curvature. Lower exponents show larger landforms.
 
-At 0.8 the texture over the spacing of nodes has the same size on natural relief at all scales: its root mean square is 0.05 to 0.11
-for cells of 1 to 925 m (12 rasters of mountains, hills and coasts), and 0.006 on a plain.
+At 0.8 the texture over the spacing of nodes has about the same size on natural relief at all scales: its root mean square is 0.05 to
+0.15 for cells of 1 to 1,000 m (11 rasters of mountains, hills and coasts), and 0.008 on a plain.
 """
 
 RADIUS_NODES = 64
@@ -34,7 +34,8 @@ def relief_texture(height_m: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     height_m
-        float32 (rows + 2 ``RADIUS_NODES``, cols + 2 ``RADIUS_NODES``), metres: the nodes and their surroundings; NaN without ground.
+        float32 (rows + 2 ``RADIUS_NODES``, cols + 2 ``RADIUS_NODES``), metres: the nodes and their surroundings. NaN without
+        ground.
 
     Returns
     -------
@@ -61,9 +62,10 @@ def texture_kernel() -> np.ndarray:
     kernel = np.fft.irfft2(frequency**EXPONENT, (_KERNEL_PERIOD_NODES, _KERNEL_PERIOD_NODES))
     offset = np.arange(-RADIUS_NODES, RADIUS_NODES + 1)
     distance = np.hypot(offset[:, None], offset)
-    kernel = kernel[np.ix_(offset, offset)] * np.cos(0.5 * np.pi * np.minimum(distance / RADIUS_NODES, 1.0)) ** 2
-    kernel[RADIUS_NODES, RADIUS_NODES] -= kernel.sum()
-    return kernel.astype(np.float32)
+    taper = np.cos(0.5 * np.pi * np.minimum(distance / RADIUS_NODES, 1.0)) ** 2
+    kernel = kernel[np.ix_(offset, offset)] * taper
+    # The correction of the sum is spread out, so that it changes the response to wide landforms only.
+    return (kernel - kernel.sum() / taper.sum() * taper).astype(np.float32)
 
 
 def max_texture_per_slope() -> float:

@@ -103,7 +103,8 @@ class EffectComparison:
             "plain": np.where((x == 0.0) & (y == 0.0), 0.3, 0.0),
             "hill": 120.0 * np.exp(-((x - 320.0) ** 2 + (y - 640.0) ** 2) / 120.0**2),
         }
-        grounds |= {f"valley{percent}": percent / 100.0 * np.abs(x - 640.0) for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35, 50)}
+        percents = (0.1, 0.2, 0.4, 0.7, 1, 2, 3, 4, 6, 8, 12, 20, 35, 50)
+        grounds |= {f"valley{percent}": percent / 100.0 * np.abs(x - 640.0) for percent in percents}
         for name, heights in grounds.items():
             write_geotiff(folder / f"{name}.tif", heights.astype(np.float32), UTM, *CORNER_M, CELL_M)
         floor = np.zeros((CELLS, CELLS), np.float32)
@@ -379,6 +380,20 @@ def sky_view() -> Iterator[EffectCase]:
             yield EffectCase(f"{side_m} m of ground {south_m} m south", level_keys("hill"), map_window(450.0, south_m, side_m))
 
 
+def texture_shading() -> Iterator[EffectCase]:
+    for percent in (0.1, 0.2, 0.4, 0.7, 1, 2, 4, 8, 20, 50):
+        yield EffectCase(f"valley of {percent} %", level_keys(f"valley{percent}"), MAP)
+        overcast = level_keys(f"valley{percent}", weather={"cloud_cover": 1.0})
+        yield EffectCase(f"valley of {percent} %, overcast", overcast, MAP)
+    for name in ("plain", "slope", "hills", "hill"):
+        yield EffectCase(name, level_keys(name), MAP)
+        yield EffectCase(f"{name} in perspective", level_keys(name), PERSPECTIVE)
+    for altitude in (-20.0, -3.0, 70.0):
+        yield EffectCase(f"shallow valley, sun at {altitude}", level_keys("valley4", altitude=altitude), MAP)
+    for style in ("swiss", "grey", "urban", "analysis"):
+        yield EffectCase(f"style {style}", level_keys("hills", style={"name": style}), MAP)
+
+
 def water() -> Iterator[EffectCase]:
     for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
         for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
@@ -386,7 +401,7 @@ def water() -> Iterator[EffectCase]:
     for altitude in (-30.0, -10.0, -3.0):
         yield EffectCase(f"lake by night {altitude}", level_keys("hills", 40.0, altitude, water={"level": -40.0}), MAP)
     for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground within SHORE_M of the water's height is water
-        yield EffectCase(f"floor {below_m} m above the water", level_keys("floor", water={"level": -below_m}), MAP)
+        yield EffectCase(f"floor {below_m} m above the water", level_keys("floor", altitude=70.0, water={"level": -below_m}), MAP)
     for level in (-75.0, -70.0, -60.0):  # ponds outside the window, or lost in the averages of a small map
         for size in (2, 8, 72):
             yield EffectCase(
@@ -433,7 +448,8 @@ def room_keys(**keys: Any) -> dict[str, Any]:
 
 CASES: dict[str, Callable[[], Iterator[EffectCase]]] = {
     "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
-    "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view, "lamps": lamps, "water": water,
+    "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view,
+    "texture_shading": texture_shading, "lamps": lamps, "water": water,
     "haze": haze, "ground_detail": ground_detail, "crowns": crowns,
 }  # fmt: skip
 """Effect -> its cases."""

@@ -88,6 +88,11 @@ UNNEEDED_RUNS: dict[EffectName, frozenset[str]] = {
         "valley of 20 % map", "valley of 20 % perspective", "200.0 m of ground 640.0 m south",
         "50.0 m of ground 800.0 m south", "200.0 m of ground 800.0 m south", "200.0 m of ground 1000.0 m south",
     }),
+    # The bound is that of a pit whose sides are as steep as the steepest slope, in shadow.
+    "texture_shading": frozenset({
+        "valley of 0.2 %, overcast", "valley of 0.4 %", "valley of 0.4 %, overcast", "valley of 0.7 %",
+        "valley of 0.7 %, overcast", "valley of 1 %", "valley of 2 %", "plain", "shallow valley, sun at -20.0",
+    }),
     # The bound is that of white walls in the dark.
     "lamps": frozenset({
         "omni 0.001 at 30.0 m by night", "omni 0.01 at 30.0 m by day", "omni 0.1 at 100.0 m by day",
