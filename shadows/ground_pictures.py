@@ -18,6 +18,7 @@ from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, Pa
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS
+from skugga.shadows.sky_light.sky_light import sky_light_factor
 from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.caster_types import NO_CASTERS
@@ -41,7 +42,12 @@ SKY_VIEW_PASS = "sky_view"
 TEXTURE_PASS = "texture_shading"
 """Name of the effect that brightens ridges and darkens valleys, and of its pass."""
 
-SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, TEXTURE_PASS, REFRACTION_PASS})
+SKY_LIGHT_PASS = "sky_light"
+"""Name of the effect that lights ground by the whole sky, and of its pass."""
+
+SUPPORTED_EFFECTS = frozenset(
+    {"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, SKY_LIGHT_PASS, TEXTURE_PASS, REFRACTION_PASS}
+)
 """Effects that this path supports."""
 
 
@@ -85,6 +91,10 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     if SKY_VIEW_PASS in plan.effect_names:
         with log.record_pass(SKY_VIEW_PASS):
             pass  # the ground already includes its sky view
+    if SKY_LIGHT_PASS in plan.effect_names:
+        with log.record_pass(SKY_LIGHT_PASS):
+            share = sky_light_factor(scene, ground.window_view, ground.frame, ground.normal_frame, ground.up_frame)
+            ground = replace(ground, visible_sky_share=share)
     if TEXTURE_PASS in plan.effect_names:
         with log.record_pass(TEXTURE_PASS):
             textured_share = ground.visible_sky_share * texture_factor(scene, ground.window_view)

@@ -15,6 +15,7 @@ from skugga.shadows.map_edges import anti_alias_block
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.sky_light.sky_light import block_sky_light
 from skugga.shadows.supersampling import mean_visibilities, supersampling
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
 from skugga.terrain.casters.caster_types import Casters, Reach
@@ -307,7 +308,7 @@ def render_block(
     shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
         picture, shading_visibilities = anti_alias_block(scene, plan, own_pixels, visibilities, log)
-    block = ShadingBlock(scene, view, picture.buffer, shading_visibilities, picture)
+    block = ShadingBlock(scene, view, picture.buffer, shading_visibilities, picture, block_sky_light)
     linear = _shade_block(block, plan, log)
     with log.record_pass(SHADING_PASS):
         if not isinstance(view, MapView):

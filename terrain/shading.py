@@ -33,7 +33,7 @@ from skugga.terrain.shading_loops import (
     write_slope_sky_rows,
 )
 from skugga.terrain.srgb import srgb_of_linear
-from skugga.terrain.style import TINT_HEIGHT_COUNT, tint_table, veil_table
+from skugga.terrain.style import TINT_HEIGHT_COUNT, has_directional_sky, tint_table, veil_table
 
 FLAT_GROUND_ALBEDO = 0.42
 """Linear albedo of ground without relief, which has no heights to tint."""
@@ -116,9 +116,10 @@ def shading_parameters(scene: Scene, view: MapView | PerspectiveView, frame: Loc
     exaggeration = (
         style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
     )
+    sunward_share = 0.0 if in_map and has_directional_sky(style) else style.sunward_sky_light_share
     return ShadingParameters(
         tints_of(scene), ZERO_VECTOR if frame is None else frame.directions_from_earth(NORTH_EARTH),
-        style.sky_light_desaturation * clear_sky_share, style.sunward_sky_light_share * clear_sky_share,
+        style.sky_light_desaturation * clear_sky_share, sunward_share * clear_sky_share,
         style.terminator_light_share, exaggeration,
         style.max_shaded_slope, veil_table(style.air_veil_share if in_map and scene.sun is not None else 0.0,
         style.air_veil_scale_height_m),

@@ -29,7 +29,7 @@ from skugga.terrain.climate import ColorRamp, climate_srgb, ramp_srgb
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import Level
 from skugga.terrain.level.level_errors import allowed_phrase
-from skugga.terrain.level.parts import StyleSpec
+from skugga.terrain.level.parts import SkyName, StyleSpec
 from skugga.terrain.srgb import linear_of_srgb
 
 TINT_MIN_HEIGHT_M, TINT_HEIGHT_STEP_M, TINT_HEIGHT_COUNT = -512.0, 8.0, 1193
@@ -71,6 +71,8 @@ class Style:
         Linear colours (3,) of direct light and of the sky's light.
     sky_light_desaturation
         Desaturation in the sky's light towards grey of the same luminance, 0 to 1.
+    sky
+        The sky of maps: ``even``; or ``clear`` or ``overcast``, a CIE sky with shadows (``skugga.terrain.effects.sky_light``).
     sunward_sky_light_share
         Share of the sky's light that comes from the sun's side, 0 to 1.
     terminator_light_share
@@ -96,6 +98,7 @@ class Style:
     sunlight_color: tuple[float, float, float] = (1.0, 0.95, 0.86)
     sky_light_color: tuple[float, float, float] = (0.62, 0.76, 1.0)
     sky_light_desaturation: float = 0.6
+    sky: SkyName = "even"
     sunward_sky_light_share: float = 0.75
     terminator_light_share: float = 0.5
     texture_strength: float = 0.55
@@ -126,7 +129,7 @@ STYLES = {
             ((0.0, "#a9bdb4"), (400.0, "#b6c7b2"), (900.0, "#c9d2b4"), (1600.0, "#dcdabb"), (2400.0, "#ebe3c8"),
              (3200.0, "#f6efdd"), (4200.0, "#fffdf6")),
             sunlight_color=(1.0, 0.93, 0.76), sky_light_color=(0.60, 0.68, 1.0), sky_light_desaturation=0.7,
-            sunward_sky_light_share=0.8, air_veil_share=0.22,
+            sky="clear", sunward_sky_light_share=0.8, air_veil_share=0.22,
             slope_exaggeration=1.25,
         ),
         Style(
@@ -152,6 +155,11 @@ STYLES = {
 }  # fmt: skip
 
 
+def has_directional_sky(style: Style) -> bool:
+    """Return whether a style's maps are lit by a sky whose brightness depends on the direction."""
+    return style.sky != "even"
+
+
 def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_area_share: Callable[[], float]) -> Style:
     """Return the requested style with the level's colour ramp and exaggeration of slopes.
 
@@ -166,6 +174,8 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_area_share: Cal
     style = STYLES[name]
     if spec.ramp is not None:
         style = replace(style, ramp=spec.ramp, has_latitude_tints=False)
+    if spec.sky is not None:
+        style = replace(style, sky=spec.sky)
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 

@@ -72,6 +72,9 @@ class ShadingBlock:
         Visible share of each light, by name, in [0, 1], (rows, cols): 0 in shadow.
     picture
         The picture that the buffer belongs to, with the pixels of its samples. ``None`` if the buffer has no samples.
+    sky_light_factor
+        Function that returns the irradiance of a map's points from the whole sky, relative to level, open ground, float32
+        (rows, cols). ``None`` where it is not known.
     """
 
     scene: Scene
@@ -79,6 +82,7 @@ class ShadingBlock:
     buffer: GeometryBuffer
     visibilities: dict[str, np.ndarray]
     picture: MultisampledBuffer | None = None
+    sky_light_factor: Callable[[ShadingBlock], np.ndarray] | None = None
 
     def pixels_of_points(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns (n,) of the view's pixels to which the buffer's points at ``row`` and ``col`` (n,) belong."""

@@ -37,7 +37,7 @@ from skugga.terrain.shading import (
     sky_lit_albedo,
 )
 from skugga.terrain.shading_loops import twilight_sky_share
-from skugga.terrain.style import tint_table
+from skugga.terrain.style import has_directional_sky, tint_table
 
 COMPARED_SHADE_COUNT = 4096
 """Number of shades, from black to the brightest ground in shadow, that are compared. The table that encodes sRGB has as many
@@ -55,6 +55,8 @@ def judge(descriptor: Descriptor) -> Verdict:
     It is not needed if the hidden part of the sky changes no 8-bit channel by more than a step.
     """
     facts = descriptor.facts["sky_view"]
+    if facts.get("is_in_sky_light"):
+        return Verdict(False, "sky_light already accounts for it")
     if not facts:
         return Verdict(False, "the level is not on the earth, so the light of its sky is unknown")
     hidden_share, darkening_steps = facts["hidden"], facts["steps"]
@@ -74,7 +76,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
     - ``hidden``: maximum share of the sky that ground hides from any visible ground. A map uses means over its pixels.
     - ``steps``: number of steps of 1/255 by which this hidden share darkens the brightest ground in shadow.
+    - ``is_in_sky_light``: present if the style's own sky accounts for the hidden share.
     """
+    if isinstance(view, MapView) and has_directional_sky(scene.style):
+        return {"is_in_sky_light": True}
     if not scene.world.is_on_earth:
         return {}
     low, high = scene.height_range_m

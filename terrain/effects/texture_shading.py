@@ -1,7 +1,8 @@
 """Texture shading: in maps, ridges receive more of the sky's light and valleys less, so that relief inside shadow stays readable.
 
 **Rendering.** The sky light of ground in a map is multiplied by ``1 + strength * tanh(GAIN * texture / pixel)``. The texture is the
-fractional Laplacian of the heights at the map's pixels (``skugga.terrain.ground.texture``). It has no direction, so it also shows
+fractional Laplacian of the heights at the map's pixels, or at the raster's cells if these are larger
+(``skugga.terrain.ground.texture``). It has no direction, so it also shows
 ridges that run along the sun's rays. Shadows and direct light do not change. Buildings and trees keep their light.
 
 **Predicate.** The texture of a pixel is at most a constant times the steepest slope, by the triangle inequality. The effect is not
@@ -11,6 +12,7 @@ needed if that bound darkens no surface that only the sky lights by more than a 
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import affine_transform
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
@@ -86,16 +88,30 @@ def _cache_key(scene: Scene, view: MapView) -> tuple[object, ...]:
 @cached("scene", 96 * MIB, key=_cache_key)
 def texture_factor(scene: Scene, view: MapView) -> np.ndarray:
     """Return the factor of sky light in each pixel of a map, float32 (rows, cols); 1 without ground."""
-    pixels, style = view.with_pixels_as_nodes(), scene.style
-    pixel_m = map_pixel_m(scene.world, view)
-    surface = Surface(scene.world, scene.elevation, pixels.grid)
-    nodes = surface.height_window(
-        int(pixels.row0) - RADIUS_NODES, int(pixels.col0) - RADIUS_NODES, pixels.rows + 2 * RADIUS_NODES,
-        pixels.cols + 2 * RADIUS_NODES,
+    style, pixel_m = scene.style, map_pixel_m(scene.world, view)
+    pixels_per_node = _pixels_per_node(scene, pixel_m)
+    lattice, first_pixel = (view, (0.0, 0.0)) if pixels_per_node == 1 else view.coarser_nodes(pixels_per_node, margin=1)
+    nodes = lattice.with_pixels_as_nodes()
+    heights = Surface(scene.world, scene.elevation, nodes.grid).height_window(
+        int(nodes.row0) - RADIUS_NODES, int(nodes.col0) - RADIUS_NODES, nodes.rows + 2 * RADIUS_NODES,
+        nodes.cols + 2 * RADIUS_NODES,
     )  # fmt: skip
-    texture = relief_texture(nodes.height_m)
-    texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / pixel_m)
+    texture = relief_texture(heights.height_m)
+    if pixels_per_node > 1:
+        scale, start = 1.0 / pixels_per_node, [-first / pixels_per_node for first in first_pixel]
+        texture = affine_transform(texture, [scale, scale], start, (view.rows, view.cols), order=2, mode="nearest", prefilter=False)
+    texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / (pixel_m * pixels_per_node))
     return np.float32(1.0) + np.float32(style.texture_strength) * np.tanh(texture, out=texture)
+
+
+def _pixels_per_node(scene: Scene, pixel_m: float) -> int:
+    """Return how many pixels lie between two nodes of the texture, a power of two: 1 unless pixels are smaller than cells.
+
+    Between the cells of a raster the ground is interpolated. The texture of its pixels would show the bends at the cells' edges.
+    """
+    elevation = scene.elevation
+    cell_m = max(elevation.cell_size_m(scene.world.metres_per_unit), elevation.resolution_m or 0.0)
+    return int(2 ** max(np.rint(np.log2(cell_m / pixel_m)), 0.0))
 
 
 EFFECT = Effect(

@@ -212,6 +212,27 @@ class MapView:
         grid = Grid(self.grid.crs, float(x0), float(y0), self.grid.step * self.col_step, stretch)
         return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols, self.pixel_share)
 
+    def coarser_nodes(self, pixels_per_node: int, margin: int = 0) -> tuple[MapView, tuple[float, float]]:
+        """Return a lattice of nodes, ``pixels_per_node`` pixels apart, that surrounds the view's pixels.
+
+        Nodes are centres of squares of pixels, counted from the grid's origin. So neighbouring views share them. The lattice has at
+        least ``margin`` nodes beyond those between which the pixels lie.
+
+        Returns
+        -------
+        tuple
+            The nodes as a view, and row and column of its first node in pixels of this view.
+        """
+        pixels = self.with_pixels_as_nodes()
+        first_nodes, counts = [], []
+        for start, count in ((pixels.row0, pixels.rows), (pixels.col0, pixels.cols)):
+            begin = int(np.floor(start / pixels_per_node)) - 1 - margin
+            counts.append(int(np.ceil((start + count) / pixels_per_node)) + 1 + margin - begin)
+            first_nodes.append(pixels_per_node * begin + 0.5 * (pixels_per_node - 1))
+        step = float(pixels_per_node)
+        nodes = MapView(pixels.grid, first_nodes[0], first_nodes[1], step, step, counts[0], counts[1])
+        return nodes, (first_nodes[0] - pixels.row0, first_nodes[1] - pixels.col0)
+
     def finer(self, subpixels_per_side: int) -> MapView:
         """Return the view on the same grid that divides each pixel into ``subpixels_per_side`` x ``subpixels_per_side`` pixels."""
         first = (1.0 / subpixels_per_side - 1.0) / 2.0

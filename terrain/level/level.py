@@ -45,7 +45,7 @@ from skugga.terrain.level.setting import RequestOptions
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
-    "ground_detail", "snow", "crowns", "clouds", "sky_view", "texture_shading", "lamps", "water", "haze",
+    "ground_detail", "snow", "crowns", "clouds", "sky_view", "sky_light", "texture_shading", "lamps", "water", "haze",
 ]  # fmt: skip
 """Names of the rendering effects, each a module of ``skugga.terrain.effects``.
 

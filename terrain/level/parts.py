@@ -163,6 +163,9 @@ class Weather(Model):
 StyleName = Literal["natural", "swiss", "grey", "urban", "analysis"]
 """Names of the styles in ``skugga.terrain.style.STYLES``."""
 
+SkyName = Literal["even", "clear", "overcast"]
+"""Names of the skies that light the ground of maps."""
+
 SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
 
 ALLOWED_RAMPS = "pairs of a height in metres and a colour such as '#b3c2a2', with increasing heights"
@@ -173,11 +176,13 @@ class StyleSpec(Model):
 
     The name ``auto`` chooses a style by the kind of ground. ``ramp`` replaces the style's colours by pairs of a height in metres
     and an sRGB colour. ``slope_exaggeration`` multiplies slopes in shading; it does not change cast shadows.
+    ``sky`` replaces the style's sky, which lights the ground of maps: ``even``, or ``clear`` or ``overcast`` with shadows of its own.
     """
 
     name: Literal["auto"] | StyleName = "auto"
     ramp: tuple[tuple[Annotated[float, Field(ge=-12000, le=10000)], str], ...] | None = None
     slope_exaggeration: SlopeExaggeration = 1.0
+    sky: SkyName | None = None
 
     @field_validator("ramp")
     @classmethod
