@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, SerializeAsAny, field_validator, mod
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product, ProductOptions
 from skugga.terrain.level.level import Shadows, override_settings, parse_algorithm
-from skugga.terrain.level.parts import SlopeExaggeration, StyleName, SunSpec
+from skugga.terrain.level.parts import SkyName, SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
     from skugga.terrain.scene import Scene
@@ -62,6 +62,7 @@ class PictureRequest(_RequestModel):
     sun: SunSpec | None = None
     style: StyleName | None = None
     slope_exaggeration: SlopeExaggeration | None = None
+    sky: SkyName | None = None
     overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **parameters: str) -> str:
@@ -71,7 +72,7 @@ class PictureRequest(_RequestModel):
 
     def applied_to(self, scene: Scene) -> Scene:
         """Return a level's scene with the requested sun and style."""
-        return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
+        return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration, self.sky)
 
 
 class ProductRequest(PictureRequest):
@@ -93,7 +94,7 @@ class ProductRequest(PictureRequest):
         if product.when != "sun":
             fields |= {"sun": None, "overrides": RequestedSettings()}
         if not product.is_display:
-            fields |= {"style": None, "slope_exaggeration": None}
+            fields |= {"style": None, "slope_exaggeration": None, "sky": None}
         options = fields.get("options", {})
         if type(options) is not product.options:
             fields["options"] = product.options_of(dict(options))

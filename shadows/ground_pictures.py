@@ -35,6 +35,7 @@ from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import shaded_ground_srgb, slope_sky_view_factor
+from skugga.terrain.style import has_directional_sky
 
 SKY_VIEW_PASS = "sky_view"
 """Name of the effect that darkens ground with little visible sky, and of its pass."""
@@ -45,9 +46,7 @@ TEXTURE_PASS = "texture_shading"
 SKY_LIGHT_PASS = "sky_light"
 """Name of the effect that lights ground by the whole sky, and of its pass."""
 
-SUPPORTED_EFFECTS = frozenset(
-    {"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, SKY_LIGHT_PASS, TEXTURE_PASS, REFRACTION_PASS}
-)
+SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_VIEW_PASS, SKY_LIGHT_PASS, TEXTURE_PASS, REFRACTION_PASS})
 """Effects that this path supports."""
 
 
@@ -93,8 +92,9 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
             pass  # the ground already includes its sky view
     if SKY_LIGHT_PASS in plan.effect_names:
         with log.record_pass(SKY_LIGHT_PASS):
-            share = sky_light_factor(scene, ground.window_view, ground.frame, ground.normal_frame, ground.up_frame)
-            ground = replace(ground, visible_sky_share=share)
+            if has_directional_sky(scene.style):
+                share = sky_light_factor(scene, ground.window_view, ground.frame, ground.normal_frame, ground.up_frame)
+                ground = replace(ground, visible_sky_share=share)
     if TEXTURE_PASS in plan.effect_names:
         with log.record_pass(TEXTURE_PASS):
             textured_share = ground.visible_sky_share * texture_factor(scene, ground.window_view)

@@ -154,13 +154,13 @@ class Scene:
         """Return the same scene under another sun (``None``: the level's)."""
         return self if spec is None else replace(self, sun=sun_of(spec, self.world), sun_is_default=False)
 
-    def with_style(self, name: str | None, slope_exaggeration: float | None = None) -> Scene:
-        """Return the same scene in another style or with another exaggeration of slopes in shading (``None``: the level's).
+    def with_style(self, name: str | None, slope_exaggeration: float | None = None, sky: str | None = None) -> Scene:
+        """Return the same scene in another style, exaggeration of slopes in shading, or sky of maps (``None``: the level's).
 
         A style given by name does not use the level's colour ramp. Raises ``InputError``.
         """
         level_spec = self.loaded.level.style
-        spec = style_spec(level_spec, name, slope_exaggeration)
+        spec = style_spec(level_spec, name, slope_exaggeration, sky)
         return self if spec == level_spec else replace(self, style_spec=spec)
 
     def with_lamp(self, lamp: Lamp) -> Scene:

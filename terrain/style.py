@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -179,16 +180,17 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_area_share: Cal
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 
-def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
+def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: float | None, sky: str | None = None) -> StyleSpec:
     """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``."""
-    changes = {"name": name, "slope_exaggeration": slope_exaggeration}
+    changes = {"name": name, "slope_exaggeration": slope_exaggeration, "sky": sky}
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
         return StyleSpec.model_validate({**(level_style.model_dump(exclude={"ramp"} if name is not None else set())), **changes})
     except ValidationError as error:
         detail = error.errors()[0]
         key = str(detail["loc"][0])
-        allowed = ", ".join(("auto", *STYLES)) if key == "name" else allowed_phrase(detail)
+        words = {"name": ("auto", *STYLES), "sky": get_args(SkyName)}
+        allowed = ", ".join(words[key]) if key in words else allowed_phrase(detail)
         raise InputError("style" if key == "name" else key, changes[key], allowed) from None
 
 

@@ -88,7 +88,7 @@ def render_film(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     seconds: float | None = None,
-    style_overrides: StyleOverrides = (None, None),
+    style_overrides: StyleOverrides = (None, None, None),
     stats: Path | None = None,
     max_ms: float | None = None,
 ) -> None:

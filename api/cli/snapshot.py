@@ -29,8 +29,8 @@ MAX_CLOCK_S = 1e9
 """Largest absolute reading of a level's clock, as in level files."""
 
 
-StyleOverrides = tuple[str | None, float | None]
-"""Name of a style, and factor of slope exaggeration; ``None`` keeps the level's value."""
+StyleOverrides = tuple[str | None, float | None, str | None]
+"""Names of a style, factor of slope exaggeration, and name of a sky; ``None`` keeps the level's value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def snapshot(
     seconds: float | None = None,
     light: str | None = None,
     max_ms: float | None = None,
-    style_overrides: StyleOverrides = (None, None),
+    style_overrides: StyleOverrides = (None, None, None),
 ) -> Snapshot:
     """Compute a product of a level's view.
 

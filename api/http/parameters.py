@@ -24,7 +24,7 @@ from skugga.api.workers.jobs import ServedPolicy
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
-from skugga.terrain.level.parts import StyleName, SunSpec
+from skugga.terrain.level.parts import SkyName, StyleName, SunSpec
 from skugga.terrain.level.setting import Setting
 from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 from skugga.terrain.style import STYLES
@@ -98,6 +98,15 @@ SlopeExaggerationQuery = Annotated[
     ),
 ]  # fmt: skip
 
+SkyQuery = Annotated[
+    SkyName | None,
+    Query(
+        description="The sky that lights the ground of maps: `even`; or `clear` or `overcast`, a CIE sky with shadows. "
+        "Nothing: the style's own.",
+        examples=["clear"],
+    ),
+]
+
 
 def style_named(name: str | None, parameter_name: str = "style") -> StyleName | None:
     """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
@@ -127,12 +136,14 @@ async def picture_query(
     altitude: AltitudeQuery = None,
     style: StyleQuery = None,
     slope_exaggeration: SlopeExaggerationQuery = None,
+    sky: SkyQuery = None,
     **shadow_settings: Any,
 ) -> PictureRequest:
     """Return the request for a picture (a FastAPI dependency). Raises ``InputError``."""
     sun = request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
-        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(shadow_settings)
+        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, sky=sky,
+        overrides=served_settings(shadow_settings),
     )  # fmt: skip
 
 

@@ -39,6 +39,7 @@ class LevelPictures(LevelState):
         seconds: float | None = None,
         style: str | None = None,
         slope_exaggeration: float | None = None,
+        sky: str | None = None,
         **shadows: Any,
     ) -> np.ndarray:
         """Render a layer of a view of the level.
@@ -65,6 +66,8 @@ class LevelPictures(LevelState):
             The name of a style.
         slope_exaggeration
             Factor by which slopes are exaggerated, in shading only.
+        sky
+            The sky that lights the ground of maps: ``even``, ``clear`` or ``overcast``; default: the style's.
         **shadows
             Keys of a level's ``shadows``, as ``algorithm="shadow_volume"``.
 
@@ -79,9 +82,8 @@ class LevelPictures(LevelState):
         SkuggaError
             For a wrong argument, or if rendering fails.
         """
-        scene = (
-            self._scene.with_sun(requested_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
-        )
+        scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).at_second(seconds)
+        scene = scene.with_style(style, slope_exaggeration, sky)
         product, rendered_view = product_named(layer), scene.view(view, bounds, crs_text(crs), size)
         self._issue_object_warnings()
         plan = plan_for(scene, rendered_view, view, product, shadows)
@@ -106,6 +108,7 @@ class LevelPictures(LevelState):
         seconds: float | None = None,
         style: str | None = None,
         slope_exaggeration: float | None = None,
+        sky: str | None = None,
         **shadows: Any,
     ) -> Iterator[np.ndarray]:
         """Return an iterator of the pictures of a film.
@@ -125,7 +128,7 @@ class LevelPictures(LevelState):
             A camera file, for a moving camera.
         fps
             Pictures per second. Without ``step``, a film with clock readings has ``1 / fps`` seconds between pictures.
-        time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, **shadows
+        time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, sky, **shadows
             As in ``render``.
 
         Returns
@@ -140,7 +143,7 @@ class LevelPictures(LevelState):
         """
         camera_path = None if path is None else load_camera_path(path)
         span = film_span(iso_time(start), iso_time(end), step, fps, camera_path, seconds)
-        scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration)
+        scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration, sky)
         request = FilmRequest(span, view, camera_path, size, bounds, crs_text(crs), shadows)
         moments = frame_moments(scene, request)
         self._issue_object_warnings()

@@ -1,7 +1,7 @@
 """Luminance of the sky: two of the CIE's standard skies, and tables of their light above a horizon.
 
-Source: CIE S 011/E:2003 (ISO 15469:2004), *Spatial distribution of daylight: CIE standard general sky*. The luminance is a product of
-a gradation, which depends on the altitude, and an indicatrix, which depends on the angle to the sun.
+Source: CIE S 011/E:2003 (ISO 15469:2004), *Spatial distribution of daylight: CIE standard general sky*. The luminance is a product
+of a gradation, which depends on the altitude, and an indicatrix, which depends on the angle to the sun.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def relative_luminance(
 def light_tables(azimuths: int, cloud_cover: float, sun_altitude_deg: float, sun_azimuth_deg: float) -> np.ndarray:
     """Return the light of each sector of the sky above a horizon, as a vector: float32 (``azimuths``, ``HORIZON_CODES``, 3).
 
-    The vector's product with a surface's normal is the irradiance on it. Its axes are east, north and up. Level ground that sees the
-    whole sky has the irradiance 1.
+    The vector's product with a surface's normal is the irradiance on it. Its axes are east, north and up. Level ground that sees
+    the whole sky has the irradiance 1.
 
     Parameters
     ----------

@@ -5,8 +5,8 @@ Horizons are computed once for a map's ground, towards ``AZIMUTHS`` azimuths, at
 (``skugga.shadows.sky_light.luminance``). The sum is a vector, the irradiance on a surface its product with the normal. Vectors vary
 slowly and are interpolated between nodes; normals are those of the pixels.
 
-Source: P. Kennelly and J. Stewart 2014, *General sky models for illuminating terrains*. There a sky is some hundred suns, whose shadows
-are cast one by one.
+Source: P. Kennelly and J. Stewart 2014, *General sky models for illuminating terrains*. There a sky is some hundred suns, whose
+shadows are cast one by one.
 """
 
 from __future__ import annotations
@@ -158,13 +158,11 @@ def _add_sectors(first, last, code, tables, out):
 
 
 @compiled
-def _write_factors(
-    first, last, light, first_pixel, nodes_per_pixel, normal, up, north_axis, exaggeration, max_slope, pixels, out
-):
+def _write_factors(first, last, light, first_pixel, nodes_per_pixel, normal, up, north_axis, exaggeration, max_slope, pixels, out):
     """Write the irradiance on rows [first, last) of points to ``out`` (rows, cols).
 
-    ``light`` (n, m, 3) holds vectors east, north and up at nodes, of which the first lies at ``first_pixel``. ``pixels`` are rows and
-    columns of the points' pixels, or ``None``. Slopes are exaggerated as for direct light.
+    ``light`` (n, m, 3) holds vectors east, north and up at nodes, of which the first lies at ``first_pixel``. ``pixels`` are rows
+    and columns of the points' pixels, or ``None``. Slopes are exaggerated as for direct light.
     """
     rows, cols = light.shape[:2]
     for i in range(first, last):

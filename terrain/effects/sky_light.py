@@ -1,8 +1,8 @@
 """Light of the whole sky in maps: a clear or an overcast sky, part of which ground and buildings hide from each point.
 
 **Rendering.** The sky light of each point is that of a CIE standard sky above the point's own horizons, on its own slope
-(``skugga.shadows.sky_light``). It replaces the sky-view factor, and the style's sky that is brighter towards the sun. Trees keep the
-light of the open sky.
+(``skugga.shadows.sky_light``). It replaces the sky-view factor, and the style's sky that is brighter towards the sun. Trees keep
+the light of the open sky.
 
 **Predicate.** The style decides: ``sky: clear`` or ``sky: overcast``, in maps of a level on the earth or in a flat world.
 """
@@ -24,32 +24,30 @@ from skugga.terrain.style import has_directional_sky
 
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason."""
-    facts = descriptor.facts["sky_light"]
-    if not facts:
+    if descriptor.view_kind != "map":
         return Verdict(False, "a perspective view, not a map")
+    facts = descriptor.facts["sky_light"]
     sky = facts["sky"]
     if sky == "even":
         return Verdict(False, "the style has an even sky")
-    if facts["relief"] == 0.0 and not set(descriptor.casters) - {"relief"}:
+    if facts["relief_m"] == 0.0 and not set(descriptor.casters) - {"relief"}:
         return Verdict(False, "level ground: all of it sees the whole sky")
     return Verdict(True, f"the style has a sky of its own: {sky}")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the facts of the sky's light. The result is empty for a perspective view.
+    """Return the facts of the sky's light.
 
     - ``sky``: the style's sky.
-    - ``relief``: range of the ground's heights, metres.
+    - ``relief_m``: range of the ground's heights, metres.
     """
-    if not isinstance(view, MapView):
-        return {}
     low, high = scene.height_range_m
-    return {"sky": scene.style.sky if has_directional_sky(scene.style) else "even", "relief": float(high - low)}
+    return {"sky": scene.style.sky, "relief_m": float(high - low)}
 
 
 def apply_sky_light(skylight: np.ndarray, block: ShadingBlock) -> None:
-    """Replace the sky light of a map's ground and buildings. A perspective view does not change."""
-    if not isinstance(block.view, MapView) or block.sky_light_factor is None:
+    """Replace the sky light of a map's ground and buildings. A perspective view, and a style with an even sky, do not change."""
+    if not isinstance(block.view, MapView) or block.sky_light_factor is None or not has_directional_sky(block.scene.style):
         return
     is_lit = block.buffer.valid & (block.buffer.surface_kind != FOREST)
     np.copyto(skylight, block.sky_light_factor(block), where=is_lit)

@@ -79,7 +79,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     - ``is_in_sky_light``: present if the style's own sky accounts for the hidden share.
     """
     if isinstance(view, MapView) and has_directional_sky(scene.style):
-        return {"is_in_sky_light": True}
+        return {"hidden": 0.0, "steps": 0.0, "is_in_sky_light": True}
     if not scene.world.is_on_earth:
         return {}
     low, high = scene.height_range_m

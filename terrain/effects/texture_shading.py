@@ -28,37 +28,37 @@ from skugga.terrain.ground.texture import RADIUS_NODES, max_texture_per_slope, r
 from skugga.terrain.scene import Scene
 
 GAIN = 5.0
-"""Factor of the texture per pixel. Natural relief, with a root mean square of 0.05 to 0.15, then changes light by 0.2 to 0.6 of the strength."""
+"""Factor of the texture per pixel. Natural relief, with a root mean square of 0.05 to 0.15, reaches 0.2 to 0.6 of the strength."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason."""
-    facts = descriptor.facts["texture_shading"]
-    if not facts:
+    if descriptor.view_kind != "map":
         return Verdict(False, "a perspective view, not a map")
-    strength, brightest = facts["strength"], facts["sky_lit"]
-    assert isinstance(strength, float) and isinstance(brightest, float)
+    strength, exaggeration, brightest = (
+        descriptor.facts["texture_shading"][key] for key in ("strength", "exaggeration", "sky_lit")
+    )
+    assert isinstance(strength, float) and isinstance(exaggeration, float) and isinstance(brightest, float)
     if strength == 0.0:
         return Verdict(False, "the style has no texture shading")
     slope = float(np.tan(np.radians(descriptor.highest_slope_deg)))
-    change = strength * float(np.tanh(GAIN * float(facts["exaggeration"]) * max_texture_per_slope() * slope))
+    change = strength * float(np.tanh(GAIN * exaggeration * max_texture_per_slope() * slope))
     steps = max_darkening_steps(brightest, change)
     text = f"ridges and valleys change the sky's light by up to {100.0 * change:.2g} %: "
     return Verdict(True, f"{text}{steps} steps of 255") if steps > 1 else Verdict(False, f"{text}at most one step of 255")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Return the facts of texture shading. The result is empty for a perspective view.
+    """Return the facts of texture shading.
 
     - ``strength``: maximum share by which the style changes the sky's light.
-    - ``exaggeration``: the style's factor of slopes in this map.
+    - ``exaggeration``: the style's factor of slopes in this map; 1 in a perspective view.
     - ``sky_lit``: the brightest linear colour of ground that only the sky lights.
     """
-    if not isinstance(view, MapView):
-        return {}
+    exaggeration = scene.style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else 1.0
     return {
-        "strength": scene.style.texture_strength,
-        "exaggeration": scene.style.slope_exaggeration_at(map_pixel_m(scene.world, view)),
+        "strength": float(scene.style.texture_strength),
+        "exaggeration": exaggeration,
         "sky_lit": max_sky_lit_color(scene, view),
     }
 

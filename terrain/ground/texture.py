@@ -17,8 +17,8 @@ from skugga.terrain.cache import MIB, cached
 EXPONENT = 0.8
 """Exponent of the frequency: 0 returns the heights, 2 their curvature. Lower exponents show larger landforms.
 
-At 0.8 the texture over the spacing of nodes has about the same size on natural relief at all scales: its root mean square is 0.05 to
-0.15 for cells of 1 to 1,000 m (11 rasters of mountains, hills and coasts), and 0.008 on a plain.
+At 0.8 the texture over the spacing of nodes has about the same size on natural relief at all scales: its root mean square is 0.05
+to 0.15 for cells of 1 to 1,000 m (11 rasters of mountains, hills and coasts), and 0.008 on a plain.
 """
 
 RADIUS_NODES = 64

@@ -176,7 +176,8 @@ class StyleSpec(Model):
 
     The name ``auto`` chooses a style by the kind of ground. ``ramp`` replaces the style's colours by pairs of a height in metres
     and an sRGB colour. ``slope_exaggeration`` multiplies slopes in shading; it does not change cast shadows.
-    ``sky`` replaces the style's sky, which lights the ground of maps: ``even``, or ``clear`` or ``overcast`` with shadows of its own.
+    ``sky`` replaces the style's sky, which lights the ground of maps: ``even``, or ``clear`` or ``overcast`` with shadows of its
+    own.
     """
 
     name: Literal["auto"] | StyleName = "auto"

@@ -380,6 +380,18 @@ def sky_view() -> Iterator[EffectCase]:
             yield EffectCase(f"{side_m} m of ground {south_m} m south", level_keys("hill"), map_window(450.0, south_m, side_m))
 
 
+def sky_light() -> Iterator[EffectCase]:
+    for sky in ("even", "clear", "overcast"):
+        for name in ("plain", "slope", "hills", "valley20", "floor"):
+            yield EffectCase(f"{sky} sky on {name}", level_keys(name, style={"name": "natural", "sky": sky}), MAP)
+        yield EffectCase(f"{sky} sky in perspective", level_keys("hills", style={"name": "natural", "sky": sky}), PERSPECTIVE)
+    for style in ("natural", "swiss", "grey", "urban", "analysis"):
+        yield EffectCase(f"style {style}", level_keys("hills", style={"name": style}), MAP)
+    post = [{"source": "post.obj", "at": [0.0, 0.0]}]
+    window = {**MAP, "bounds": [-30.0, -30.0, 30.0, 30.0]}
+    yield EffectCase("post on a floor", level_keys("floor", style={"name": "natural", "sky": "clear"}, meshes=post), window)
+
+
 def texture_shading() -> Iterator[EffectCase]:
     for percent in (0.1, 0.2, 0.4, 0.7, 1, 2, 4, 8, 20, 50):
         yield EffectCase(f"valley of {percent} %", level_keys(f"valley{percent}"), MAP)
@@ -449,7 +461,7 @@ def room_keys(**keys: Any) -> dict[str, Any]:
 CASES: dict[str, Callable[[], Iterator[EffectCase]]] = {
     "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
     "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view,
-    "texture_shading": texture_shading, "lamps": lamps, "water": water,
+    "sky_light": sky_light, "texture_shading": texture_shading, "lamps": lamps, "water": water,
     "haze": haze, "ground_detail": ground_detail, "crowns": crowns,
 }  # fmt: skip
 """Effect -> its cases."""

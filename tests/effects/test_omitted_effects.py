@@ -88,6 +88,10 @@ UNNEEDED_RUNS: dict[EffectName, frozenset[str]] = {
         "valley of 20 % map", "valley of 20 % perspective", "200.0 m of ground 640.0 m south",
         "50.0 m of ground 800.0 m south", "200.0 m of ground 800.0 m south", "200.0 m of ground 1000.0 m south",
     }),
+    # A style asks for its sky by name. Ground in sunlight hardly shows it.
+    "sky_light": frozenset({
+        "clear sky on plain", "overcast sky on plain", "overcast sky on slope", "overcast sky on valley20",
+    }),
     # The bound is that of a pit whose sides are as steep as the steepest slope, in shadow.
     "texture_shading": frozenset({
         "valley of 0.2 %, overcast", "valley of 0.4 %", "valley of 0.4 %, overcast", "valley of 0.7 %",

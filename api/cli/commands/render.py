@@ -32,7 +32,7 @@ from skugga.api.products.product import Product
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
-from skugga.terrain.level.parts import StyleName
+from skugga.terrain.level.parts import SkyName, StyleName
 
 # Names of layers: products of a moment, and intermediate pictures of an algorithm's render passes.
 _LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is None and product.when != "days"]
@@ -50,6 +50,12 @@ _StyleOption = Annotated[
 ]
 _SlopeExaggerationOption = Annotated[
     float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; it does not change cast shadows.")
+]
+
+_SKIES = get_args(SkyName)
+_SkyOption = Annotated[
+    str | None,
+    typer.Option(help=f"Sky that lights the ground of maps: {', '.join(_SKIES)}.", autocompletion=complete_words(_SKIES)),
 ]
 
 
@@ -73,6 +79,7 @@ def render(
     light: Annotated[str | None, typer.Option(help="Light to show, for layers of a single light.")] = None,
     style: _StyleOption = None,
     slope_exaggeration: _SlopeExaggerationOption = None,
+    sky: _SkyOption = None,
     seconds: SecondsOption = None,
     start: Annotated[
         str | None,
@@ -105,7 +112,7 @@ def render(
     if film.used_option_names:
         if light is not None:
             raise InputError.conflict("--light", film.used_option_names[0], "Leave out --light: films show all lights")
-        sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration)
+        sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration, sky)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(
             level,
@@ -126,7 +133,7 @@ def render(
     overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
         request = ProductRequest(product=layer, options=options, sun=sun_from_options(time, azimuth, altitude))
-        extent, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
+        extent, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration, sky)
         result = snapshot(level, view, request, overrides, *extent, advance, seconds, light, max_ms, style_overrides)
     result.write(request, output)
     if stats is not None:

@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, LampFacts, LightFacts
+from skugga.terrain.level.parts import SkyName
 
 MAX_LAMPS = 32
 """Maximum number of lamps. A plan has an entry for each lamp."""
@@ -99,6 +100,22 @@ class SkyViewFacts(_Facts):
 
     hidden: FactFraction
     steps: FactNumber
+    is_in_sky_light: StrictBool = False
+
+
+class SkyLightFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.sky_light``: a name, and metres."""
+
+    sky: SkyName
+    relief_m: FactNumber
+
+
+class TextureShadingFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.texture_shading``: a share of 0 to 1, a factor, and a linear colour."""
+
+    strength: FactFraction
+    exaggeration: Annotated[FactNumber, Field(ge=0.0)]
+    sky_lit: Annotated[FactNumber, Field(ge=0.0)]
 
 
 class RefractionFacts(_Facts):
@@ -154,6 +171,8 @@ class FactsByEffect(_Facts):
     water: WaterFacts | None = None
     clouds: CloudFacts | None = None
     sky_view: SkyViewFacts | None = None
+    sky_light: SkyLightFacts | None = None
+    texture_shading: TextureShadingFacts | None = None
     refraction: RefractionFacts | None = None
     cast_shadows: CastShadowFacts | None = None
     alpha_test: AlphaTestFacts | None = None

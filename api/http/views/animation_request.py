@@ -21,7 +21,7 @@ from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.level import Shadows, parse_sun
 from skugga.terrain.level.model import Model
-from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
+from skugga.terrain.level.parts import SkyName, SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 
@@ -74,6 +74,7 @@ class _AnimationFields(_FromModel):
     slope_exaggeration: SlopeExaggeration | None = Field(
         default=None, strict=True, examples=[2], description="Factor of slopes in shading, for flat country."
     )
+    sky: SkyName | None = Field(default=None, examples=["clear"], description="The sky that lights the ground of maps.")
 
 
 _SHADOW_SETTINGS = settings_of(Shadows, "pictures")
@@ -114,6 +115,7 @@ def animation_spec_of(body: Any, level: ServedLevel, settings: Settings) -> Anim
         sun=_fixed_sun(body, span),
         style=style_named(body.style),
         slope_exaggeration=body.slope_exaggeration,
+        sky=body.sky,
         overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SHADOW_SETTINGS}),
     )
     return AnimationSpec(
