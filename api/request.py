@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
 from pydantic import BaseModel, ConfigDict, SerializeAsAny, field_validator, model_validator
@@ -60,7 +60,7 @@ class PictureRequest(_RequestModel):
     """
 
     sun: SunSpec | None = None
-    style: StyleName | None = None
+    style: Literal["auto"] | StyleName | None = None
     slope_exaggeration: SlopeExaggeration | None = None
     sky: SkyName | None = None
     overrides: RequestedSettings = RequestedSettings()

@@ -35,7 +35,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, encode_srgb, shade, slope_sky_view_factor
 from skugga.terrain.sky import sky_pixel_colors
 
-RENDERER_VERSION = 6
+RENDERER_VERSION = 7
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
+from skugga.api.cli.completion import complete_words
 from skugga.terrain.errors import InputError
+from skugga.terrain.level.parts import SkyName, StyleName
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 ViewOption = Annotated[str, typer.Option(help="Name of a view of the level.")]
@@ -16,6 +18,17 @@ AltitudeOption = Annotated[float | None, typer.Option(help="Altitude of the sun 
 SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Width and height in pixels.")]
 BoundsOption = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="Bounds in units of the output CRS.")]
 CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
+_STYLES, _SKIES = ("auto", *get_args(StyleName)), get_args(SkyName)
+StyleOption = Annotated[
+    str | None, typer.Option(help=f"Style of relief shading: {', '.join(_STYLES)}.", autocompletion=complete_words(_STYLES))
+]
+SlopeExaggerationOption = Annotated[
+    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; it does not change cast shadows.")
+]
+SkyOption = Annotated[
+    str | None,
+    typer.Option(help=f"Sky that lights the ground of maps: {', '.join(_SKIES)}.", autocompletion=complete_words(_SKIES)),
+]
 SecondsOption = Annotated[float | None, typer.Option(help="Time on the level's clock, seconds, which moves animated parts.")]
 
 

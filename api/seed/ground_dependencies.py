@@ -24,12 +24,13 @@ import numpy as np
 from skugga.api.products.product import Product
 from skugga.api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
 from skugga.api.workers.block_views import block_of_grid
-from skugga.shadows.ground_pictures import SKY_VIEW_PASS
+from skugga.shadows.ground_pictures import SKY_VIEW_PASS, TEXTURE_PASS
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES
+from skugga.terrain.effects.texture_shading import texture_margin_px
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
@@ -39,14 +40,17 @@ from skugga.terrain.ground.sky_view_factor import sky_view
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
-GLOBAL_EFFECTS = frozenset({"clouds", "lamps"})
+GLOBAL_EFFECTS = frozenset({"clouds", "lamps", "sky_light"})
 """Effects that make a picture depend on ground anywhere."""
 
 LATTICE_INTERVALS = 4
 """Intervals per side of the lattice of points that bounds a block's ground."""
 
 MARGIN_PX, MARGIN_CELLS = 8, 8
-"""Margins that a block's normals and bilinear heights need: pixels around the block, and cells around these pixels."""
+"""Margins that a block's normals and bilinear heights need: pixels around the block, and cells around these pixels.
+
+Texture shading needs more pixels (``texture_margin_px``).
+"""
 
 SHADOW_MARGIN_DEG = 0.3
 """Angular margin of shadows: the sun's angular radius, plus terrestrial refraction over 100 km."""
@@ -96,7 +100,7 @@ class GroundDependencies:
     def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
         self._scene, self._chunks = scene, chunks
         self._points = _chunk_points(scene, chunks)
-        self._cells: dict[tuple[Grid, int, int], tuple[float, float, float, float]] = {}
+        self._cells: dict[tuple[Grid, int, int, int], tuple[float, float, float, float]] = {}
 
     def with_sun(self, scene: Scene) -> GroundDependencies:
         """Return a copy for the same ground under another sun. The positions of blocks on the ground are shared."""
@@ -140,9 +144,11 @@ class GroundDependencies:
         if sees_all_ground or (plan is not None and plan.effect_names & GLOBAL_EFFECTS):
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._sunlit_chunks(plan)
+        has_texture = plan is not None and TEXTURE_PASS in plan.effect_names
         masks = []
         for x, y in blocks:
-            visible_chunks = self._visible_chunks(grid, x, y)
+            texture_px = texture_margin_px(self._scene, block_of_grid(grid, x, y)) if has_texture else 0
+            visible_chunks = self._visible_chunks(grid, x, y, MARGIN_PX + texture_px)
             masks.append(
                 visible_chunks if sunlit is None else visible_chunks | self._shading_chunks(grid, x, y, visible_chunks, sunlit)
             )
@@ -159,23 +165,23 @@ class GroundDependencies:
             shares.append(float(np.clip(col_share, 0.0, 1.0) * np.clip(row_share, 0.0, 1.0)))
         return shares
 
-    def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
+    def _cells_of(self, grid: Grid, x: int, y: int, margin_px: int = MARGIN_PX) -> tuple[float, float, float, float]:
         """Return first and last row, and first and last column, of the raster below a block and its margin; infinite if unknown.
 
         ``x`` and ``y`` are the block's column and row in the tile matrix, counted in blocks.
         """
-        key = grid, x, y
+        key = grid, x, y, margin_px
         if key not in self._cells:
-            self._cells[key] = self._compute_cells(grid, x, y)
+            self._cells[key] = self._compute_cells(*key)
         return self._cells[key]
 
-    def _compute_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
+    def _compute_cells(self, grid: Grid, x: int, y: int, margin_px: int) -> tuple[float, float, float, float]:
         """Return what ``_cells_of`` returns, without its cache.
 
         ``x`` and ``y`` are the block's column and row in the tile matrix, counted in blocks.
         """
         elevation = self._scene.elevation
-        map_x, map_y = _lattice(grid, x, y)
+        map_x, map_y = _lattice(grid, x, y, margin_px)
         if grid.crs != elevation.crs:
             map_x, map_y = transformer(grid.crs, elevation.crs).transform(map_x, map_y)
         row, col = elevation.cell_of(map_x, map_y)
@@ -188,9 +194,9 @@ class GroundDependencies:
             return row.min() - margins[0], row.max() + margins[0], -np.inf, np.inf  # it may lie across the antimeridian
         return row.min() - margins[0], row.max() + margins[0], col.min() - margins[1], col.max() + margins[1]
 
-    def _visible_chunks(self, grid: Grid, x: int, y: int) -> np.ndarray:
+    def _visible_chunks(self, grid: Grid, x: int, y: int, margin_px: int) -> np.ndarray:
         """Return the chunks whose ground a block shows, with a margin, as a bool mask (rows, cols) of chunks."""
-        top, bottom, left, right = self._cells_of(grid, x, y)
+        top, bottom, left, right = self._cells_of(grid, x, y, margin_px)
         rows, cols = self._chunks.low_m.shape
         first_row, first_col = np.arange(rows) * self._chunks.side, np.arange(cols) * self._chunks.side
         in_rows = (first_row <= bottom + 0.5) & (first_row + self._chunks.side > top - 0.5)
@@ -280,12 +286,12 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _ChunkPoints:
     return _ChunkPoints(top.reshape(-1, 3), half_diagonal_m.ravel())
 
 
-def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
+def _lattice(grid: Grid, x: int, y: int, margin_px: int = MARGIN_PX) -> tuple[np.ndarray, np.ndarray]:
     """Return map coordinates x and y of a regular lattice of points over a block and a small margin.
 
     ``x`` and ``y`` are the block's column and row in the tile matrix of ``grid``, counted in blocks.
     """
-    steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_INTERVALS + 1)
+    steps = np.linspace(-margin_px, BLOCK_PX + margin_px, LATTICE_INTERVALS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 

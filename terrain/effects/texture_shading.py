@@ -104,6 +104,11 @@ def texture_factor(scene: Scene, view: MapView) -> np.ndarray:
     return np.float32(1.0) + np.float32(style.texture_strength) * np.tanh(texture, out=texture)
 
 
+def texture_margin_px(scene: Scene, view: MapView) -> int:
+    """Return how far from a map's pixels the ground changes their texture, pixels."""
+    return (RADIUS_NODES + 3) * _pixels_per_node(scene, map_pixel_m(scene.world, view))
+
+
 def _pixels_per_node(scene: Scene, pixel_m: float) -> int:
     """Return how many pixels lie between two nodes of the texture, a power of two: 1 unless pixels are smaller than cells.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from skugga.api.cli.common_options import (
     CrsOption,
     SecondsOption,
     SizeOption,
+    SkyOption,
+    SlopeExaggerationOption,
+    StyleOption,
     TimeOption,
     ViewOption,
     read_bounds,
@@ -32,7 +35,6 @@ from skugga.api.products.product import Product
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level_source import LevelSource
-from skugga.terrain.level.parts import SkyName, StyleName
 
 # Names of layers: products of a moment, and intermediate pictures of an algorithm's render passes.
 _LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is None and product.when != "days"]
@@ -43,19 +45,6 @@ _LayerOption = Annotated[
         help=f"{', '.join(_LAYERS[:-1])} or {_LAYERS[-1]}; or an intermediate picture of an algorithm: {', '.join(_PASS_LAYERS)}.",
         autocompletion=complete_words([*_LAYERS, *_PASS_LAYERS]),
     ),
-]
-_STYLES = ("auto", *get_args(StyleName))
-_StyleOption = Annotated[
-    str | None, typer.Option(help=f"Style of relief shading: {', '.join(_STYLES)}.", autocompletion=complete_words(_STYLES))
-]
-_SlopeExaggerationOption = Annotated[
-    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; it does not change cast shadows.")
-]
-
-_SKIES = get_args(SkyName)
-_SkyOption = Annotated[
-    str | None,
-    typer.Option(help=f"Sky that lights the ground of maps: {', '.join(_SKIES)}.", autocompletion=complete_words(_SKIES)),
 ]
 
 
@@ -77,9 +66,9 @@ def render(
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     light: Annotated[str | None, typer.Option(help="Light to show, for layers of a single light.")] = None,
-    style: _StyleOption = None,
-    slope_exaggeration: _SlopeExaggerationOption = None,
-    sky: _SkyOption = None,
+    style: StyleOption = None,
+    slope_exaggeration: SlopeExaggerationOption = None,
+    sky: SkyOption = None,
     seconds: SecondsOption = None,
     start: Annotated[
         str | None,

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
+from skugga.api.cli.common_options import (
+    AltitudeOption,
+    AzimuthOption,
+    BoundsOption,
+    CrsOption,
+    SkyOption,
+    SlopeExaggerationOption,
+    StyleOption,
+    TimeOption,
+    read_bounds,
+)
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import overrides_of, with_shadow_options
@@ -15,7 +25,9 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.times import sun_from_options, suns_from_options
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import StyleSpec
 
 if TYPE_CHECKING:
     from skugga.api.raster_file import RasterCells
@@ -42,6 +54,9 @@ def shade_raster(
     step: Annotated[str | None, typer.Option(metavar="15m", help="Interval between two times, such as 15m, 1h or 1d.")] = None,
     azimuth: AzimuthOption = None,
     altitude: AltitudeOption = None,
+    style: StyleOption = None,
+    slope_exaggeration: SlopeExaggerationOption = None,
+    sky: SkyOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
@@ -55,8 +70,14 @@ def shade_raster(
     """Write a shadow mask as a raster of any size, by default on the level's grid."""
     from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_stac_item, write_product
     from skugga.api.request import ProductRequest
+    from skugga.terrain.style import style_spec
 
-    product_named(layer, SHADED_PRODUCTS, "--layer")
+    product = product_named(layer, SHADED_PRODUCTS, "--layer")
+    look: dict[str, Any] = {"style": style, "slope_exaggeration": slope_exaggeration, "sky": sky}
+    for name, value in look.items():
+        if value is not None and not product.is_display:
+            raise InputError(f"--{name.replace('_', '-')}", Problem(f"the layer {layer} has no style"), "Use it with --layer color")
+    style_spec(StyleSpec(), style, slope_exaggeration, sky)  # raises InputError for a wrong value
     overrides = overrides_of("render", declared_options)
     cells: Path | RasterCells | None = like
     suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)
@@ -66,5 +87,5 @@ def shade_raster(
             stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None
         )
     with ProgressBar("Shading") as advance:
-        requests = [ProductRequest(product=layer, sun=sun) for sun in suns]
+        requests = [ProductRequest(product=layer, sun=sun, **look) for sun in suns]
         write_product(level, output, requests, OutputGrid(read_bounds(bounds), crs, resolution, cells), overrides, advance)

@@ -54,6 +54,8 @@ def test_several_times_write_one_file_each(run, raster, tmp_path):
         (("-o", "m.tif", "--times", "2024-02-30T08:00Z"), ("time", "2024-02-30")),
         (("-o", "m.tif", "--like", "nowhere.tif"), ("nowhere.tif", "GDAL")),
         (("-o", "nowhere/m.tif",), ("nowhere/m.tif",)),
+        (("-o", "m.tif", "--slope-exaggeration", "2"), ("--slope-exaggeration", "mask", "--layer color")),
+        (("-o", "m.tif", "--layer", "color", "--sky", "dark"), ("sky", "dark", "overcast")),
         (("-o", "m.tif", "--bounds", "0,0,9,9"), ("bounds", "UTM zone 33N")),
     ],
 )  # fmt: skip
@@ -122,3 +124,14 @@ def test_from_to_and_step_give_times():
 def test_invalid_times_are_refused(arguments):
     with pytest.raises(InputError):
         suns_from_options(*arguments)
+
+
+def test_colour_rasters_follow_the_style_and_its_sky(run, raster, tmp_path):
+    pictures = []
+    for name, options in (("level", ()), ("swiss", ("--style", "swiss")), ("overcast", ("--sky", "overcast"))):
+        path = tmp_path / f"{name}.tif"
+        arguments = ("-o", str(path), "--layer", "color", "--azimuth", "225", "--altitude", "20", *options)
+        assert run("shade", str(raster), *arguments) == (0, "", "")
+        with rasterio.open(path) as dataset:
+            pictures.append(dataset.read([1, 2, 3]).astype(int))
+    assert all(np.abs(picture - pictures[0]).max() > 10 for picture in pictures[1:])

@@ -38,9 +38,15 @@ def reasons_of(plan: Plan) -> dict[str, str]:
 def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
     plan = plan_of(scene, scene.view())
     assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.algorithms_text == "sweep" and plan.predicted is None
-    assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "outside_casters", "sky_view"]
+    assert [effect.name for effect in plan.effects] == [
+        "refraction",
+        "cast_shadows",
+        "outside_casters",
+        "sky_view",
+        "texture_shading",
+    ]
     assert [effect.name for effect in plan.left_out] == [
-        "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "lamps", "water", "haze",
+        "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "sky_light", "lamps", "water", "haze",
     ]  # fmt: skip
     assert "but not simulated: sweep for relief draws hard edges" in next(
         item.reason for item in plan.left_out if item.name == "soft_edges"
