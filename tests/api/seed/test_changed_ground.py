@@ -135,14 +135,16 @@ def test_sky_view_depends_on_all_ground(tmp_path: Path, heights: np.ndarray, mon
     assert len(run()[1]) == len(tiles_by_block(run)) > 4
 
 
-def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: np.ndarray):
+def test_at_night_a_change_redraws_only_tiles_with_its_texture(tmp_path: Path, heights: np.ndarray):
+    """Texture reaches 67 nodes, here 8 pixels apart, since pixels are smaller than cells. Edges and heights reach 12 cells."""
     night = (SunSpec(azimuth=0.0, altitude=-20.0),)
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=night)
     run()
     heights[280:, :20] = 600.0
     write_ground(run.level, heights)
     side_m = CHUNK_CELLS * CELL_M
-    chunk = box(WEST, NORTH - CELLS * CELL_M, WEST + side_m, NORTH - 4 * side_m).buffer(12 * CELL_M)
+    texture_m = 67 * 8 * tms.get("WebMercatorQuad").matrix(ZOOM).cellSize * np.cos(np.radians(46.9))
+    chunk = box(WEST, NORTH - CELLS * CELL_M, WEST + side_m, NORTH - 4 * side_m).buffer(12 * CELL_M + texture_m)
     redrawn_tiles = {(task.zoom, task.x, task.y) for task in run()[1]}
     assert redrawn_tiles == {place for place in tiles_by_block(run) if block_on_raster(*place).intersects(chunk)}
     assert len(redrawn_tiles) < len(tiles_by_block(run)) / 2
