@@ -29,6 +29,9 @@ Styles choose that share for relief inside shadow. On walls, which are vertical,
 GROUND_REFLECTANCE = 0.2
 """Share of the light on level ground that reaches buildings and trees from below: the usual albedo of land."""
 
+SUNLIT_GROUND_SHARE = 0.5
+"""Share of the ground around buildings and trees that counts as sunlit. They shade a part of it themselves."""
+
 MIN_SUN_ALTITUDE_COSINE = 0.15
 """Lower bound of the cosine of the sun's altitude, by which the loops divide.
 
@@ -259,7 +262,7 @@ def shade_rows(
                     cos_sun = _slope_direct_light(cos_sun, sine, terminator)
             sky_light_share = night + (1.0 - night) * twilight_sky_share(sine)
             visible_ground_share = 0.0 if kind[i, j] == RELIEF else 0.5 * (1.0 - cos_zenith)
-            level_direct = max(sine, 0.0) * _direct_fade(sine)
+            level_direct = SUNLIT_GROUND_SHARE * max(sine, 0.0) * _direct_fade(sine)
             direct = (translucent_share + (1.0 - translucent_share) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
