@@ -10,7 +10,6 @@ blocks of a map meet without a seam. The taper cuts off landforms that are sever
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from skugga.terrain.cache import MIB, cached
 
@@ -42,6 +41,8 @@ def relief_texture(height_m: np.ndarray) -> np.ndarray:
     numpy.ndarray
         float32 (rows, cols). Missing ground counts as level with the node; 0 at nodes without ground.
     """
+    from scipy.signal import fftconvolve
+
     known = np.isfinite(height_m)
     inside = slice(RADIUS_NODES, -RADIUS_NODES), slice(RADIUS_NODES, -RADIUS_NODES)
     if not known[inside].any():
