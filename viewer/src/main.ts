@@ -16,6 +16,7 @@ import { Player } from './player';
 import { pictureQuery, sunQuery } from './query';
 import type { Readiness } from './readiness';
 import { type Level, type PlacedLevel, type Query, Service, inWords, isAbort, isPlaced } from './service';
+import { makeShare } from './share';
 import { makeSide } from './side';
 import { Stage, shotsOf } from './stage';
 import { FIRST_STATE, type State, Store } from './state';
@@ -130,6 +131,7 @@ class Page {
       store, service, open, map: this.#shown.map, levels: this.#levels, level: () => this.#level,
       announce,
     }));
+    makeShare(store, announce);
     this.#listen();
   }
 
@@ -312,8 +314,8 @@ class Page {
 
   #showPicture(level: PlacedLevel, query: Query, signal: AbortSignal): void {
     // Colours that stand for numbers have a legend: below it, those of before would say something wrong.
-    const { layer, quantity, date } = store.state;
-    this.#shown.showLayer(JSON.stringify([level.name, hasLegend(level, layer) && [layer, quantity, date]]), {
+    const { layer, quantity, date, range } = store.state;
+    this.#shown.showLayer(JSON.stringify([level.name, hasLegend(level, layer) && [layer, quantity, date, range]]), {
       attribution: level.attribution, bounds: level.bounds,
       minzoom: level.minzoom, maxzoom: level.maxzoom, tiles: [service.tiles(level.name, query)],
     });

@@ -1,5 +1,6 @@
 /** The first panel: what lies on the map, on what, and how it is seen. */
 
+import { rangeFields } from './color_range';
 import { html } from './dom';
 import { hasLegend, layersOf } from './layers';
 import type { Panel, PanelContext } from './panels';
@@ -22,11 +23,12 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const about = html('p', { class: 'note' });
   const style = html('select', { id: 'style', onchange: () => store.set({ style: style.value }) });
   const styleRow = html('label', { class: 'row', for: 'style' }, 'Style', style);
-  const quantity = html('select', { id: 'quantity', onchange: () => store.set({ quantity: quantity.value as Quantity }) },
+  const quantity = html('select', { id: 'quantity', onchange: () => store.set({ quantity: quantity.value as Quantity, range: 'day' }) },
     ...QUANTITY_WORDS.map(([value, words]) => html('option', { value }, words)));
   const legend = html('div', { class: 'legend', 'aria-live': 'polite' });
   const quantityRow = html('label', { class: 'row', for: 'quantity' }, 'Quantity', quantity);
-  const numbers = html('div', {}, quantityRow, legend);
+  const range = rangeFields(store);
+  const numbers = html('div', {}, quantityRow, range.element, legend);
 
   const solid = html('input', { type: 'checkbox', id: 'solid', role: 'switch', onchange: () => store.set({ solid: solid.checked }) });
   const base = html('input', {
@@ -71,14 +73,15 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     )));
     about.textContent = choices.find(({ name }) => name === state.layer)?.about ?? '';
     numbers.hidden = !hasLegend(context.level(), state.layer);
-    quantityRow.hidden = state.layer !== 'sunhours';
+    quantityRow.hidden = range.element.hidden = state.layer !== 'sunhours';
     const styles = context.level().styles ?? [];
     styleRow.hidden = !styles.length || state.layer !== 'color';
     style.replaceChildren(...styles.map((name) => html('option', { value: name }, name.slice(0, 1).toUpperCase() + name.slice(1))));
   }));
-  stops.push(store.watch((state) => [state.level, state.style, state.quantity, state.solid, state.base, state.opacity], (_, state) => {
+  stops.push(store.watch((state) => [state.level, state.style, state.quantity, state.range, state.solid, state.base, state.opacity], (_, state) => {
     style.value = state.style ?? context.level().style ?? '';
     quantity.value = state.quantity;
+    range.refresh();
     solid.checked = state.solid;
     base.value = state.base;
     opacity.value = String(state.opacity);
@@ -94,7 +97,10 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     legend.classList.add('old');
     try {
       const { skugga } = await service.tileJson(state.level, pictureQuery(state), asking.signal);
-      if (skugga.legend) legend.replaceChildren(...drawnLegend(skugga.legend));
+      if (skugga.legend) {
+        legend.replaceChildren(...drawnLegend(skugga.legend));
+        range.tell(skugga.legend);
+      }
       legend.classList.remove('old');
     } catch (error) {
       if (!isAbort(error)) legend.replaceChildren(html('p', { class: 'note fail' }, inWords(error)));

@@ -61,7 +61,7 @@ SKY_VIEW_PARAMETERS = "kind", "transmissivity"
 
 IRRADIATION_PARAMETERS = "part", "plane", "albedo", "linke", "tilt"
 
-SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
+SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude", "color_range"
 """Parameters of hours of sun, which need that layer and a date."""
 
 
