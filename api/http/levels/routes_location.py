@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel
 from pyproj import CRS
@@ -19,6 +21,9 @@ from skugga.terrain.errors import InputError, Problem, UnsupportedError
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERROR_STATUSES))
+
+ROUND_TRIP_TOLERANCE = 1e-3
+"""Tolerance of coordinates after a round trip, in units of the CRS or as a share of them: far less than a turn round the earth."""
 
 XQuery = Annotated[
     float,
@@ -65,9 +70,10 @@ def _longitude_latitude(crs: CRS, x: float, y: float) -> tuple[float, float]:
     """Return longitude and latitude of a point of ``crs`` in degrees. Raises ``InputError`` where the CRS has no such point."""
     try:
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+        back = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
     except ProjError:
-        lon = lat = float("inf")
-    # Far outside of its area a projection answers infinity, or degrees that lead elsewhere.
-    if not (-180.0 <= lon <= 180.0 and -90.0 <= lat <= 90.0):
-        raise InputError("x", Problem(f"{crs.name} has no place at {x:.15g}, {y:.15g}"), "Use coordinates of the level's maps")
+        lon, lat, back = math.inf, math.inf, (math.inf, math.inf)
+    # Far outside of its area a projection returns infinity, or degrees of another place.
+    if not np.allclose(back, (x, y), rtol=ROUND_TRIP_TOLERANCE, atol=ROUND_TRIP_TOLERANCE):
+        raise InputError("x", Problem(f"no place has the coordinates {x:.15g}, {y:.15g}"), "Use those of the CRS of the level's maps")
     return float(lon), float(lat)
