@@ -10,7 +10,9 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-ALLOWED_BASE_MAPS = 'a JSON list, such as [{"title": "Streets", "tiles": "https://example.org/{z}/{x}/{y}.png", "attribution": "© them"}]'
+ALLOWED_BASE_MAPS = (
+    'a JSON list, such as [{"title": "Streets", "tiles": "https://example.org/{z}/{x}/{y}.png", "attribution": "© them"}]'
+)
 
 MAX_BASE_MAPS = 20
 

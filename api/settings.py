@@ -129,8 +129,8 @@ class Settings(BaseSettings):
     base_maps: Annotated[tuple[BaseMap, ...], NoDecode] = Field(
         default=(),
         max_length=MAX_BASE_MAPS,
-        description="Base maps that the viewer offers, as JSON: a list of objects with `title`, `tiles` (an address with `{z}`, `{x}` "
-        "and `{y}`, or a path of this service), `attribution` and `maxzoom`.",
+        description="Base maps that the viewer offers, as JSON: a list of objects with `title`, `tiles` (an address with `{z}`, "
+        "`{x}` and `{y}`, or a path of this service), `attribution` and `maxzoom`.",
     )
     base_maps_only: bool = Field(
         default=False,

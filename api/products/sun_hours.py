@@ -82,7 +82,7 @@ class SunHoursOptions(ProductOptions):
     )
     color_range: str = Field(
         default="day", max_length=20, pattern=COLOR_RANGE_PATTERN, examples=["fixed"],
-        description="Range of the colours: `day` (the default), from 0 to the possible hours of the date or from sunrise to sunset; "
+        description="Range of the colours: `day` (the default), 0 to the possible hours of the date, or sunrise to sunset; "
         "`fixed`, 0 to 24; or LOW,HIGH in hours.",
     )  # fmt: skip
     step_min: float | None = Field(default=None, ge=0.5, le=60.0, description="Minutes between two suns; default: as needed.")
@@ -185,7 +185,7 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
 
 
 def _hour_unit(low: float, high: float) -> float:
-    """Return the hours that ticks of a range are multiples of: an hour, or a quarter of one where few whole hours lie in the range."""
+    """Return the hours between two ticks, or a divisor of them: 1, or 0.25 where few whole hours lie in the range."""
     return 1.0 if high - low >= 2.0 and low.is_integer() else 0.25
 
 
@@ -194,7 +194,9 @@ def _ticks(low: float, high: float, unit: float, format_tick: Callable[[float], 
 
     Ticks are 1, 2, 3, 4, 6, 12, 24 or 48 times ``unit`` apart, as few as ``MAX_LEGEND_TICKS`` needs.
     """
-    tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12, 24, 48) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS)
+    tick_multiple = next(
+        multiple for multiple in (1, 2, 3, 4, 6, 12, 24, 48) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS
+    )
     return tuple((float(value), format_tick(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
 
 

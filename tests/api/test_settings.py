@@ -74,7 +74,8 @@ def test_wrong_base_map_is_refused(monkeypatch: pytest.MonkeyPatch, tiles: str):
 
 def test_base_maps_are_json(monkeypatch: pytest.MonkeyPatch):
     assert load_settings().base_maps == () and not load_settings().base_maps_only
-    monkeypatch.setenv("SKUGGA_BASE_MAPS", '[{"title": "Streets", "tiles": "https://a.example:8080/{z}/{x}/{y}.png", "maxzoom": 16}]')
+    tiles = "https://a.example:8080/{z}/{x}/{y}.png"
+    monkeypatch.setenv("SKUGGA_BASE_MAPS", json.dumps([{"title": "Streets", "tiles": tiles, "maxzoom": 16}]))
     (base_map,) = load_settings().base_maps
     assert (base_map.title, base_map.maxzoom, base_map.attribution) == ("Streets", 16, "")
     assert base_map.origin == "https://a.example:8080"

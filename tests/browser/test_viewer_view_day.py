@@ -57,9 +57,7 @@ class FakeView:
         """Return the grey in the middle of the dialog's picture."""
         box = self.page.locator("dialog img:visible").bounding_box()
         assert box is not None
-        pixels = self.viewer.pixels(
-            {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "width": 4, "height": 4}
-        )
+        pixels = self.viewer.pixels({"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "width": 4, "height": 4})
         return int(pixels.max())
 
     def wait_until_later(self, minutes: int) -> None:

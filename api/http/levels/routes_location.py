@@ -60,7 +60,9 @@ async def location(request: Request, service: ServiceDep, level: LevelPath, x: X
     """
     served_level = await service.level(level)
     if served_level.world.off_earth_reason is not None:
-        raise UnsupportedError("level", served_level.name, f"{served_level.world.off_earth_reason}, so its places have no longitude")
+        raise UnsupportedError(
+            "level", served_level.name, f"{served_level.world.off_earth_reason}, so its places have no longitude"
+        )
     lon, lat = await run_in_threadpool(_longitude_latitude, served_level.map_crs, x, y)
     crs = served_level.map_crs
     return json_response(request, Location(lon=lon, lat=lat, crs=crs.to_string(), crs_name=crs.name).model_dump())
@@ -75,5 +77,7 @@ def _longitude_latitude(crs: CRS, x: float, y: float) -> tuple[float, float]:
         lon, lat, back = math.inf, math.inf, (math.inf, math.inf)
     # Far outside of its area a projection returns infinity, or degrees of another place.
     if not np.allclose(back, (x, y), rtol=ROUND_TRIP_TOLERANCE, atol=ROUND_TRIP_TOLERANCE):
-        raise InputError("x", Problem(f"no place has the coordinates {x:.15g}, {y:.15g}"), "Use those of the CRS of the level's maps")
+        raise InputError(
+            "x", Problem(f"no place has the coordinates {x:.15g}, {y:.15g}"), "Use those of the CRS of the level's maps"
+        )
     return float(lon), float(lat)

@@ -36,7 +36,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
     async def index(service: ServiceDep) -> Response:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
-            # Users may name any server for tiles of a base map, unless the operator forbids it. Scripts come from this service only.
+            # Users may name any server for a base map unless the operator forbids it. Scripts come from this service only.
             sources = tile_sources(service.settings.base_maps, has_others=not service.settings.base_maps_only)
             policy = content_security_policy(tile_sources=sources)
             return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
