@@ -66,8 +66,8 @@ class DayPictures {
 
 export class ViewDay {
   readonly element: HTMLElement;
-  /** The picture of the time that is played; hidden before. */
-  readonly frame: HTMLImageElement;
+  /** The picture of the time that is played. */
+  readonly #frame = html('img', { class: 'day-frame', alt: '' });
   readonly #play: HTMLButtonElement;
   readonly #slider: HTMLInputElement;
   readonly #clock = html('output', { for: 'view-minutes' });
@@ -82,12 +82,11 @@ export class ViewDay {
   #minutes: number | null = null;
   #timer: ReturnType<typeof setTimeout> | undefined;
 
-  /** `width`: CSS pixels that the picture has on the page; `shown` is called when a picture of the day lies over the first one. */
+  /** `width`: CSS pixels that the picture has on the page; `shown` puts the day's picture in its place. */
   constructor(
     private readonly service: Service, private readonly day: DayOfView, private readonly title: string, private readonly name: string,
-    private readonly width: () => number, private readonly shown: () => void,
+    private readonly width: () => number, private readonly shown: (frame: HTMLImageElement) => void,
   ) {
-    this.frame = html('img', { class: 'day-frame', alt: '', hidden: true });
     this.#play = html('button', { type: 'button', class: 'main', 'aria-pressed': 'false', onclick: () => void this.#toggle() }, 'Play the day');
     this.#slider = html('input', {
       type: 'range', id: 'view-minutes', min: 0, max: 1430, step: 10, 'aria-label': 'Time of the view', oninput: () => this.#choose(Number(this.#slider.value)),
@@ -137,12 +136,9 @@ export class ViewDay {
 
   #show(minutes: number, image: HTMLImageElement): void {
     this.#minutes = minutes;
-    this.frame.src = image.src;
-    this.frame.alt = `${this.title} at ${clockText(minutes)}`;
-    if (this.frame.hidden) {
-      this.frame.hidden = false;
-      this.shown();
-    }
+    this.#frame.src = image.src;
+    this.#frame.alt = `${this.title} at ${clockText(minutes)}`;
+    if (!this.#frame.isConnected) this.shown(this.#frame);
     this.#tellTime(minutes);
   }
 

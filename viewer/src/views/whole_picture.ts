@@ -9,8 +9,10 @@ import { type DayOfView, ViewDay } from './view_day';
 /** Opens a picture; Escape closes it. `name` is that of its file, without a suffix; `day` lets the sun move. */
 export function openPicture(service: Service, title: string, address: string, name: string, day: DayOfView | null): void {
   const picture = new Picture(service, title);
-  const viewDay = day && new ViewDay(service, day, title, name, () => picture.element.clientWidth, () => picture.covered());
-  if (viewDay) picture.element.append(viewDay.frame);
+  const viewDay = day && new ViewDay(service, day, title, name, () => picture.element.clientWidth, (frame) => {
+    picture.covered();
+    picture.element.append(frame);
+  });
   const said = html('span', { role: 'status' });
   const save = html('button', {
     type: 'button',
