@@ -9,6 +9,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from skugga.api.base_maps import MAX_BASE_MAPS, BaseMap, parse_base_maps
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.gl.egl_devices import AUTO_DEVICE, parse_device_setting
@@ -125,6 +126,16 @@ class Settings(BaseSettings):
     empty_tile: Literal["transparent", "204", "404"] = Field(
         default="transparent", description="Answer for a tile within the zoom range but outside the data."
     )
+    base_maps: Annotated[tuple[BaseMap, ...], NoDecode] = Field(
+        default=(),
+        max_length=MAX_BASE_MAPS,
+        description="Base maps that the viewer offers, as JSON: a list of objects with `title`, `tiles` (an address with `{z}`, "
+        "`{x}` and `{y}`, or a path of this service), `attribution` and `maxzoom`.",
+    )
+    base_maps_only: bool = Field(
+        default=False,
+        description="Whether the viewer takes tiles from the servers of these base maps only; else users may paste an address.",
+    )
     levels: Path | None = Field(
         default=None, description="Folder whose level files (`.yaml`, `.yml`) are served; `SIGHUP` reloads the list."
     )
@@ -147,6 +158,11 @@ class Settings(BaseSettings):
     @classmethod
     def _split_by_commas(cls, value: Any) -> Any:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @field_validator("base_maps", mode="before")
+    @classmethod
+    def _parse_base_maps(cls, value: Any) -> Any:
+        return parse_base_maps(value)
 
     @field_validator("egl_device")
     @classmethod

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from skugga.api.color_scale import ColorScale
 from skugga.api.products.product import Product, ProductInput, ProductOptions
@@ -40,6 +41,10 @@ LARGE_RASTER_BLOCK_SIDE_NODES = 1024
 
 MIN_BLOCK_SIDE_NODES = 64
 """Minimum side of a block of bare ground, where the curved earth limits blocks."""
+
+COLOR_RANGE_PATTERN = r"^(day|fixed|\d{1,2}(\.\d{1,2})?,\d{1,2}(\.\d{1,2})?)$"
+
+DAY_HOURS = 24.0
 
 Date = datetime.date  # an alias, because the model has a field called ``date``
 
@@ -75,8 +80,26 @@ class SunHoursOptions(ProductOptions):
     least_altitude: float = Field(
         default=0.0, ge=-1.0, lt=90.0, description="Minimum altitude of a sun that counts, degrees.", examples=[3]
     )
+    color_range: str = Field(
+        default="day", max_length=20, pattern=COLOR_RANGE_PATTERN, examples=["fixed"],
+        description="Range of the colours: `day` (the default), 0 to the possible hours of the date, or sunrise to sunset; "
+        "`fixed`, 0 to 24; or LOW,HIGH in hours.",
+    )  # fmt: skip
     step_min: float | None = Field(default=None, ge=0.5, le=60.0, description="Minutes between two suns; default: as needed.")
     threshold_h: float = Field(default=2.0, ge=0.0, le=24.0, description="Minimum hours of sun of a day that counts.")
+
+    @field_validator("color_range")
+    @classmethod
+    def _check_color_range(cls, value: str) -> str:
+        limits = _hours_of_range(value)
+        if limits is not None and not limits[0] < limits[1] <= DAY_HOURS:
+            raise PydanticCustomError("color_range", "day, fixed, or LOW,HIGH: hours from 0 to 24, LOW below HIGH")
+        return value
+
+    @property
+    def color_limits_h(self) -> tuple[float, float] | None:
+        """Lowest and highest hours of the colours; ``None`` if they follow from the date."""
+        return _hours_of_range(self.color_range)
 
     def windows(self, world: World) -> list[DailyWindow]:
         """Return the daily windows of the dates. Raises ``InputError``, also in a flat world."""
@@ -92,6 +115,16 @@ class SunHoursOptions(ProductOptions):
         from skugga.shadows.sun_hours.sun_hours import SunRules
 
         return SunRules(self.step_min, self.threshold_h, self.least_altitude, self.height)
+
+
+def _hours_of_range(color_range: str) -> tuple[float, float] | None:
+    """Return the ends of a range of colours in hours; ``None`` for ``day``."""
+    if color_range == "day":
+        return None
+    if color_range == "fixed":
+        return 0.0, DAY_HOURS
+    low, high = color_range.split(",")
+    return float(low), float(high)
 
 
 def _compute(product_input: ProductInput) -> np.ndarray:
@@ -123,7 +156,7 @@ def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
 
 
 def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
-    """Return the colour scale of a whole level: from 0 to the hours of an unobstructed sun, or from sunrise to sunset."""
+    """Return the colour scale of a whole level: of ``color_range``, which by default follows from the sun of the date."""
     from skugga.shadows.sun_hours.suns import window_suns
     from skugga.terrain.geo.daily_windows import clock_text
 
@@ -133,24 +166,37 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
     date_text = f"{options.date.day} {options.date:%B %Y}"
     if options.quantity == "days":
         return ColorScale(f"Days with sun, {date_text}", "inferno", 0.0, 1.0, _ticks(0.0, 1.0, 1.0, lambda value: f"{value:.0f}"))
+    limits_h = options.color_limits_h
     if options.quantity in ("hours", "longest"):
-        high = float(max(np.ceil(len(up_min) / 60.0), 1.0))
+        low, high = limits_h or (0.0, float(max(np.ceil(len(up_min) / 60.0), 1.0)))
         quantity_title = "Hours of sun" if options.quantity == "hours" else "Longest spell of sun, hours"
+        unit = 1.0 if limits_h is None else _hour_unit(low, high)
         return ColorScale(
-            f"{quantity_title}, {date_text}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}")
+            f"{quantity_title}, {date_text}", "inferno", low, high, _ticks(low, high, unit, lambda value: f"{value:g}")
         )
+    quantity_title = f"{options.quantity.capitalize()} sun"
+    title = f"{quantity_title}, {date_text} ({options.clock})"
+    if limits_h is not None:
+        low, high = (60.0 * limit for limit in limits_h)
+        return ColorScale(title, "viridis", low, high, _ticks(low, high, 60.0 * _hour_unit(*limits_h), clock_text))
     rise, set_ = (window.clock_time_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.length_min)))
     low, high = float(np.floor(rise / 60.0) * 60.0), float(np.ceil(set_ / 60.0) * 60.0)
-    quantity_title = f"{options.quantity.capitalize()} sun"
-    return ColorScale(f"{quantity_title}, {date_text} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
+    return ColorScale(title, "viridis", low, high, _ticks(low, high, 60.0, clock_text))
+
+
+def _hour_unit(low: float, high: float) -> float:
+    """Return the hours between two ticks, or a divisor of them: 1, or 0.25 where few whole hours lie in the range."""
+    return 1.0 if high - low >= 2.0 and low.is_integer() else 0.25
 
 
 def _ticks(low: float, high: float, unit: float, format_tick: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
     """Return the ticks of a legend from ``low`` to ``high``: numbers and their labels.
 
-    Ticks are 1, 2, 3, 4, 6 or 12 times ``unit`` apart, as few as ``MAX_LEGEND_TICKS`` needs.
+    Ticks are 1, 2, 3, 4, 6, 12, 24 or 48 times ``unit`` apart, as few as ``MAX_LEGEND_TICKS`` needs.
     """
-    tick_multiple = next(multiple for multiple in (1, 2, 3, 4, 6, 12) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS)
+    tick_multiple = next(
+        multiple for multiple in (1, 2, 3, 4, 6, 12, 24, 48) if (high - low) / (multiple * unit) < MAX_LEGEND_TICKS
+    )
     return tuple((float(value), format_tick(float(value))) for value in np.arange(low, high + unit / 2.0, tick_multiple * unit))
 
 

@@ -1,3 +1,5 @@
+import json
+
 import pytest
 from pydantic import ValidationError
 
@@ -43,6 +45,8 @@ def test_arguments_override_the_environment(monkeypatch: pytest.MonkeyPatch):
         ("SKUGGA_PUBLIC_URL", "a.example"),
         ("SKUGGA_PORT", "-1"),
         ("SKUGGA_EGL_DEVICE", "1;2"),
+        ("SKUGGA_BASE_MAPS", "streets"),
+        ("SKUGGA_BASE_MAPS", '{"title": "Streets"}'),
     ],
 )
 def test_wrong_environment_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str):
@@ -51,6 +55,30 @@ def test_wrong_environment_is_named(monkeypatch: pytest.MonkeyPatch, name: str, 
         load_settings()
     assert caught.value.name == name
     assert value in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "tiles",
+    [
+        "ftp://a.example/{z}/{x}/{y}.png", "https://a.example/{z}/{x}.png", "/etc/{z}/{x}/{y}", "https://{s}.a.example/{z}/{x}/{y}.png",
+        "https://a.example; script-src */{z}/{x}/{y}.png", "https://a.example/{z}/{x}/{y}.png'", "//a.example/{z}/{x}/{y}.png",
+    ],
+)  # fmt: skip
+def test_wrong_base_map_is_refused(monkeypatch: pytest.MonkeyPatch, tiles: str):
+    """What it contains may not change the page's Content-Security-Policy."""
+    monkeypatch.setenv("SKUGGA_BASE_MAPS", json.dumps([{"title": "Streets", "tiles": tiles}]))
+    with pytest.raises(InputError) as caught:
+        load_settings()
+    assert caught.value.name == "SKUGGA_BASE_MAPS"
+
+
+def test_base_maps_are_json(monkeypatch: pytest.MonkeyPatch):
+    assert load_settings().base_maps == () and not load_settings().base_maps_only
+    tiles = "https://a.example:8080/{z}/{x}/{y}.png"
+    monkeypatch.setenv("SKUGGA_BASE_MAPS", json.dumps([{"title": "Streets", "tiles": tiles, "maxzoom": 16}]))
+    (base_map,) = load_settings().base_maps
+    assert (base_map.title, base_map.maxzoom, base_map.attribution) == ("Streets", 16, "")
+    assert base_map.origin == "https://a.example:8080"
 
 
 def test_wrong_argument_is_named():

@@ -20,6 +20,9 @@ DATE = "2024-12-21"
 FIRST, LAST = 8 * 60 - 10, 18 * 60
 """The day's steps lie between these, in minutes by the clock of -05:00."""
 
+COMPARED_GREY = 60
+"""Greys by which fake tiles of shadows are brighter than those of shaded relief."""
+
 COLOR_TOLERANCE = 3
 """Tolerance of colours on the screen, of 255."""
 
@@ -39,9 +42,9 @@ class FakeDay:
         """Requests that are held back; None: requests are answered at once."""
         viewer.page.route(re.compile("/tiles/"), self._answer)
 
-    def open(self, minutes: int) -> None:
-        """Open the page at a time of the day."""
-        self.viewer.page.goto(f"{self.viewer.address}/#time={DATE}T{minutes // 60:02}:{minutes % 60:02}:00-05:00")
+    def open(self, minutes: int, fragment: str = "") -> None:
+        """Open the page at a time of the day, with further parts of the fragment."""
+        self.viewer.page.goto(f"{self.viewer.address}/#time={DATE}T{minutes // 60:02}:{minutes % 60:02}:00-05:00{fragment}")
         self.viewer.wait_until_settled()
         expect(self.viewer.page.locator(".marks b").first).to_be_visible()
 
@@ -75,14 +78,16 @@ class FakeDay:
         if self.held_routes is not None:
             self.held_routes.append(route)
             return
-        (time,) = parse_qs(urlsplit(route.request.url).query)["time"]
+        query = parse_qs(urlsplit(route.request.url).query)
+        (time,) = query["time"]
         minutes = int(time[11:13]) * 60 + int(time[14:16])
         self.requested_urls.append(route.request.url)
         if self.broken:
             route.fulfill(status=500, json={"title": "Internal Server Error", "status": 500, "detail": "The worker is gone."})
             return
         picture = BytesIO()
-        Image.new("RGB", (256, 256), (tile_grey(minutes),) * 3).save(picture, "PNG")
+        grey = tile_grey(minutes) + (COMPARED_GREY if query.get("layer") == ["shadow"] else 0)
+        Image.new("RGB", (256, 256), (grey,) * 3).save(picture, "PNG")
         route.fulfill(body=picture.getvalue(), content_type="image/png")
 
 
@@ -145,6 +150,45 @@ def test_day_goes_on_after_the_map_moves(day: FakeDay):
     middle = day.viewer.pixels()[250:300, 700:900].astype(int)
     assert int(np.ptp(middle)) <= COLOR_TOLERANCE
     assert tile_grey(FIRST) <= middle.max() <= tile_grey(LAST)
+
+
+def test_compared_map_plays_along(day: FakeDay):
+    """Both sides always show the same time, and rest at it after a pause. The day goes on without the comparison."""
+    day.open(9 * 60, "&compare=layer:shadow&compare-split=0.3")
+    page = day.viewer.page
+    expect(page.locator(".other-map")).to_be_visible()
+    box = page.locator(".divider .handle").bounding_box()
+    assert box is not None
+    line = round(box["x"] + box["width"] / 2)
+
+    def greys() -> tuple[int, int]:
+        row = day.viewer.pixels()[200].astype(int)
+        return int(row[line - 40].max()), int(row[line + 40].max())
+
+    day.play()
+    day.wait_until_later(9 * 60 + 20)
+    seen = []
+    for _ in range(8):
+        left, right = greys()
+        assert abs(right - left - COMPARED_GREY) <= COLOR_TOLERANCE, "the two sides show different times"
+        seen.append(left)
+        day.wait_until_later(day.minutes)
+    assert max(seen) - min(seen) > 2 * COLOR_TOLERANCE, "the day does not go on"
+
+    page.get_by_role("button", name="Pause the day").click()
+    day.viewer.wait_until_settled()
+    page.wait_for_function("() => !document.querySelector('#status:not([hidden])')")
+    page.wait_for_timeout(500)
+    left, right = greys()
+    assert abs(left - tile_grey(day.minutes)) <= COLOR_TOLERANCE
+    assert abs(right - left - COMPARED_GREY) <= COLOR_TOLERANCE
+
+    day.play()
+    day.wait_until_later(day.minutes)
+    page.get_by_role("button", name="End the comparison").first.click()
+    day.wait_until_later(day.minutes + 10)
+    left, right = greys()
+    assert abs(right - left) <= COLOR_TOLERANCE
 
 
 def test_hidden_page_pauses_the_day(day: FakeDay):

@@ -19,7 +19,7 @@ TILES = "compiling loops for map tiles"
 HOURS = "compiling loops for hours of sun"
 
 PATHS_WITHOUT_RENDERING = re.compile(
-    r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)"
+    r"^/($|assets/|levels$|base-maps\.json$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)"
 )
 """Paths whose answers need no rendering."""
 

@@ -1,9 +1,10 @@
 /** The state as the part of the page's address after "#", so that what is seen can be bookmarked and sent. */
 
 import { formatMoment, parseMoment } from './moments';
+import { isRange } from './color_range';
 import { FIRST_STATE, QUANTITIES, type State, THEMES, type View } from './state';
 
-const KNOWN = new Set(['level', 'layer', 'style', 'time', 'azimuth', 'altitude', 'quantity', 'base', 'opacity', 'solid', 'theme', 'panel', 'view', 'map']);
+const KNOWN = new Set(['level', 'layer', 'style', 'time', 'azimuth', 'altitude', 'quantity', 'range', 'base', 'opacity', 'solid', 'theme', 'panel', 'view', 'map']);
 const LAYER = /^[a-z][a-z0-9-]*$/;
 const AZIMUTHS = [0, 360] as const;
 const ALTITUDES = [-90, 90] as const;
@@ -44,6 +45,7 @@ export function addressFaults(hash: string, own: readonly string[]): string[] {
     ...wrong('altitude', range(ALTITUDES), 'degrees from -90 to 90'),
     ...wrong('layer', (text) => LAYER.test(text), 'a layer is a word, as shadow'),
     ...wrong('quantity', among(QUANTITIES), QUANTITIES.join(', ')),
+    ...wrong('range', isRange, 'day, fixed, or two numbers of hours from 0 to 24, as 6,10'),
     ...wrong('opacity', range(OPACITIES), 'a number from 0 to 1'),
     ...wrong('solid', among(['0', '1']), '0 or 1'),
     ...wrong('theme', among(THEMES), THEMES.join(', ')),
@@ -67,6 +69,7 @@ export function readAddress(hash: string): Partial<State> {
     azimuth,
     altitude,
     quantity: one(QUANTITIES, parts.get('quantity')),
+    range: isRange(parts.get('range') ?? '') ? parts.get('range') : undefined,
     base: parts.get('base'),
     opacity: number(parts.get('opacity'), ...OPACITIES),
     solid: parts.has('solid') ? parts.get('solid') === '1' : undefined,
@@ -80,7 +83,7 @@ export function readAddress(hash: string): Partial<State> {
 
 /** The address of a state: what is as at first is left out, but for the level, the sun and the place. */
 export function writeAddress(state: State): string {
-  const rest = (name: 'layer' | 'quantity' | 'base' | 'opacity' | 'theme' | 'panel') =>
+  const rest = (name: 'layer' | 'quantity' | 'range' | 'base' | 'opacity' | 'theme' | 'panel') =>
     (state[name] === FIRST_STATE[name] ? undefined : String(state[name]));
   const parts: Record<string, string | undefined> = {
     level: state.level || undefined,
@@ -89,6 +92,7 @@ export function writeAddress(state: State): string {
     ...(state.sunBy === 'time' && { time: formatMoment(state) }),
     ...(state.sunBy === 'angles' && { azimuth: String(state.azimuth), altitude: String(state.altitude) }),
     quantity: state.layer === 'sunhours' ? rest('quantity') : undefined,
+    range: state.layer === 'sunhours' ? rest('range') : undefined,
     base: rest('base'),
     opacity: rest('opacity'),
     solid: state.solid ? '1' : undefined,

@@ -2,6 +2,7 @@
 
 import { readAddress, writeAddress } from './address';
 import './all_panels';
+import { BaseMaps } from './base_maps';
 import { DayWaitLine } from './day_wait';
 import { type Dock, makeDock } from './dock';
 import { byId, html } from './dom';
@@ -16,6 +17,7 @@ import { Player } from './player';
 import { pictureQuery, sunQuery } from './query';
 import type { Readiness } from './readiness';
 import { type Level, type PlacedLevel, type Query, Service, inWords, isAbort, isPlaced } from './service';
+import { makeShare } from './share';
 import { makeSide } from './side';
 import { Stage, shotsOf } from './stage';
 import { FIRST_STATE, type State, Store } from './state';
@@ -82,6 +84,7 @@ class Page {
   readonly #firstPicture = deferred();
   #wasReady = false;
   #levels: readonly Level[] = [];
+  #baseMaps = new BaseMaps();
   #level!: Level;
   #day: SunDay | null = null;
   /** Whether the day is to be played as soon as it is known. */
@@ -100,14 +103,14 @@ class Page {
   }
 
   /** Reads the levels and begins; where that fails, says so with a way to try again. */
-  async start(asked = service.levels()): Promise<void> {
+  async start(asked = service.levels(), askedBaseMaps = service.baseMaps()): Promise<void> {
     const slow = setTimeout(() => veil('Asking the service for its levels …'), 600);
     keepTheme(store, (ground) => this.#shown.map.isStyleLoaded() && this.#shown.paintGround(ground));
     const styled = this.#shown.map.isStyleLoaded() ? Promise.resolve() : this.#shown.map.once('style.load');
     try {
       await styled;
       this.#shown.paintGround(getComputedStyle(document.documentElement).getPropertyValue('--ground').trim());
-      this.#levels = await asked;
+      [this.#levels, this.#baseMaps] = await Promise.all([asked, askedBaseMaps]);
     } catch (error) {
       veil(`${inWords(error)} There is nothing to show before it does.`, { words: 'Try again', go: () => { veil(null); void this.start(); } }, true);
       return;
@@ -127,9 +130,10 @@ class Page {
     byId('level').replaceChildren(...options(placed), ...(flat.length ? [html('optgroup', { label: 'Without a map: pictures of their views' }, ...options(flat))] : []));
     this.#openAddress();
     makeSide((open) => ({
-      store, service, open, map: this.#shown.map, levels: this.#levels, level: () => this.#level,
+      store, service, open, map: this.#shown.map, levels: this.#levels, baseMaps: this.#baseMaps, level: () => this.#level,
       announce,
     }));
+    makeShare(store, announce);
     this.#listen();
   }
 
@@ -157,7 +161,10 @@ class Page {
   #openAddress(): void {
     const said = readAddress(location.hash);
     this.#open(said);
-    const wrong = wrongParts(location.hash, said, this.#level);
+    const wrong = [
+      ...wrongParts(location.hash, said, this.#level),
+      ...(this.#baseMaps.allows(said.base ?? '') ? [] : ['this service shows its own base maps only']),
+    ];
     notice(wrong.length ? `In the address, ${wrong.join('; ')}.` : null);
   }
 
@@ -242,7 +249,7 @@ class Page {
       store.set({ view: this.#shown.view });
       this.#sayWhetherSeen();
     });
-    store.watch(({ base }) => base, (base) => this.#shown.showBase(base));
+    store.watch(({ base }) => base, (base) => this.#shown.showBase(this.#baseMaps.source(base)));
     store.watch(({ opacity }) => opacity, (opacity) => this.#shown.setOpacity(opacity));
     store.watch(({ level, solid }) => [level, solid], (_, { solid }) => {
       const level = this.#level;
@@ -312,8 +319,8 @@ class Page {
 
   #showPicture(level: PlacedLevel, query: Query, signal: AbortSignal): void {
     // Colours that stand for numbers have a legend: below it, those of before would say something wrong.
-    const { layer, quantity, date } = store.state;
-    this.#shown.showLayer(JSON.stringify([level.name, hasLegend(level, layer) && [layer, quantity, date]]), {
+    const { layer, quantity, date, range } = store.state;
+    this.#shown.showLayer(JSON.stringify([level.name, hasLegend(level, layer) && [layer, quantity, date, range]]), {
       attribution: level.attribution, bounds: level.bounds,
       minzoom: level.minzoom, maxzoom: level.maxzoom, tiles: [service.tiles(level.name, query)],
     });
@@ -389,10 +396,11 @@ class Page {
 
 // Asked for before the map is made, which takes a while.
 void service.readiness.check();
+const askedBaseMaps = service.baseMaps();
 const asked = service.levels();
 asked.catch(() => {}); // told of where it is awaited
 try {
-  void new Page().start(asked);
+  void new Page().start(asked, askedBaseMaps);
 } catch {
   veil('This browser cannot draw the map: it has no WebGL 2.', undefined, true);
 }

@@ -6,6 +6,7 @@ import {
 import workerUrl from 'maplibre-gl/dist/maplibre-gl-worker.mjs?worker&url';
 import 'maplibre-gl/dist/maplibre-gl.css';
 
+import type { BaseSource } from './base_maps';
 import { isFolding } from './layout';
 import type { PlacedLevel, TileJson } from './service';
 import type { View } from './state';
@@ -35,7 +36,7 @@ export const TILE_SIZE = TILE_PX / DENSITY;
 export class LevelMap {
   readonly map: MapLibre;
   #shown = '';
-  #base = '';
+  #base = 'null';
   #heights = '';
 
   /** Throws if the browser cannot draw it. */
@@ -97,13 +98,15 @@ export class LevelMap {
     if (this.map.getLayer(LAYER)) this.map.setPaintProperty(LAYER, 'raster-opacity', opacity);
   }
 
-  /** Puts a base map of XYZ tiles under the layer; empty: none. `{s}` is read as "a", as servers of old have it. */
-  showBase(template: string): void {
-    if (template === this.#base) return;
-    this.#base = template;
+  /** Puts a base map of XYZ tiles under the layer; null: none. */
+  showBase(base: BaseSource | null): void {
+    const key = JSON.stringify(base);
+    if (key === this.#base) return;
+    this.#base = key;
     this.#remove(BASE);
-    if (!template) return;
-    this.map.addSource(BASE, { type: 'raster', tiles: [template.replace('{s}', 'a')], tileSize: TILE_PX, attribution: hostOf(template) });
+    if (!base) return;
+    const { tiles, attribution, maxzoom } = base;
+    this.map.addSource(BASE, { type: 'raster', tiles: [tiles], tileSize: TILE_PX, attribution, maxzoom });
     const first = this.map.getStyle().layers.find(({ id }) => id !== GROUND);
     this.map.addLayer({ id: BASE, type: 'raster', source: BASE }, first?.id);
   }
@@ -175,13 +178,5 @@ export class LevelMap {
 
   #removeSource(id: string): void {
     if (this.map.getSource(id)) this.map.removeSource(id);
-  }
-}
-
-function hostOf(template: string): string {
-  try {
-    return `Base map: ${new URL(template.replace(/[{}]/g, '')).host}`;
-  } catch {
-    return 'Base map';
   }
 }

@@ -1,5 +1,7 @@
 /** The first panel: what lies on the map, on what, and how it is seen. */
 
+import { isTemplate, offeredChoice, withBase } from './base_maps';
+import { rangeFields } from './color_range';
 import { html } from './dom';
 import { hasLegend, layersOf } from './layers';
 import type { Panel, PanelContext } from './panels';
@@ -14,7 +16,7 @@ const QUANTITY_WORDS: readonly [Quantity, string][] = [
 export const mapPanel: Panel = { id: 'map', title: 'Map', mount };
 
 function mount(container: HTMLElement, context: PanelContext): () => void {
-  const { store, service } = context;
+  const { store, service, baseMaps } = context;
   const stops: (() => void)[] = [];
   let asking = new AbortController();
 
@@ -22,11 +24,12 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const about = html('p', { class: 'note' });
   const style = html('select', { id: 'style', onchange: () => store.set({ style: style.value }) });
   const styleRow = html('label', { class: 'row', for: 'style' }, 'Style', style);
-  const quantity = html('select', { id: 'quantity', onchange: () => store.set({ quantity: quantity.value as Quantity }) },
+  const quantity = html('select', { id: 'quantity', onchange: () => store.set({ quantity: quantity.value as Quantity, range: 'day' }) },
     ...QUANTITY_WORDS.map(([value, words]) => html('option', { value }, words)));
   const legend = html('div', { class: 'legend', 'aria-live': 'polite' });
   const quantityRow = html('label', { class: 'row', for: 'quantity' }, 'Quantity', quantity);
-  const numbers = html('div', {}, quantityRow, legend);
+  const range = rangeFields(store);
+  const numbers = html('div', {}, quantityRow, range.element, legend);
 
   const solid = html('input', { type: 'checkbox', id: 'solid', role: 'switch', onchange: () => store.set({ solid: solid.checked }) });
   const base = html('input', {
@@ -46,22 +49,24 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
         baseNote.textContent = 'That is no address of XYZ tiles: it has to begin with http and to have {z}, {x} and {y} in it.';
         return;
       }
-      // Shadows alone let the base map be seen; that is what one is pasted for.
-      store.set({ base: template, ...(template && store.state.layer === 'color' ? { layer: 'shadow' as const } : {}) });
+      withBase(store, template);
     },
   }, html('label', { for: 'base' }, 'Address of XYZ tiles'), html('div', {}, base, html('button', { type: 'submit' }, 'Use')), baseNote);
+  const offered = offeredChoice(store, baseMaps);
   const opacity = html('input', {
     type: 'range', id: 'opacity', min: 0.1, max: 1, step: 0.05, oninput: () => store.set({ opacity: Number(opacity.value) }),
   });
-  const without = html('button', { type: 'button', class: 'plain', onclick: () => store.set({ base: '', layer: 'color', opacity: 1 }) }, 'Remove the base map');
+  const without = html('button', { type: 'button', class: 'plain', onclick: () => withBase(store, '') }, 'Remove the base map');
   const opacityRow = html('div', {}, html('label', { class: 'row', for: 'opacity' }, 'Strength of the layer', opacity), without);
 
   container.append(
     html('fieldset', {}, html('legend', { class: 'unseen' }, 'Layer'), layers), about, styleRow, numbers,
     html('label', { class: 'row switch', for: 'solid' }, html('span', {}, 'Three dimensions'), solid),
-    html('details', { class: 'base' }, html('summary', {}, 'Base map'), useBase, opacityRow),
+    offered?.element ?? '',
+    baseMaps.only ? '' : html('details', { class: 'base' }, html('summary', {}, offered ? 'Another base map' : 'Base map'), useBase),
+    opacityRow,
   );
-  if (store.state.base) container.querySelector('details')?.setAttribute('open', '');
+  if (store.state.base && !baseMaps.offered.some(({ tiles }) => tiles === store.state.base)) container.querySelector('details')?.setAttribute('open', '');
 
   stops.push(store.watch((state) => [state.level, state.layer], (_, state) => {
     const choices = layersOf(context.level());
@@ -71,16 +76,18 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     )));
     about.textContent = choices.find(({ name }) => name === state.layer)?.about ?? '';
     numbers.hidden = !hasLegend(context.level(), state.layer);
-    quantityRow.hidden = state.layer !== 'sunhours';
+    quantityRow.hidden = range.element.hidden = state.layer !== 'sunhours';
     const styles = context.level().styles ?? [];
     styleRow.hidden = !styles.length || state.layer !== 'color';
     style.replaceChildren(...styles.map((name) => html('option', { value: name }, name.slice(0, 1).toUpperCase() + name.slice(1))));
   }));
-  stops.push(store.watch((state) => [state.level, state.style, state.quantity, state.solid, state.base, state.opacity], (_, state) => {
+  stops.push(store.watch((state) => [state.level, state.style, state.quantity, state.range, state.solid, state.base, state.opacity], (_, state) => {
     style.value = state.style ?? context.level().style ?? '';
     quantity.value = state.quantity;
+    range.refresh();
     solid.checked = state.solid;
     base.value = state.base;
+    offered?.refresh();
     opacity.value = String(state.opacity);
     opacityRow.hidden = !state.base;
     if (!baseNote.classList.contains('fail')) baseNote.textContent = 'Its server is then asked for tiles by your browser.';
@@ -94,7 +101,10 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     legend.classList.add('old');
     try {
       const { skugga } = await service.tileJson(state.level, pictureQuery(state), asking.signal);
-      if (skugga.legend) legend.replaceChildren(...drawnLegend(skugga.legend));
+      if (skugga.legend) {
+        legend.replaceChildren(...drawnLegend(skugga.legend));
+        range.tell(skugga.legend);
+      }
       legend.classList.remove('old');
     } catch (error) {
       if (!isAbort(error)) legend.replaceChildren(html('p', { class: 'note fail' }, inWords(error)));
@@ -118,8 +128,4 @@ function drawnLegend({ title, low, high, entries }: Legend): HTMLElement[] {
     html('p', {}, title), html('div', { class: 'scale', style: `background: linear-gradient(to right, ${colors})` }),
     html('div', { class: 'scale-ticks' }, ...ticks),
   ];
-}
-
-export function isTemplate(text: string): boolean {
-  return /^https?:\/\//.test(text) && ['{z}', '{x}', '{y}'].every((part) => text.includes(part));
 }

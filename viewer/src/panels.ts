@@ -2,6 +2,7 @@
 
 import type { Map as MapLibre } from 'maplibre-gl';
 
+import type { BaseMaps } from './base_maps';
 import type { Level, Service } from './service';
 import type { State, Store } from './state';
 
@@ -11,6 +12,7 @@ export interface PanelContext {
   /** MapLibre's map. Sources and layers that a panel adds stay when the shaded layer changes; it takes them away itself. */
   readonly map: MapLibre;
   readonly service: Service;
+  readonly baseMaps: BaseMaps;
   /** All levels, also those without a place on the earth. */
   readonly levels: readonly Level[];
   /** The level that is shown; one without a place only to panels that need no map. */

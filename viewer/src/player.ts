@@ -2,20 +2,20 @@
  * Plays a day: the sun goes from its rise to its set, and the map with it.
  *
  * The pictures lie on the map as one canvas above the layer. It changes only when the next picture is there whole, so no frame is
- * blank, however slow the service is; what has been seen runs at full speed.
+ * blank, however slow the service is; what has been seen runs at full speed. A map that is compared has a canvas of its own, and both
+ * go on together.
  */
 
-import type { CanvasSource } from 'maplibre-gl';
-
-import { type FrameProgress, type Frames, type Range, cornersOf, rangeOver, tilesOfEach } from './frames';
-import { LAYER, type LevelMap } from './map';
+import { type ComparedMap, comparedMap } from './compared_map';
+import { FrameCanvas, same } from './frame_canvas';
+import { type FrameProgress, type Frames, type Range, rangeOver, tilesOfEach } from './frames';
+import type { LevelMap } from './map';
 import { DAY_MINUTES } from './moments';
 import { pictureQuery } from './query';
 import { type PlacedLevel, type Service, type SunPlace, inWords, isAbort } from './service';
 import type { State, Store } from './state';
 import type { SunDay } from './sun_day';
 
-const CANVAS = 'frames';
 const STEP_MIN = 10;
 const LAST_STEP = DAY_MINUTES / STEP_MIN - 1;
 /** Ten steps a second, and for people who want little motion one, without fading. */
@@ -51,11 +51,11 @@ export interface PlayerNews {
 }
 
 export class Player {
-  readonly #canvas = document.createElement('canvas');
+  readonly #own: FrameCanvas;
+  /** The canvas of the map that is compared. */
+  #other: { readonly compared: ComparedMap; readonly canvas: FrameCanvas } | null = null;
   readonly #suns = new Map<string, SunPlace | null>();
   #ending: AbortController | null = null;
-  #range: Range | null = null;
-  #shown: HTMLCanvasElement | null = null;
   #fetching = false;
   /** Tiles of a picture, and milliseconds that the last frame took. */
   #most = tilesOfEach(1);
@@ -69,7 +69,9 @@ export class Player {
     private readonly level: () => PlacedLevel,
     private readonly still: boolean,
     private readonly news: PlayerNews,
-  ) {}
+  ) {
+    this.#own = new FrameCanvas(shown.map);
+  }
 
   get plays(): boolean {
     return this.#ending !== null;
@@ -83,10 +85,14 @@ export class Player {
 
   clear(): void {
     if (this.plays) return;
-    if (this.shown.map.getLayer(CANVAS)) this.shown.map.removeLayer(CANVAS);
-    if (this.shown.map.getSource(CANVAS)) this.shown.map.removeSource(CANVAS);
-    this.#range = null;
+    this.#own.clear();
     this.shown.setOpacity(this.store.state.opacity);
+    const other = this.#other;
+    this.#other = null;
+    if (other && comparedMap() === other.compared) void other.compared.release().then(() => {
+      // Played again meanwhile, it has another canvas, of the same name on the map.
+      if (!this.#other && comparedMap() === other.compared) other.canvas.clear();
+    });
   }
 
   /** Plays a day round and round until `stop`, from the present time on if the sun is up then. */
@@ -96,15 +102,15 @@ export class Player {
     this.#ending = ending;
     this.news.playing(true);
     const steps = stepsOf(day);
-    this.#most = tilesOfEach(steps.length);
+    this.#most = tilesOfEach(steps.length * (comparedMap() ? 2 : 1));
     let wrong = '';
     let at = Math.max(0, steps.findIndex((minutes) => minutes >= this.store.state.minutes));
     try {
       for (let fresh = true; !ending.signal.aborted; fresh = false) {
         const minutes = steps[at] ?? 0;
-        const picture = await this.#next(steps, at, ending.signal);
+        const pictures = await this.#next(steps, at, ending.signal);
         await this.#whenSeen(ending.signal);
-        await this.#fadeTo(picture, fresh || at === 0, ending.signal);
+        await this.#fadeTo(pictures, fresh || at === 0, ending.signal);
         if (ending.signal.aborted) break;
         this.news.step({ minutes, sun: this.#suns.get(this.#template(minutes)) ?? null });
         at = (at + 1) % steps.length;
@@ -116,37 +122,57 @@ export class Player {
       this.news.waiting(null);
       if (!this.plays) {
         // A canvas that may change keeps the map from coming to rest.
-        this.shown.map.getSource<CanvasSource>(CANVAS)?.pause();
+        this.#own.pause();
+        this.#otherCanvas()?.pause();
         this.news.playing(false);
         if (wrong) this.news.failed(wrong);
       }
     }
   }
 
-  /** The picture of a step, for what is seen now; more are asked for ahead meanwhile. */
-  async #next(steps: readonly number[], at: number, signal: AbortSignal): Promise<HTMLCanvasElement> {
+  /** The pictures of a step on all maps, for what is seen now; more are asked for ahead meanwhile. */
+  async #next(steps: readonly number[], at: number, signal: AbortSignal): Promise<HTMLCanvasElement[]> {
     for (;;) {
       const range = this.#rangeSeen();
-      const template = this.#template(steps[at] ?? 0);
+      const minutes = steps[at] ?? 0;
+      const compared = comparedMap();
       // The picture that is wanted now is asked for before those that come after it.
-      const picture = this.frames.get(template, range) ?? this.#waitFor(steps, at, range, signal);
+      const picture = this.#made(minutes, range) ?? this.#waitFor(steps, at, range, signal);
       void this.#fetchAhead(steps, at, range, signal);
       const whole = await picture;
-      // Somebody may have moved the map meanwhile.
-      if (same(range, this.#rangeSeen())) {
-        this.#lay(range);
+      // Somebody may have moved the map meanwhile, or compared it with another.
+      if (same(range, this.#rangeSeen()) && compared === comparedMap()) {
+        this.#own.lay(range);
+        this.#joinCompared(compared)?.lay(range);
         return whole;
       }
     }
   }
 
+  /** The canvas of the compared map from now on; null: none is compared. */
+  #joinCompared(compared: ComparedMap | null): FrameCanvas | null {
+    if (this.#other?.compared !== compared) this.#other = compared && { compared, canvas: new FrameCanvas(compared.map) };
+    compared?.hold();
+    return this.#other?.canvas ?? null;
+  }
+
+  /** The canvas of a map that is still compared. */
+  #otherCanvas(): FrameCanvas | null {
+    return this.#other && comparedMap() === this.#other.compared ? this.#other.canvas : null;
+  }
+
+  /** The pictures of a time on all maps, if all are ready. */
+  #made(minutes: number, range: Range): HTMLCanvasElement[] | undefined {
+    const made = this.#templates(minutes).map((template) => this.frames.get(template, range));
+    return made.every((picture) => picture !== undefined) ? made : undefined;
+  }
+
   /** Loads a picture, and tells how far it is meanwhile. */
-  async #waitFor(steps: readonly number[], at: number, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement> {
+  async #waitFor(steps: readonly number[], at: number, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement[]> {
     const minutes = steps[at] ?? 0;
-    const template = this.#template(minutes);
     const tell = () => this.news.waiting({
-      minutes, tiles: this.frames.progress(template, range) ?? null, all: steps.length,
-      ready: steps.filter((each) => this.frames.get(this.#template(each), range)).length,
+      minutes, tiles: this.#progress(minutes, range), all: steps.length,
+      ready: steps.filter((each) => this.#made(each, range)).length,
     });
     tell();
     const telling = setInterval(tell, TOLD_MS);
@@ -158,12 +184,18 @@ export class Player {
     }
   }
 
+  /** How many tiles of a time's pictures are there, of those that are on their way. */
+  #progress(minutes: number, range: Range): FrameProgress | null {
+    const parts = this.#templates(minutes).map((template) => this.frames.progress(template, range)).filter((part) => part !== undefined);
+    return parts.length ? parts.reduce((sum, { done, all }) => ({ done: sum.done + done, all: sum.all + all }), { done: 0, all: 0 }) : null;
+  }
+
   async #fetchAhead(steps: readonly number[], at: number, range: Range, signal: AbortSignal): Promise<void> {
     if (this.#fetching) return;
     this.#fetching = true;
     try {
       const wanted = Array.from({ length: Math.min(AHEAD, steps.length - 1) }, (_, ahead) => steps[(at + 1 + ahead) % steps.length] ?? 0)
-        .filter((minutes) => !this.frames.get(this.#template(minutes), range));
+        .filter((minutes) => !this.#made(minutes, range));
       const lanes = Array.from({ length: AT_ONCE }, async () => {
         for (let minutes = wanted.shift(); minutes !== undefined && !signal.aborted; minutes = wanted.shift()) {
           if (!same(range, this.#rangeSeen())) return;
@@ -178,21 +210,28 @@ export class Player {
     }
   }
 
-  async #load(minutes: number, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement> {
+  async #load(minutes: number, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement[]> {
     const template = this.#template(minutes);
-    const sun = this.#suns.has(template) ? null : this.service.tileJson(this.level().name, this.#query(minutes), signal)
+    const sun = this.#suns.has(template) ? null : this.service.tileJson(this.level().name, pictureQuery(this.#state(minutes)), signal)
       .then(({ skugga }) => this.#suns.set(template, skugga.sun));
-    const [picture] = await Promise.all([this.frames.load(template, range, signal), sun]);
-    return picture;
+    const [pictures] = await Promise.all([
+      Promise.all(this.#templates(minutes).map((each) => this.frames.load(each, range, signal))), sun,
+    ]);
+    return pictures;
   }
 
-  #query(minutes: number) {
-    const state: State = { ...this.store.state, minutes, sunBy: 'time' };
-    return pictureQuery(state);
+  #state(minutes: number): State {
+    return { ...this.store.state, minutes, sunBy: 'time' };
   }
 
   #template(minutes: number): string {
-    return this.service.tiles(this.level().name, this.#query(minutes));
+    return this.service.tiles(this.level().name, pictureQuery(this.#state(minutes)));
+  }
+
+  /** The tiles of a time: of the map, and of the one that is compared. */
+  #templates(minutes: number): string[] {
+    const compared = comparedMap();
+    return [this.#template(minutes), ...(compared ? [this.service.tiles(this.level().name, compared.query(this.#state(minutes)))] : [])];
   }
 
   #rangeSeen(): Range {
@@ -202,68 +241,30 @@ export class Player {
       [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()], level.bounds, this.shown.tileZoom(level), level.minzoom, this.#most,
     );
     // Nothing of the level is seen: what was seen last goes on.
-    return range ?? this.#range ?? (rangeOver(level.bounds, level.bounds, level.minzoom, level.minzoom) as Range);
+    return range ?? this.#own.range ?? (rangeOver(level.bounds, level.bounds, level.minzoom, level.minzoom) as Range);
   }
 
-  /** Puts the canvas over the tiles of a range; it is painted before anybody sees it. */
-  #lay(range: Range): void {
-    if (this.#range && same(range, this.#range)) return;
-    const { map } = this.shown;
-    const before = this.#shown && this.#range ? { picture: this.#shown, range: this.#range } : null;
-    this.#range = range;
-    this.#shown = null;
-    const size = before?.range;
-    if (!size || size.cols !== range.cols || size.rows !== range.rows || !map.getSource(CANVAS)) {
-      if (map.getLayer(CANVAS)) map.removeLayer(CANVAS);
-      if (map.getSource(CANVAS)) map.removeSource(CANVAS);
-      Object.assign(this.#canvas, { width: range.cols * 256, height: range.rows * 256 });
-    } else {
-      map.getSource<CanvasSource>(CANVAS)?.setCoordinates(cornersOf(range));
-    }
-  }
-
-  #show(): void {
-    const { map } = this.shown;
-    const source = map.getSource<CanvasSource>(CANVAS);
-    source?.play();
-    if (source || !this.#range) return;
-    map.addSource(CANVAS, { type: 'canvas', canvas: this.#canvas, coordinates: cornersOf(this.#range), animate: true });
-    const { opacity, layer } = this.store.state;
-    const ids = map.getStyle().layers.map(({ id }) => id);
-    map.addLayer(
-      { id: CANVAS, type: 'raster', source: CANVAS, paint: { 'raster-fade-duration': 0, 'raster-opacity': opacity } },
-      ids[ids.indexOf(LAYER) + 1],
-    );
-    // Two shadows would be twice as dark.
-    if (layer === 'shadow' || opacity < 1) this.shown.setOpacity(0);
-  }
-
-  /** Goes over to a picture; both together are always a whole one. */
-  async #fadeTo(picture: HTMLCanvasElement, hard: boolean, signal: AbortSignal): Promise<void> {
-    const pen = this.#canvas.getContext('2d');
-    if (!pen) return;
-    const from = this.#shown;
+  /** Goes over to the pictures of a step, on all maps at once. */
+  async #fadeTo(pictures: readonly HTMLCanvasElement[], hard: boolean, signal: AbortSignal): Promise<void> {
     const begin = performance.now();
     const takes = this.still ? CALM_STEP_MS : STEP_MS;
+    const { opacity, layer } = this.store.state;
+    const shown = () => [this.#own, this.#otherCanvas()].flatMap((canvas, index) => {
+      const picture = pictures[index];
+      return canvas?.range && picture ? [{ canvas, picture }] : [];
+    });
     for (let part = 0; part < 1 && !signal.aborted;) {
       // As it is when the frame is seen: where frames take as long as a step, one shows it whole.
       const drawn = performance.now();
       part = Math.min(1, (drawn - begin + this.#frameMs) / takes);
-      const share = hard || this.still || !from ? 1 : part;
-      pen.globalCompositeOperation = 'copy';
-      pen.globalAlpha = share;
-      pen.drawImage(picture, 0, 0);
-      if (from && share < 1) {
-        // Sums of premultiplied colours: what is transparent in both stays so, what is opaque in both, too.
-        pen.globalCompositeOperation = 'lighter';
-        pen.globalAlpha = 1 - share;
-        pen.drawImage(from, 0, 0);
+      for (const { canvas, picture } of shown()) {
+        canvas.paint(picture, hard || this.still ? 1 : part);
+        canvas.show(opacity, layer === 'shadow' || opacity < 1 || canvas !== this.#own);
       }
-      this.#show();
       await frame();
       this.#frameMs = performance.now() - drawn;
     }
-    this.#shown = picture;
+    for (const { canvas, picture } of shown()) canvas.keep(picture);
   }
 
   /** Waits while the page lies hidden behind others. */
@@ -283,7 +284,5 @@ export function stepsOf({ sunrise, sunset }: SunDay): number[] {
   const [begin, end] = sunrise === null || sunset === null || last <= first ? [0, LAST_STEP] : [first, last];
   return Array.from({ length: end - begin + 1 }, (_, step) => (begin + step) * STEP_MIN);
 }
-
-const same = (one: Range, other: Range) => JSON.stringify(one) === JSON.stringify(other);
 
 const frame = () => new Promise<void>((resolve) => { requestAnimationFrame(() => resolve()); });

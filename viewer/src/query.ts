@@ -14,7 +14,10 @@ export function sunQuery(state: State): Query {
 /** What tiles, maps and TileJSON of the layer that is shown are asked for. */
 export function pictureQuery(state: State): Query {
   if (state.layer === 'sunhours') {
-    return { layer: 'sunhours', date: state.date, quantity: state.quantity === 'hours' ? null : state.quantity, clock: state.offset };
+    return {
+      layer: 'sunhours', date: state.date, quantity: state.quantity === 'hours' ? null : state.quantity, clock: state.offset,
+      color_range: state.range === 'day' ? null : state.range,
+    };
   }
   const layer = state.layer === 'color' ? null : state.layer;
   return { layer, style: state.layer === 'color' ? state.style : null, ...sunQuery(state), ...settingsQuery(state) };

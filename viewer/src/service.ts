@@ -1,5 +1,6 @@
 /** Talks to the service. Every failure becomes an Error whose message can be read to a person. */
 
+import { type BaseMap, BaseMaps } from './base_maps';
 import { GATEWAY_ERRORS, ReadinessPoll } from './readiness';
 
 const BUSY = 503;
@@ -130,6 +131,16 @@ export class Service {
 
   async levels(signal?: AbortSignal): Promise<Level[]> {
     return this.json<Level[]>(this.address('levels'), signal, { early: true });
+  }
+
+  /** The base maps that are offered; none where the service cannot say. */
+  async baseMaps(): Promise<BaseMaps> {
+    try {
+      const { base_maps: offered, only } = await this.json<{ base_maps: BaseMap[]; only: boolean }>(this.address('base-maps.json'), undefined, { early: true });
+      return new BaseMaps(offered, only, this.address(''));
+    } catch {
+      return new BaseMaps();
+    }
   }
 
   async tileJson(level: string, query: Query, signal?: AbortSignal): Promise<TileJson> {

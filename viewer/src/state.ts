@@ -35,6 +35,8 @@ export interface State {
   readonly altitude: number;
   /** What of the day's sun the layer `sunhours` shows. */
   readonly quantity: Quantity;
+  /** Range of the colours of hours of sun: `day` follows from the date, `fixed` is 0 to 24, `LOW,HIGH` are hours. */
+  readonly range: string;
   /** Address of XYZ tiles of a base map below the layer; empty: none. */
   readonly base: string;
   /** How much of the layer is seen over a base map, 0 to 1. */
@@ -63,6 +65,7 @@ export const FIRST_STATE: State = {
   azimuth: 315,
   altitude: 30,
   quantity: 'hours',
+  range: 'day',
   base: '',
   opacity: 1,
   solid: false,

@@ -14,7 +14,7 @@ from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_renderer, write_animation
 from skugga.api.errors import TooLargeError
 from skugga.api.http import problems
-from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
+from skugga.api.http.levels import routes_level_page, routes_levels, routes_location, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point, routes_point_irradiation
 from skugga.api.http.responses import EXPOSED_HEADERS, VERSION
@@ -137,8 +137,9 @@ def create_app(
     install_problem_handlers(app)
     app.add_exception_handler(ClientDisconnectedError, _client_disconnected)
     for routes in (
-        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_point_irradiation,
-        routes_tiles, routes_map, routes_snapshot, routes_animations, routes_archives, routes_health,
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_location, routes_plan, routes_point,
+        routes_point_irradiation, routes_tiles, routes_map, routes_snapshot, routes_animations, routes_archives,
+        routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
     routes_docs.install_docs(app)

@@ -7,10 +7,11 @@ from pathlib import Path
 from urllib.parse import quote
 
 from fastapi import FastAPI
-from fastapi.responses import FileResponse, HTMLResponse, Response
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
+from skugga.api.base_maps import tile_sources
 from skugga.api.http.server.request_middleware import content_security_policy
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from skugga.api.http.state.service import ServiceDep
@@ -35,8 +36,9 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
     async def index(service: ServiceDep) -> Response:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
-            # Users may name any server for tiles of a base map; scripts come from this service only.
-            policy = content_security_policy(tile_sources="'self' https: http:")
+            # Users may name any server for a base map unless the operator forbids it. Scripts come from this service only.
+            sources = tile_sources(service.settings.base_maps, has_others=not service.settings.base_maps_only)
+            policy = content_security_policy(tile_sources=sources)
             return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
         levels = await service.all_levels()
         items = "".join(
@@ -45,6 +47,12 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
             for level in levels
         )  # fmt: skip
         return HTMLResponse(_PAGE.format(items=items))
+
+    @app.get("/base-maps.json", include_in_schema=False)
+    async def base_maps(service: ServiceDep) -> Response:
+        settings = service.settings
+        document = {"base_maps": [base_map.model_dump() for base_map in settings.base_maps], "only": settings.base_maps_only}
+        return JSONResponse(document, headers={"Cache-Control": "no-cache"})
 
     # The page has relative links to its parts.
     for path, part in (("/assets", folder / "assets"), ("/static", folder)):

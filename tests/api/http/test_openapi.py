@@ -25,7 +25,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
+from skugga.api.http.levels import routes_level_page, routes_levels, routes_location, routes_plan
 from skugga.api.http.ogc import routes_wms, routes_wmts
 from skugga.api.http.points import routes_point, routes_point_irradiation
 from skugga.api.http.problems import PROBLEM_MEDIA_TYPE, problem_kinds
@@ -42,8 +42,9 @@ from tests.api.workers import fake_workers
 ROUTERS: list[APIRouter] = [
     module.router
     for module in (
-        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_point_irradiation,
-        routes_tiles, routes_map, routes_snapshot, routes_animations, routes_archives, routes_health,
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_location, routes_plan, routes_point,
+        routes_point_irradiation, routes_tiles, routes_map, routes_snapshot, routes_animations, routes_archives,
+        routes_health,
     )
 ]  # fmt: skip
 WMS_OPERATIONS = [
@@ -61,7 +62,7 @@ SKY_VIEW_PARAMETERS = "kind", "transmissivity"
 
 IRRADIATION_PARAMETERS = "part", "plane", "albedo", "linke", "tilt"
 
-SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude"
+SUN_HOURS_PARAMETERS = "quantity", "window", "clock", "least_altitude", "color_range"
 """Parameters of hours of sun, which need that layer and a date."""
 
 

@@ -90,11 +90,38 @@ def test_legend_is_a_picture_and_numbers(client: Client):
         (f"{SUN_HOURS_QUERY}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"),
         (f"{SUN_HOURS_QUERY}&window=16:00-08:00", "window"),
         (f"{SUN_HOURS_QUERY}&quantity=weeks", "quantity"), (f"{SUN_HOURS_QUERY}&height=-1", "height"),
-        ("layer=hours", "layer"),
+        ("layer=hours", "layer"), (f"{SUN_HOURS_QUERY}&color_range=12,8", "color_range"),
+        (f"{SUN_HOURS_QUERY}&color_range=0,25", "color_range"), (f"{SUN_HOURS_QUERY}&color_range=week", "color_range"),
     ],
 )  # fmt: skip
 def test_wrong_sun_hours_parameters_are_named(client: Client, query: str, name: str):
     check_problem(tile_of(client, query)[1], 422, "invalid_parameter", name)
+
+
+def test_color_range_sets_colors_and_legend(client: Client):
+    """A number has the colour that the legend gives it; numbers themselves stay the same."""
+    noon = f"{SUN_HOURS_QUERY}&window=11:30-12:30"
+    hours = np.load(io.BytesIO(tile_of(client, noon, "npy")[1].content))
+    seen = {}
+    for color_range, (low, high) in {"day": (0.0, 2.0), "fixed": (0.0, 24.0), "0.5,1": (0.5, 1.0)}.items():
+        query = f"{noon}&color_range={color_range}"
+        legend = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{query}").json()["skugga"]["legend"]
+        assert (legend["low"], legend["high"]) == (low, high)
+        labels = [entry["label"] for entry in legend["entries"]]
+        assert len(set(labels)) == len(labels) >= 2
+        seen[color_range] = picture(tile_of(client, query)[1])
+        np.testing.assert_array_equal(seen[color_range], ColorScale("", "inferno", low, high, ()).to_rgba(hours))
+    plain = picture(tile_of(client, noon)[1])
+    np.testing.assert_array_equal(seen["day"], plain)
+    assert (seen["fixed"] != plain).any() and (seen["0.5,1"] != plain).any()
+
+
+def test_color_range_of_first_sun_is_by_the_clock(globe_at):
+    assert PRODUCT.color_scale is not None
+    options = SunHoursOptions(date=date(2024, 3, 21), quantity="first", color_range="6.5,10")
+    scale = PRODUCT.color_scale(options, globe_at(10.0, 45.0))
+    assert (scale.low, scale.high) == (390.0, 600.0)
+    assert scale.ticks[0] == (390.0, "06:30")
 
 
 def test_picture_layers_have_no_legend(client: Client):

@@ -1,6 +1,6 @@
 /** The second map of a comparison: over the first from the divider on, looking where that looks. It takes no clicks: the first has them. */
 
-import { Map as MapLibre, type StyleSpecification } from 'maplibre-gl';
+import { Map as MapLibre, type RasterTileSource, type StyleSpecification } from 'maplibre-gl';
 
 import { html } from '../dom';
 import { LAYER } from '../map';
@@ -14,6 +14,7 @@ export class OtherMap {
   readonly #follow: () => void;
   #tiles: string;
   #style = '';
+  #held = false;
   #timer: number | undefined;
 
   /** `tiles`: their template, as the first map's sources have it. */
@@ -44,6 +45,36 @@ export class OtherMap {
     this.#restyleSoon();
   }
 
+  /** MapLibre's map, which pictures may be laid on. */
+  get map(): MapLibre {
+    return this.#map;
+  }
+
+  /** Resolves when sources and layers can be added. */
+  async ready(): Promise<void> {
+    if (!this.#map.isStyleLoaded()) await this.#map.once('style.load');
+  }
+
+  /** Keeps its tiles as they are until `release`. */
+  hold(): void {
+    this.#held = true;
+    clearTimeout(this.#timer);
+  }
+
+  /** Shows the tiles of the present; resolves when they are drawn. What others have added to the map stays. */
+  async release(): Promise<void> {
+    this.#held = false;
+    const style = this.#wanted();
+    const layer = style.layers.find(({ id }) => id === LAYER);
+    this.#map.getSource<RasterTileSource>(LAYER)?.setTiles([this.#tiles]);
+    if (layer?.type === 'raster' && this.#map.getLayer(LAYER)) {
+      this.#map.setPaintProperty(LAYER, 'raster-opacity', layer.paint?.['raster-opacity'] ?? 1);
+    }
+    this.#style = JSON.stringify(style);
+    await this.#map.once('idle');
+    this.#restyleSoon();
+  }
+
   split(share: number): void {
     this.#box.style.setProperty('--split', String(share));
   }
@@ -62,6 +93,7 @@ export class OtherMap {
 
   readonly #restyleSoon = () => {
     clearTimeout(this.#timer);
+    if (this.#held) return;
     this.#timer = window.setTimeout(() => {
       const style = this.#wanted();
       const key = JSON.stringify(style);

@@ -1,9 +1,11 @@
 /** The panel of comparisons: the map beside itself with another time, date, layer, style, algorithm or setting of shadows. */
 
+import { type ComparedMap, setComparedMap } from '../compared_map';
 import { html } from '../dom';
 import { SCHEME } from '../map';
 import { clockText } from '../moments';
 import type { Panel, PanelContext } from '../panels';
+import { pictureQuery } from '../query';
 import { inWords, isAbort } from '../service';
 import { withSetting } from '../shadow_settings';
 import { LAYER_NAMES, type State } from '../state';
@@ -21,11 +23,25 @@ function splitIn(own: State['own']): number {
   return split >= 0 && split <= 1 ? split : 0.5;
 }
 
+/** The other side for the player of the day. */
+function playable(other: OtherMap): ComparedMap {
+  return {
+    map: other.map,
+    query: (state) => {
+      const choice = parseChoice(state.own[COMPARE]);
+      return choice ? otherQuery(state, choice) : pictureQuery(state);
+    },
+    hold: () => other.hold(),
+    release: () => other.release(),
+  };
+}
+
 /** The comparison stays while other panels are open: the time is moved for both maps. */
 function start({ store, map, service, level }: PanelContext): void {
   let other: OtherMap | null = null;
   let divider: Divider | null = null;
   const end = () => {
+    setComparedMap(null);
     other?.remove();
     divider?.remove();
     other = divider = null;
@@ -45,7 +61,13 @@ function start({ store, map, service, level }: PanelContext): void {
       }
       const { split, left, right, tiles } = wanted;
       if (other) other.show(tiles);
-      else other = new OtherMap(map, tiles);
+      else {
+        const made = new OtherMap(map, tiles);
+        other = made;
+        void made.ready().then(() => {
+          if (other === made) setComparedMap(playable(made));
+        });
+      }
       divider ??= new Divider(
         map.getContainer(),
         (to) => store.setOwn({ [SPLIT]: to === 0.5 ? null : to.toFixed(3) }),

@@ -7,7 +7,8 @@ import { sunQuery } from '../query';
 import { inWords, isAbort, isPlaced } from '../service';
 import { settingsQuery, withSetting } from '../shadow_settings';
 import { shotsOf } from '../stage';
-import { openPicture, snapshotQuery } from '../views/snapshot';
+import { snapshotQuery } from '../views/snapshot';
+import { openPicture } from '../views/whole_picture';
 import { viewTitle } from '../views/titles';
 import { type Named, type Plan, choices, effectsInWords, expectation, isCalibrating, isUncalibrated, rejectedInWords, settingsInWords } from './words';
 import './plan.css';
@@ -111,7 +112,7 @@ function layersBetween({ store, service, level }: PanelContext): Node[] {
   const open = () => openPicture(
     service, `${layer.value.replaceAll('-', ' ')} · ${viewTitle(view.value)} · ${title}`,
     service.of(levelName, 'snapshot.png', { view: view.value, layer: layer.value, ...snapshotQuery(store.state), style: null }),
-    `${levelName}-${view.value}-${layer.value}.png`,
+    `${levelName}-${view.value}-${layer.value}`, null,
   );
   return [
     html('p', { class: 'note' }, 'What algorithms work with on the way to the picture of a view.'),

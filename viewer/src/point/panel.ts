@@ -13,6 +13,7 @@ import { dayBar } from './day_bar';
 import { daySpans } from './day_spans';
 import { kindsSeen, polarSky } from './polar_sky';
 import type { Report, Sky } from './report';
+import { type Place, placeSearch } from './search';
 import { type Answer, type Time, answer, capital, clockOf, intervalRows, lengthText } from './words';
 import './point.css';
 
@@ -41,13 +42,13 @@ export function askedIn(own: State['own']): Asked | null {
   return own[PLACE] && Number.isFinite(lon) && Math.abs(lat) <= 90 ? { lon, lat, height: height >= 0 ? height : 0 } : null;
 }
 
-/** Asks at a place; the panel opens, and the map moves where the place would lie under it. */
-function ask({ store, open, map }: PanelContext, { lng, lat }: { lng: number; lat: number }): void {
+/** Asks at a place; the panel opens, and the map moves where the place would lie under it, or with `centred` in any case. */
+function ask({ store, open, map }: PanelContext, { lng, lat }: Place, centred = false): void {
   store.setOwn({ [PLACE]: `${lng.toFixed(6)},${lat.toFixed(6)}` });
   open(pointPanel.id);
   const { x, y } = map.project([lng, lat]);
   const { left, top, right, bottom } = freeArea();
-  if (x > left + MARGIN_PX && x < right - MARGIN_PX && y > top + MARGIN_PX && y < bottom - MARGIN_PX) return;
+  if (!centred && x > left + MARGIN_PX && x < right - MARGIN_PX && y > top + MARGIN_PX && y < bottom - MARGIN_PX) return;
   const { clientWidth, clientHeight } = map.getContainer();
   map.easeTo({ center: [lng, lat], offset: [(left + right - clientWidth) / 2, (top + bottom - clientHeight) / 2] });
 }
@@ -75,7 +76,9 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     onchange: () => store.setOwn({ [HEIGHT]: Number(height.value) > 0 ? String(Number(height.value)) : null }),
   });
   const clear = html('button', { type: 'button', class: 'plain', onclick: () => store.setOwn({ [PLACE]: null, [HEIGHT]: null }) }, 'Clear');
+  const search = placeSearch(context, (place) => ask(context, place, true));
   container.append(
+    search.element,
     found,
     html('label', { class: 'row', for: 'point-height' }, 'Metres above the ground', height),
     html('div', { class: 'buttons' },
@@ -141,6 +144,7 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   );
   return () => {
     end();
+    search.close();
     clearTimeout(timer);
     loading.abort();
   };

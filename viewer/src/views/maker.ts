@@ -7,9 +7,11 @@ import type { PanelContext } from '../panels';
 import { takeNextClick } from '../picking';
 import { copyButton } from '../saved';
 import { distanceText, wind } from '../point/words';
+import { isPlaced } from '../service';
 import type { State } from '../state';
-import { type Camera, FOV_DEG, STANDING_M, bearing_deg, parsePosition, positionText, reach_m, viewYaml, wedge } from './camera';
-import { Picture, openPicture, snapshotQuery } from './snapshot';
+import { type Camera, FOV_DEG, STANDING_M, VIEW_SIZE, bearing_deg, parsePosition, positionText, reach_m, viewYaml, wedge } from './camera';
+import { Picture, snapshotQuery } from './snapshot';
+import { openPicture } from './whole_picture';
 
 const EYE = 'views-eye';
 const TARGET = 'views-target';
@@ -75,7 +77,12 @@ export function mountMaker(container: HTMLElement, context: PanelContext): () =>
     type: 'button',
     onclick: () => {
       const camera = cameraIn(store.state.own);
-      if (camera) openPicture(service, name.value || 'My view', addressOf(camera, null), `${store.state.level}-${name.value || 'view'}.png`);
+      if (!camera) return;
+      const { state } = store;
+      const level = context.level();
+      openPicture(service, name.value || 'My view', addressOf(camera, state, 'png', null), `${state.level}-${name.value || 'view'}`, isPlaced(level) ? {
+        level, state, size: VIEW_SIZE, film: { camera }, address: (at, suffix, size) => addressOf(camera, at, suffix, size),
+      } : null);
     },
   }, 'Whole picture');
   const form = html('div', { class: 'maker' },
@@ -102,8 +109,8 @@ export function mountMaker(container: HTMLElement, context: PanelContext): () =>
   container.append(html('h2', {}, 'A view of your own'),
     html('p', { class: 'note' }, 'Stand here, look there: see it, and take the lines into the level’s file.'), start, form);
 
-  const addressOf = (camera: Camera, size: string | null) => service.of(store.state.level, size ? 'snapshot.webp' : 'snapshot.png', {
-    eye: positionText(camera.eye), target: positionText(camera.target), fov: camera.fov, size, ...snapshotQuery(store.state),
+  const addressOf = (camera: Camera, state: State, suffix: 'png' | 'webp', size: string | null) => service.of(state.level, `snapshot.${suffix}`, {
+    eye: positionText(camera.eye), target: positionText(camera.target), fov: camera.fov, size, ...snapshotQuery(state),
   });
 
   const sight = new Sight(map, (which, place) => setPlace(which === 'eye' ? EYE : TARGET, place));
@@ -121,7 +128,7 @@ export function mountMaker(container: HTMLElement, context: PanelContext): () =>
     fovSaid.value = `${camera.fov}°`;
     facts.textContent = `Looking ${wind(bearing_deg(camera))}, ${distanceText(reach_m(camera))} away.`;
     yaml.textContent = viewYaml(camera, name.value);
-    timer = window.setTimeout(() => void picture.show(addressOf(camera, PREVIEW_SIZE)), CALM_MS);
+    timer = window.setTimeout(() => void picture.show(addressOf(camera, state, 'webp', PREVIEW_SIZE)), CALM_MS);
   };
   const end = store.watch((state) => [cameraIn(state.own), state.level, snapshotQuery(state)] as const, (_, state) => show(state));
   return () => {

@@ -3,10 +3,12 @@
 import { html } from '../dom';
 import type { Panel, PanelContext } from '../panels';
 import { type Level, isPlaced } from '../service';
+import type { State } from '../state';
 import { mountMaker } from './maker';
 import { parsePosition } from './camera';
-import { Picture, openPicture, snapshotQuery } from './snapshot';
+import { Picture, snapshotQuery } from './snapshot';
 import { viewTitle } from './titles';
+import { openPicture } from './whole_picture';
 import './views.css';
 
 const THUMBNAIL_PX = 240;
@@ -48,9 +50,12 @@ function mountGallery(container: HTMLElement, { store, service }: PanelContext, 
     if (!kind?.size) continue; // it cannot be drawn, as the service's log says
     const picture = new Picture(service, '');
     pictures.set(name, picture);
+    const address = (state: State, suffix: 'png' | 'webp', px: string | null) =>
+      service.of(level.name, `snapshot.${suffix}`, { view: name, size: px, ...snapshotQuery(state) });
+    const { size } = kind;
     const open = () => openPicture(
-      service, `${viewTitle(name)} · ${level.title}`, service.of(level.name, 'snapshot.png', { view: name, ...snapshotQuery(store.state) }),
-      `${level.name}-${name}.png`,
+      service, `${viewTitle(name)} · ${level.title}`, address(store.state, 'png', null), `${level.name}-${name}`,
+      isPlaced(level) ? { level, state: store.state, size, film: { view: name }, address } : null,
     );
     list.append(html('li', {}, html('button', { type: 'button', onclick: open }, picture.element, html('span', { class: 'name' }, viewTitle(name)))));
   }

@@ -1,8 +1,7 @@
-/** Pictures of views: small ones in the panel, and whole ones in a dialog over the page. */
+/** Pictures of views, as the service draws them. */
 
 import { html } from '../dom';
 import { sunQuery } from '../query';
-import { saveFile } from '../saved';
 import { type Query, type Service, inWords, isAbort } from '../service';
 import { settingsQuery } from '../shadow_settings';
 import type { State } from '../state';
@@ -75,6 +74,14 @@ export class Picture {
     return !this.#image.hidden;
   }
 
+  /** Gives way to another picture that lies in its element. */
+  covered(): void {
+    this.#loading.abort();
+    this.element.classList.remove('busy');
+    this.#image.hidden = true;
+    this.#words.textContent = '';
+  }
+
   /** Ends what it does. */
   close(): void {
     this.#loading.abort();
@@ -85,31 +92,4 @@ export class Picture {
     if (this.#blob) URL.revokeObjectURL(this.#blob);
     this.#blob = '';
   }
-}
-
-/** Opens a whole picture over the page; Escape closes it. */
-export function openPicture(service: Service, title: string, address: string, name: string): void {
-  const picture = new Picture(service, title);
-  const said = html('span', { role: 'status' });
-  const save = html('button', {
-    type: 'button',
-    onclick: async () => {
-      try {
-        await saveFile(service, address, name);
-      } catch (error) {
-        said.textContent = inWords(error);
-      }
-    },
-  }, 'Save');
-  const close = html('button', { type: 'button', onclick: () => dialog.close() }, 'Close');
-  const dialog = html('dialog', { class: 'whole-picture', 'aria-label': title },
-    html('header', {}, html('h2', {}, title), said, save, close), picture.element);
-  dialog.addEventListener('click', (event) => { if (event.target === dialog) dialog.close(); });
-  dialog.addEventListener('close', () => {
-    picture.close();
-    dialog.remove();
-  });
-  document.body.append(dialog);
-  dialog.showModal();
-  void picture.show(address);
 }
