@@ -12,7 +12,6 @@ needed if that bound darkens no surface that only the sky lights by more than a 
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import affine_transform
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
@@ -98,6 +97,8 @@ def texture_factor(scene: Scene, view: MapView) -> np.ndarray:
     )  # fmt: skip
     texture = relief_texture(heights.height_m)
     if pixels_per_node > 1:
+        from scipy.ndimage import affine_transform
+
         scale, start = 1.0 / pixels_per_node, [-first / pixels_per_node for first in first_pixel]
         texture = affine_transform(texture, [scale, scale], start, (view.rows, view.cols), order=2, mode="nearest", prefilter=False)
     texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / (pixel_m * pixels_per_node))
