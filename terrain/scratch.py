@@ -29,7 +29,7 @@ def scratch_array(shape: tuple[int, int], dtype: type[np.generic]) -> np.ndarray
     with _lock:
         kept = [entry for entry in _buffers if _is_in_use(entry[1])]
         idle = sorted((buffer for buffer, user in _buffers if not _is_in_use(user)), key=len)
-        buffer = next((buffer for buffer in idle if len(buffer) >= size), None) or memoryview(np.empty(max(size, 1), np.uint8))
+        buffer = next((buffer for buffer in idle if len(buffer) >= size), None) or np.empty(max(size, 1), np.uint8).data
         memory = np.frombuffer(buffer, dtype, shape[0] * shape[1])  # the base of all views, which therefore hold it
         nbytes = 0
         for candidate in [buffer, *(other for other in reversed(idle) if other is not buffer)]:
