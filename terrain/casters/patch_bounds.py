@@ -106,9 +106,9 @@ def patch_bounds(world: World, elevation: Elevation, grid: Grid, patches: Sequen
     bounds, corner, up, terms, lengths = np.split(of_patches, ends, axis=1)
     count = len(patches)
     bounds = bounds.reshape(count, PARTS_PER_PATCH, BOUNDS_PER_PART)
+    corner, up = (np.ascontiguousarray(values).reshape(count, CORNERS_PER_PATCH, 3) for values in (corner, up))
     return PatchBounds(
-        bounds[..., 0], bounds[..., 1], bounds[..., 3:], bounds[..., 2] > 0.0,
-        *(np.ascontiguousarray(values).reshape(count, CORNERS_PER_PATCH, 3) for values in (corner, up)),
+        bounds[..., 0], bounds[..., 1], bounds[..., 3:], bounds[..., 2] > 0.0, corner, up,
         terms.reshape(count, SAMPLES_PER_PATCH, 3, 3), lengths.reshape(count, SAMPLES_PER_PATCH, 2),
     )  # fmt: skip
 
