@@ -101,8 +101,13 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
             ground = replace(ground, visible_sky_share=textured_share)
     with log.record_pass(SHADING_PASS):
         color = shaded_ground_srgb(ground, scene, lit) if "color" in needs else None
-        opacity = np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)
-    return Picture(ground.valid, (), color, opacity if "opacity" in needs else None, reach=reach)
+        opacity = _shadow_opacity(ground, lit) if "opacity" in needs else None
+    return Picture(ground.valid, (), color, opacity, reach=reach)
+
+
+def _shadow_opacity(ground: BareGround, lit: np.ndarray) -> np.ndarray:
+    """Return the opacity of the shadow, uint8 (rows, cols), from the shares ``lit`` of the pixels that the sun lights."""
+    return np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)
 
 
 def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:

@@ -144,7 +144,7 @@ def mean_visibilities(sampling: Supersampling, block_buffer: GeometryBuffer | Ba
                 if values.dtype == np.bool_ and values.all():
                     continue  # the pixels are initialised with 1
                 means = means_in_pixels(part, nodes, values, valid)
-                visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
+                np.copyto(visibilities[light][window], means, where=~np.isnan(means))
         block_layers = {
             key: [_values_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
             for key, pictures in log.take_layers().items()

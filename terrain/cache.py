@@ -136,6 +136,24 @@ class Cache(Generic[V]):
             self._values.move_to_end(key)
             return entry[0]
 
+    def get_several(self, first_parts: tuple[object, ...], last_parts: Iterable[tuple[Hashable, ...]]) -> list[V | Missing]:
+        """Return what ``get`` returns for several keys that begin with the same parts.
+
+        Their ``last_parts`` are compared by equality. A loop of ``get`` takes several times as long.
+        """
+        first = _key_of(first_parts)
+        found: list[V | Missing] = []
+        with _lock:
+            for last in last_parts:
+                key = (*first, *last)
+                entry = self._values.get(key)
+                if entry is None:
+                    found.append(MISSING)
+                else:
+                    self._values.move_to_end(key)
+                    found.append(entry[0])
+        return found
+
     def put(self, *key_parts: object, value: V) -> None:
         """Store a value under a key. Evict the least recently used entries until the limits hold."""
         size = self._size_of(value)

@@ -376,8 +376,10 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
     cos_sun, cos_zenith, sky_light = np.empty(cols), np.empty(cols), np.empty(cols)
     has_true_slopes = exaggeration == 1.0 and limit >= UNLIMITED_SLOPE
     fraction, tint_index = np.empty(cols), np.empty(cols, np.int32)
-    tint, grey, srgb_index = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
+    red, green, blue, grey = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
+    red_index, green_index, blue_index = np.empty(cols, np.int32), np.empty(cols, np.int32), np.empty(cols, np.int32)
     latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
+    packed_tints, next_packed_tints, packed_row = np.empty((veils.size, 5)), np.empty((veils.size, 5)), -1
     for i in range(valid.shape[0]):
         _cosines_to_direction(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         is_high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
@@ -396,30 +398,30 @@ def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, parameters
         _sky_light_of_row(cos_sun, cos_zenith, sines, directional_share, sky_share[i], sky_light_share, sky_light)
         _direct_light_of_row(cos_sun, sines, terminator, direct)
         _tint_positions(height[i], fraction, tint_index)
-        _look_up_tint(veils, tint_index, fraction, veil)
         has_one_row, row = tints.table.shape[0] == 1, 0
         if not has_one_row:
             _cosines_to_direction(up[i], (north[0], north[1], north[2]), latitude)
             _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
             has_one_row, row = _shared_tint_row(tints.first_differing_height, valid[i], rows, tint_index)
-        _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
-        for k in range(3):
-            _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, tint)
-            _srgb_indices(
-                tint,
-                grey,
-                greying,
-                sun[k],
-                sky[k],
-                direct,
-                sky_light,
-                veil,
-                sky_light_share,
-                AIR_VEIL_COLOR[k],
-                srgb_table.size,
-                srgb_index,
+        if row >= 0 and row != packed_row:
+            _pack_tints(tints.table[row], veils, packed_tints)
+            _pack_tints(tints.table[min(row + 1, tints.table.shape[0] - 1)], veils, next_packed_tints)
+            packed_row = row
+        if has_one_row:
+            _look_up_packed_tints(packed_tints, tint_index, fraction, red, green, blue, grey, veil)
+        elif row >= 0:
+            _look_up_between_packed_tints(
+                packed_tints, next_packed_tints, row_fraction, tint_index, fraction, red, green, blue, grey, veil
             )
-            _look_up_srgb(valid[i], srgb_index, srgb_table, out[i, :, k])
+        else:
+            _look_up_tint(veils, tint_index, fraction, veil)
+            _look_up_tints_between(tints.table, rows, row_fraction, tint_index, fraction, (red, green, blue, grey))
+        for channel_tint, k, srgb_index in ((red, 0, red_index), (green, 1, green_index), (blue, 2, blue_index)):
+            _srgb_indices(
+                channel_tint, grey, greying, sun[k], sky[k], direct, sky_light, veil, sky_light_share, AIR_VEIL_COLOR[k],
+                srgb_table.size, srgb_index,
+            )  # fmt: skip
+        _look_up_srgb(valid[i], red_index, green_index, blue_index, srgb_table, out[i])
 
 
 @internal
@@ -485,35 +487,82 @@ def _latitude_positions(latitude_sines, count, row_fraction, rows):
 
 @internal
 def _shared_tint_row(first_difference, valid, rows, tint_index):
-    """Return whether all valid pixels of a row share their tints, and then a row of the table that has these tints.
+    """Return whether all valid pixels of a row share their tints, and the row of the table at their latitudes; -1 for several ones.
 
-    They share them if the table's rows at their latitudes are equal up to their highest tint. ``first_difference`` is
-    ``Tints.first_differing_height``. ``rows`` (n,) and ``tint_index`` (n,) are the row and the height's index of each pixel in the
-    table.
+    They share their tints if the table's rows at their latitudes are equal up to their highest tint. Any of these rows then serves.
+    ``first_difference`` is ``Tints.first_differing_height``. ``rows`` (n,) and ``tint_index`` (n,) are the row and the height's
+    index of each pixel in the table.
     """
     first, last, highest = np.int32(first_difference.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
         if valid[j]:
             first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, tint_index[j])
+    row, has_one_row = first if last >= 0 else 0, True
     for n in range(first, last + 1):
-        if highest + 1 >= first_difference[n]:
-            return False, 0
-    return True, first if last >= 0 else 0
+        has_one_row = has_one_row and highest + 1 < first_difference[n]
+    return has_one_row, row if has_one_row or first == last else -1
 
 
 @internal
-def _look_up_colors(table, has_one_row, row, channel, rows, row_fraction, tint_index, fraction, out):
-    """Write a channel of the tints for a row of pixels to ``out`` (n,).
+def _pack_tints(table, veils, out):
+    """Write the tints ``table`` (4, n) of one latitude and the veil of air ``veils`` (n,) to ``out`` (n, 5), height by height."""
+    for n in range(veils.size):
+        for k in range(4):
+            out[n, k] = table[k, n]
+        out[n, 4] = veils[n]
 
-    It is read in the table's row ``row`` if ``has_one_row``, else between the rows ``rows`` and ``rows + 1`` of each pixel.
-    ``rows``, ``row_fraction``, ``tint_index`` and ``fraction`` (n,) have one element for each pixel. The parameters are those of
-    ``_tint_between``.
+
+@internal
+def _look_up_packed_tints(packed_tints, tint_index, fraction, red, green, blue, grey, veil):
+    """Write the tints and the veil of air of a row of pixels to the last five parameters (n,), interpolated as in ``_tint_at``.
+
+    ``packed_tints`` are those of ``_pack_tints``: all values of a height lie together, and one index leads to them.
     """
-    if has_one_row:
-        _look_up_tint(table[row, channel], tint_index, fraction, out)
-    else:
+    for j in range(tint_index.size):
+        k = np.uintp(tint_index[j])
+        above, share = k + np.uintp(1), fraction[j]
+        r, g, b, y, v = packed_tints[k, 0], packed_tints[k, 1], packed_tints[k, 2], packed_tints[k, 3], packed_tints[k, 4]
+        r1, g1, b1, y1 = packed_tints[above, 0], packed_tints[above, 1], packed_tints[above, 2], packed_tints[above, 3]
+        v1 = packed_tints[above, 4]
+        red[j], green[j], blue[j] = r + (r1 - r) * share, g + (g1 - g) * share, b + (b1 - b) * share
+        grey[j], veil[j] = y + (y1 - y) * share, v + (v1 - v) * share
+
+
+@internal
+def _look_up_between_packed_tints(
+    packed_tints, next_packed_tints, row_fraction, tint_index, fraction, red, green, blue, grey, veil
+):
+    """Write tints and veils as ``_look_up_packed_tints`` does, for pixels between the latitudes of two rows of the table.
+
+    ``packed_tints`` and ``next_packed_tints`` are the tints of both rows, and ``row_fraction`` (n,) tells where between them each
+    pixel lies. The sums follow the order of ``_tint_between``.
+    """
+    for j in range(tint_index.size):
+        k = np.uintp(tint_index[j])
+        above, share, south_share = k + np.uintp(1), fraction[j], row_fraction[j]
+        r, g, b, y, v = packed_tints[k, 0], packed_tints[k, 1], packed_tints[k, 2], packed_tints[k, 3], packed_tints[k, 4]
+        r1, g1, b1, y1 = packed_tints[above, 0], packed_tints[above, 1], packed_tints[above, 2], packed_tints[above, 3]
+        v1 = packed_tints[above, 4]
+        r, g, b, y = r + (r1 - r) * share, g + (g1 - g) * share, b + (b1 - b) * share, y + (y1 - y) * share
+        r2, g2, b2, y2 = next_packed_tints[k, 0], next_packed_tints[k, 1], next_packed_tints[k, 2], next_packed_tints[k, 3]
+        r3, g3 = next_packed_tints[above, 0], next_packed_tints[above, 1]
+        b3, y3 = next_packed_tints[above, 2], next_packed_tints[above, 3]
+        r2, g2, b2, y2 = r2 + (r3 - r2) * share, g2 + (g3 - g2) * share, b2 + (b3 - b2) * share, y2 + (y3 - y2) * share
+        red[j], green[j] = r + (r2 - r) * south_share, g + (g2 - g) * south_share
+        blue[j], grey[j] = b + (b2 - b) * south_share, y + (y2 - y) * south_share
+        veil[j] = v + (v1 - v) * share
+
+
+@internal
+def _look_up_tints_between(table, rows, row_fraction, tint_index, fraction, channels):
+    """Write the tints of a row of pixels to the four arrays ``channels`` (n,), interpolated as in ``_tint_between``.
+
+    ``rows``, ``row_fraction``, ``tint_index`` and ``fraction`` (n,) have one element for each pixel.
+    """
+    for k in range(4):
+        out = channels[k]
         for j in range(tint_index.size):
-            out[j] = _tint_between(table, rows[j], row_fraction[j], channel, tint_index[j], fraction[j])
+            out[j] = _tint_between(table, rows[j], row_fraction[j], k, tint_index[j], fraction[j])
 
 
 @internal
@@ -559,11 +608,13 @@ def _srgb_indices(
 
 
 @internal
-def _look_up_srgb(valid, srgb_index, srgb_table, out):
-    """Write the sRGB codes at the places ``srgb_index`` (n,) in the table to ``out`` (n,) in valid pixels."""
-    for j in range(srgb_index.size):
+def _look_up_srgb(valid, red_index, green_index, blue_index, srgb_table, out):
+    """Write the sRGB codes at the places (n,) of three channels in the table to ``out`` (n, 3) in valid pixels."""
+    for j in range(valid.size):
         if valid[j]:
-            out[j] = srgb_table[srgb_index[j]]
+            out[j, 0] = srgb_table[np.uintp(red_index[j])]
+            out[j, 1] = srgb_table[np.uintp(green_index[j])]
+            out[j, 2] = srgb_table[np.uintp(blue_index[j])]
 
 
 @compiled

@@ -22,8 +22,8 @@ from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
-from skugga.terrain.casters.caster_culling import patch_bounds
 from skugga.terrain.casters.caster_types import Patch
+from skugga.terrain.casters.patch_bounds import patch_bounds
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
 from skugga.terrain.facts.relief_rays import overview_probes

@@ -16,6 +16,7 @@ from skugga.shadows.sweep.orientation import GridOrientation, orientation_toward
 from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
 from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
+from skugga.terrain.scratch import scratch_array
 
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that the strip's state and two rows of the grid fit into a core's cache."""
@@ -107,7 +108,7 @@ def allocate_bordered_grid(
     It and all other rows are uninitialised. The left border remains NaN, so lines find no ground on it. Lines only leave the grid
     across the right border. ``close_border`` copies the last column there, so that the last nodes lie between two lines.
     """
-    with_border = np.empty((n, m + 2), np.float32)
+    with_border = scratch_array((n, m + 2), np.float32)
     begin, end, _ = filled_rows.indices(n)
     (top, bottom), (left, right) = window_to_fill
     with_border[begin:top] = np.nan
@@ -176,7 +177,7 @@ def sweep_nodes(
     """
     n, columns = sun_aligned_grid.ray_height.shape
     first, last = row_range
-    lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
+    lit = scratch_array((n, columns) if last > first else (0, 0), np.bool_)
     first_col, last_col = (0, columns - 2) if col_range is None else col_range
     lit[first:last, first_col + 1 : last_col + 1] = True  # a grid may be many times as large as the window
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)

@@ -8,6 +8,11 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 
+BAND_ROWS = 16
+"""Rows that ``copy_values`` copies at a time between an array stored by rows and one stored by columns: few enough for the CPU's
+write buffers.
+"""
+
 
 @dataclass(frozen=True)
 class GridOrientation:
@@ -93,20 +98,23 @@ def orientation_towards(rows: float, cols: float) -> GridOrientation:
 
 
 def copy_values(values: np.ndarray, out: np.ndarray) -> None:
-    """Copy values (rows, cols) to ``out``, in blocks where one array is stored by rows and the other by columns."""
+    """Copy values (rows, cols) to ``out``, in bands where one array is stored by rows and the other by columns."""
     along = [int(np.argmin(np.abs(array.strides))) for array in (values, out)]
     if along[0] == along[1]:
         np.copyto(out, values)
     else:
-        _copy_in_blocks(values, out)
+        _copy_in_bands(values, out)
 
 
 @compiled
-def _copy_in_blocks(values, out):
-    """Copy values (rows, cols) to ``out`` in blocks of 64 x 64, so that both arrays stay in the CPU cache."""
+def _copy_in_bands(values, out):
+    """Copy values (rows, cols) to ``out`` in bands of ``BAND_ROWS`` rows.
+
+    Of one array a band takes that many values in sequence from each column, of the other one it follows as many rows at once.
+    """
     rows, cols = values.shape
-    for r0 in range(0, rows, 64):
-        for c0 in range(0, cols, 64):
-            for r in range(r0, min(r0 + 64, rows)):
-                for c in range(c0, min(c0 + 64, cols)):
-                    out[r, c] = values[r, c]
+    for first in range(0, rows, BAND_ROWS):
+        last = min(first + BAND_ROWS, rows)
+        for c in range(cols):
+            for r in range(first, last):
+                out[np.uintp(r), np.uintp(c)] = values[np.uintp(r), np.uintp(c)]

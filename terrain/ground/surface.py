@@ -427,6 +427,6 @@ def _memory_layout(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
     Offset and strides are in values, not in bytes. One of the strides is 1 or -1.
     """
     owner = array if array.base is None else array.base
-    assert isinstance(owner, np.ndarray)
+    assert isinstance(owner, np.ndarray) and owner.dtype == array.dtype
     start = (array.__array_interface__["data"][0] - owner.__array_interface__["data"][0]) // array.itemsize
     return owner.reshape(-1), start, array.strides[0] // array.itemsize, array.strides[1] // array.itemsize

@@ -51,6 +51,17 @@ def test_byte_count_is_the_sum_of_all_values(puts, limit):
         assert cache.nbytes == sum(map(len, cache.values)) <= limit
 
 
+def test_several_keys_are_looked_up_as_single_ones_are():
+    owner, other = FakeElevation(), FakeElevation()
+    cache = Cache[int]("test several", "process", 100, size_of=lambda _: 1, max_entries=3)
+    for number in range(3):
+        cache.put(owner, 7, number, value=number)
+    assert cache.get_several((owner,), [(7, 2), (7, 5), (7, 0)]) == [2, MISSING, 0]
+    assert cache.get_several((other,), [(7, 2)]) == [MISSING]
+    cache.put(owner, 7, 3, value=3)  # evicts the entry that was not looked up
+    assert cache.get_several((owner,), [(7, 0), (7, 1), (7, 2)]) == [0, MISSING, 2]
+
+
 def test_evicted_values_are_released_except_the_newest():
     released: list[str] = []
     cache: Cache[str] = Cache("test", "process", 5, len, released.append, max_entries=2)
