@@ -20,6 +20,7 @@ from skugga.shadows.supersampling import mean_visibilities, supersampling
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
 from skugga.terrain.casters.caster_types import Casters, Reach
 from skugga.terrain.casters.reach import find_casters, find_reach
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.effect import STAGES_BEFORE_SHADING, ShadingBlock, Stage
 from skugga.terrain.errors import InputError, RenderError, UnsupportedError
@@ -365,7 +366,16 @@ def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, 
     """
     row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of_points(row, col)
-    linear[row, col] = sky_pixel_colors(scene, view, pixel_row, pixel_col)
+    colors = sky_pixel_colors(scene, view, pixel_row, pixel_col)
+    run_in_chunks(len(row), _copy_colors, row * linear.shape[1] + col, colors, linear.reshape(-1, 3))
+
+
+@compiled
+def _copy_colors(first, last, point_indices, colors, linear):
+    """Copy ``colors[first:last]`` to the rows ``point_indices[first:last]`` of ``linear`` (n, 3)."""
+    for n in range(first, last):
+        for k in range(3):
+            linear[point_indices[n], k] = colors[n, k]
 
 
 def worse_reach(first: Reach, second: Reach) -> Reach:

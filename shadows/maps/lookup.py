@@ -127,7 +127,7 @@ def look_up(
         flat_arrays: list[np.ndarray] = [
             a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
         ]
-        flat_arrays.append(buffer.surface_kind.reshape(-1))
+        flat_arrays.append(_kinds_of_triangles(buffer).reshape(-1))
         if _has_loop(depth_map, settings):
             depths = _read_map(gl, depth_map, target, record)
             points = LookupPoints(flat_arrays[0], flat_arrays[1], flat_arrays[2][:, 0], *flat_arrays[3:])
@@ -147,6 +147,16 @@ def look_up(
                 _gather_points(chosen, *flat_arrays, *gathered)
                 arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _run_lookup(gl, program, arrays, target, depth_map, record).ravel()[: len(chosen)]
+
+
+def _kinds_of_triangles(buffer: GeometryBuffer) -> np.ndarray:
+    """Return the kinds of surface (rows, cols) of a perspective view, with ``FOREST`` for lifted points.
+
+    Those lie on no known triangle, like points of trees.
+    """
+    if buffer.is_lifted is None:
+        return buffer.surface_kind
+    return np.where(buffer.is_lifted, np.uint8(FOREST), buffer.surface_kind)
 
 
 def _has_loop(depth_map: DepthMap, settings: MapSettings) -> bool:

@@ -171,6 +171,9 @@ def perspective_map(
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
+    if buffer.is_lifted is not None:  # these points lie on no triangle
+        is_lifted = buffer.is_lifted.reshape(-1)[sampled]
+        triangles[is_lifted] = sample[is_lifted][:, None]
     camera, source = camera_of(buffer), homogeneous_light(buffer, scene, light)
     inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
     uniform = uniform_matrix(source, sample)[3]

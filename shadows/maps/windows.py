@@ -157,8 +157,9 @@ def _sun_map(
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
         tap_reach_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
         low[2] -= _depth_margin_m(
-            buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receiver_mask, rotation, tap_reach_m
-        )
+            buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, _on_triangles(buffer, receiver_mask), rotation,
+            tap_reach_m,
+        )  # fmt: skip
     steps = depth_step_count(settings.depth_bits)
     front_margin_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(
         texel.max()
@@ -290,8 +291,13 @@ def _max_coordinate_m(buffer: GeometryBuffer, mask: np.ndarray) -> float:
     if buffer.corners_frame_m is None:
         return extent_m
     farthest = np.empty(len(mask), np.float32)
-    run_in_chunks(len(mask), _write_max_corner_coordinates, buffer.corners_frame_m, mask, farthest)
+    run_in_chunks(len(mask), _write_max_corner_coordinates, buffer.corners_frame_m, _on_triangles(buffer, mask), farthest)
     return max(extent_m, float(farthest.max(initial=0.0)))
+
+
+def _on_triangles(buffer: GeometryBuffer, mask: np.ndarray) -> np.ndarray:
+    """Return which of the points in ``mask`` (rows, cols) lie on their triangles: those that were not moved to smooth ground."""
+    return mask if buffer.is_lifted is None or isinstance(buffer.view, MapView) else mask & ~buffer.is_lifted
 
 
 @compiled

@@ -13,7 +13,7 @@ import numpy as np
 
 from skugga.shadows.sweep.lines import LineStrip, SunAlignedGrid, sweep_rows
 from skugga.shadows.sweep.orientation import GridOrientation, orientation_towards
-from skugga.shadows.sweep.points import StripPoints, empty_strip_points, scatter_results, select_strip_points, write_row_intervals
+from skugga.shadows.sweep.points import StripPoints, empty_strip_points, select_strip_points, write_row_intervals
 from skugga.shadows.sweep.quad_crossings import NO_GROUND_RAY_HEIGHT
 from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
 from skugga.terrain.scratch import scratch_array
@@ -195,16 +195,15 @@ def sweep_nodes(
             if entry_state is None
             else entry_state.resampled(start - 1, cells, lines, coarser_cell_ratio).line_max
         )
-        number, row_starts, row, col, t, ray_height = select_strip_points(
-            points.row, points.col, points.t, points.ray_height, interval, n, float(start), float(stop)
-        )
-        strip_results = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        strip_points = StripPoints(row_starts, row, col, t, ray_height, points.ray_height_rounding_m, *strip_results)
+        row_starts, indices = select_strip_points(points.t, interval, n, float(start), float(stop))
+        strip_points = StripPoints(
+            row_starts, indices, points.row, points.col, points.t, points.ray_height, points.ray_height_rounding_m, points_lit,
+            points_above_m,
+        )  # fmt: skip
         strip_state = LineStrip(lines, start - 1, line_max, initial_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(first_ground_row, int(interval.min(initial=n))), end)
         sweep_rows(sun_aligned_grid, strip_state, min(first_ground_row, before), before, NO_RAY_HEIGHTS, NO_MASK, strip_points)
         sweep_rows(sun_aligned_grid, strip_state, before, end, shadow_ray_heights, lit, strip_points)
-        scatter_results(number, *strip_results, points_lit, points_above_m)
 
     map_on_cores(sweep_strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m

@@ -17,7 +17,7 @@ tolerance, rounding would decide at random which of the two adjacent quads such 
 
 
 class StripPoints(NamedTuple):
-    """Points (n,) between nodes or above the ground in a strip of lines, sorted by the pair of grid rows between which they lie.
+    """Points between nodes or above the ground, and which of them lie in a strip of lines.
 
     A point has a column on the grid and a position t across the lines. The two agree only at the height for which the lines were
     computed, since higher ground is shifted sideways. For points of the ground the column is decisive, so that they lie over their
@@ -26,9 +26,11 @@ class StripPoints(NamedTuple):
     Attributes
     ----------
     row_starts
-        int64 (rows + 1,): the index of the first point in the rows (i, i + 1], for each row i.
+        int64 (rows + 1,): for each row i, the position in ``indices`` of the first point in the rows (i, i + 1].
+    indices
+        int32 (k,): indices of the strip's points in the other arrays, sorted by the pair of grid rows between which they lie.
     row, col, t
-        float64 (n,): positions on the sun-aligned grid, and across the lines in cells; columns count the left border.
+        float64 (n,): positions on the sun-aligned grid, and across the lines in cells; columns do not count the left border.
     ray_height
         float64 (n,), metres: the points' ray heights; NaN for points on the ground, which have the ground's.
     ray_height_rounding_m
@@ -41,6 +43,7 @@ class StripPoints(NamedTuple):
     """
 
     row_starts: np.ndarray
+    indices: np.ndarray
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
@@ -52,8 +55,10 @@ class StripPoints(NamedTuple):
 
 def empty_strip_points(rows: int) -> StripPoints:
     """Return an empty set of points, for a grid with ``rows`` rows."""
-    none = np.zeros(0)
-    return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
+    none, indices = np.zeros(0), np.zeros(0, np.int32)
+    return StripPoints(
+        np.zeros(rows + 1, np.int64), indices, none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
+    )
 
 
 @compiled
@@ -68,12 +73,11 @@ def write_row_intervals(first, last, row, rows, out):
 
 
 @compiled
-def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
-    """Return the points whose t lies in [``start``, ``stop``), sorted by the rows (i, i + 1] that contain them.
+def select_strip_points(t, interval, rows, start, stop):
+    """Return ``row_starts`` and ``indices`` of ``StripPoints`` for the points whose t lies in [``start``, ``stop``).
 
-    ``row``, ``col``, ``t`` and ``ray_height`` (n,) are those of ``SweepPoints``. ``interval`` (n,) holds i for each point. The grid
-    has ``rows`` rows. The result is the index of each selected point in the input, and the fields of ``StripPoints`` from
-    ``row_starts`` to ``ray_height``. The returned columns count the left border, the input columns do not.
+    ``t`` (n,) is that of ``SweepPoints``. ``interval`` (n,) holds for each point i of the rows (i, i + 1] that contain it. The grid
+    has ``rows`` rows.
     """
     row_starts = np.empty(rows + 1, np.int64)
     row_starts[:] = 0
@@ -82,26 +86,13 @@ def select_strip_points(row, col, t, ray_height, interval, rows, start, stop):
             row_starts[interval[n] + 1] += 1
     for i in range(rows):
         row_starts[i + 1] += row_starts[i]
-    filled, count = row_starts[:-1].copy(), row_starts[rows]
-    number = np.empty(count, np.int64)
-    strip_row, strip_col, strip_t, strip_ray_height = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    filled = row_starts[:-1].copy()
+    indices = np.empty(row_starts[rows], np.int32)
     for n in range(t.size):
         if start <= t[n] < stop:
-            k = filled[interval[n]]
+            indices[filled[interval[n]]] = n
             filled[interval[n]] += 1
-            number[k], strip_row[k], strip_col[k], strip_t[k], strip_ray_height[k] = n, row[n], col[n] + 1.0, t[n], ray_height[n]
-    return number, row_starts, strip_row, strip_col, strip_t, strip_ray_height
-
-
-@compiled
-def scatter_results(point_indices, strip_lit, strip_above_m, lit, above_m):
-    """Copy the results of a strip's points to the arrays of all points: result k to index ``point_indices[k]``.
-
-    ``strip_lit`` and ``strip_above_m`` (n,) are ``lit`` and ``above_m`` of ``StripPoints``; ``lit`` and ``above_m`` are the
-    outputs.
-    """
-    for k in range(point_indices.size):
-        lit[point_indices[k]], above_m[point_indices[k]] = strip_lit[k], strip_above_m[k]
+    return row_starts, indices
 
 
 @internal
@@ -113,7 +104,7 @@ def evaluate_points(sun_aligned_grid, strip, i, points):
     """
     ray_height, column_of_t, t_of_column, is_cut_nw_se = sun_aligned_grid
     lines, first_cell, line_max, _ = strip
-    row_starts, row, col, t, points_ray_height, rounding, lit, above_m = points
+    row_starts, indices, row, col, t, points_ray_height, rounding, lit, above_m = points
     first, last = row_starts[i], row_starts[i + 1]
     cols = ray_height.shape[1]
     above, below = ray_height[i], ray_height[i + 1]
@@ -122,12 +113,13 @@ def evaluate_points(sun_aligned_grid, strip, i, points):
         row_cubic(column_of_t, i + 1),
         row_cubic(t_of_column, i),
     )
-    for n in range(first, last):
+    for m in range(first, last):
+        n = indices[m]
         end, ray_t = row[n] - i, t[n]
         x = snap_to_column(evaluate_cubic(column_of_t_above, ray_t))
         s = snap_to_column(evaluate_cubic(column_of_t_below, ray_t)) - x
         if np.isnan(points_ray_height[n]):  # on the ground: use the column, to stay over its own triangle
-            x = snap_to_column(col[n] - s * end)
+            x = snap_to_column((col[n] + 1.0) - s * end)  # after the left border
             ray_t = evaluate_cubic(t_of_column_above, x)
         c = int(np.floor(x))
         f = x - c

@@ -190,7 +190,12 @@ def edge_mask(
     near_m
         Distance of the near plane, metres.
     """
-    return _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP_SHARE)
+    is_edge = np.zeros(triangle_number.shape, np.bool_)
+    run_in_chunks(
+        len(is_edge), _mark_edge_pixels, triangle_number, depth, ground_triangle_count, normals, near_m, MIN_FACE_COSINE,
+        MAX_DEPTH_STEP_SHARE, is_edge,
+    )  # fmt: skip
+    return is_edge
 
 
 def edge_mask_of_neighbours(
@@ -219,15 +224,16 @@ def _average_samples(first, last, row, col, samples, sample_count, out):
 
 
 @compiled
-def _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step):
-    """Return the mask (rows, cols) of pixels that differ from a neighbour by an edge, on both sides of each edge.
+def _mark_edge_pixels(first, last, triangle_number, depth, ground_triangle_count, normals, near, min_cosine, max_depth_step, out):
+    """Set ``out`` (rows, cols) where a pixel differs from a neighbour by an edge, on both sides of each edge.
 
-    ``near`` is the distance of the near plane, metres. ``min_cosine`` and ``max_depth_step`` are the limits ``MIN_FACE_COSINE`` and
-    ``MAX_DEPTH_STEP_SHARE``. The other parameters are those of ``edge_mask``.
+    The pairs of neighbours are those with their upper or left pixel in the rows from ``first`` to ``last`` (exclusive). The other
+    pixel may lie in row ``last``: threads only ever set values to True there. ``near`` is the distance of the near plane, metres.
+    ``min_cosine`` and ``max_depth_step`` are the limits ``MIN_FACE_COSINE`` and ``MAX_DEPTH_STEP_SHARE``. The other parameters are
+    those of ``edge_mask``.
     """
     rows, cols = triangle_number.shape
-    out = np.zeros((rows, cols), np.bool_)
-    for i in range(rows):
+    for i in range(first, last):
         for j in range(cols):
             triangle = np.int64(triangle_number[i, j]) - 1
             for step in range(2):
@@ -247,14 +253,13 @@ def _edge_pixels(triangle_number, depth, ground_triangle_count, normals, near, m
                 ):
                     out[i, j] = True
                     out[a, b] = True
-    return out
 
 
 @compiled
 def _edges_of_neighbours(triangle_number, distance, ground_triangle_count, normals, min_cosine, max_depth_step):
     """Return the result of ``edge_mask_of_neighbours``, bool (n,).
 
-    ``distance`` (n, 5) is its ``distance_m``. ``min_cosine`` and ``max_depth_step`` are those of ``_edge_pixels``.
+    ``distance`` (n, 5) is its ``distance_m``. ``min_cosine`` and ``max_depth_step`` are those of ``_mark_edge_pixels``.
     """
     out = np.zeros(len(triangle_number), np.bool_)
     for n in range(len(triangle_number)):
@@ -274,7 +279,7 @@ def _is_edge(triangle, neighbour, distance, neighbour_distance, ground_triangle_
 
     ``triangle`` and ``neighbour`` are the numbers of their triangles, from 0; negative without one. ``distance`` and
     ``neighbour_distance`` are their distances along the view's axis, metres. ``min_cosine`` and ``max_depth_step`` are those of
-    ``_edge_pixels``.
+    ``_mark_edge_pixels``.
     """
     if triangle == neighbour:
         return False

@@ -79,8 +79,9 @@ class GeometryBuffer:
     ground
         In perspective: the ground's triangles. The visible triangles also cast the shadows. ``None`` in a map.
     corners_frame_m
-        float32 (rows, cols, 9), the triangle's three corners, metres; 0 for a map's ground. ``None`` in maps of ground without
-        objects.
+        float32 (rows, cols, 9), the triangle's three corners, metres; 0 for a map's ground. A point that ``is_lifted`` in
+        perspective lies on no triangle: its corners are those of the triangle from which it was moved. ``None`` in maps of ground
+        without objects.
     albedo
         float32, linear; NaN where the ground has its tint. ``None`` if the ground has its tint everywhere.
     first_sample_row

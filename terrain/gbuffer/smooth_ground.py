@@ -20,28 +20,30 @@ from skugga.terrain.lights import LightPosition
 def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
     """Return a buffer whose points are moved to the smooth ground where it faces a light and the point's triangle does not.
 
-    The moved points (``skugga.terrain.gbuffer.lift``) lie on no triangle. The result is ``buffer`` itself if no point moves, or if
-    its points were moved already.
+    The moved points (``skugga.terrain.gbuffer.lift``) lie on no triangle. In a map their corners become the points themselves. In
+    perspective the corners stay, since a copy for all points costs more than to look at ``is_lifted``. The result is ``buffer``
+    itself if no point moves, or if its points were moved already.
     """
     if buffer.lift_m is None or buffer.is_lifted is not None:
         return buffer
     is_lifted = facing_normals(buffer, light).is_lifted
     if not is_lifted.any():
         return buffer
-    position = np.empty_like(buffer.position_frame_m)
-    corners = None if buffer.corners_frame_m is None else np.empty_like(buffer.corners_frame_m)
-    in_map = isinstance(buffer.view, MapView)
+    position, in_map = np.empty_like(buffer.position_frame_m), isinstance(buffer.view, MapView)
+    triangles = buffer.corners_frame_m if in_map else None
+    corners = None if triangles is None else np.empty_like(triangles)
     if isinstance(buffer.view, MapView):
         assert buffer.surface is not None
         origin_frame_m = buffer.surface.up_origin_frame_m
     else:
         origin_frame_m = buffer.view.in_frame(buffer.frame)[0]
     run_in_chunks(
-        len(is_lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, is_lifted, buffer.lift_m,
-        origin_frame_m, in_map, position,
-        corners,
+        len(is_lifted), _move_lifted_points, buffer.position_frame_m, triangles, is_lifted, buffer.lift_m, origin_frame_m, in_map,
+        position, corners,
     )  # fmt: skip
-    return replace(buffer, position_frame_m=position, corners_frame_m=corners, is_lifted=is_lifted)
+    return replace(
+        buffer, position_frame_m=position, corners_frame_m=corners if in_map else buffer.corners_frame_m, is_lifted=is_lifted
+    )
 
 
 @compiled
@@ -50,7 +52,7 @@ def _move_lifted_points(first, last, points, triangles, is_lifted, lift, origin,
 
     With ``in_map`` they move up, away from the point ``origin``. In perspective they move towards the eye ``origin``, at most
     half-way. All three corners of a lifted point become the point itself. ``triangles`` and ``corners`` (rows, cols, 9) are
-    ``None`` if the buffer has no corners. Rows run from ``first`` to ``last`` (exclusive).
+    ``None`` where no corners are copied. Rows run from ``first`` to ``last`` (exclusive).
     """
     direction = np.empty(3)
     for i in range(first, last):

@@ -3,7 +3,7 @@ uniform sampler2DArray foliage;
 uniform float threshold;
 uniform float level_bias;  // mip level bias of the leaves' textures, for views with pixels narrower than their spacing
 uniform bool in_map;
-flat in int tree;
+flat in int triangle;
 flat in vec3 foot;
 flat in vec3 crown;
 in vec3 above_foot;
@@ -30,6 +30,6 @@ void main() {
     vec4 leaf = texture(foliage, at, level_bias);
     if (leaf.a < threshold) discard;
     vec3 color = in_map ? leaf.rgb : facing_color(leaf.rgb);
-    seen = uint(first + tree * 6 + gl_PrimitiveID) + 1u;
+    seen = uint(first + triangle) + 1u;
     albedo = vec4(sqrt(color), 1.0);  // square roots, so that eight bits resolve dark greens
 }

@@ -6,7 +6,7 @@ uniform bool in_map;
 uniform vec2 size_px;
 uniform mat2 px_from_m;  // maps: pixels (column, row) per metre east and north
 uniform float height_m;  // maps: the range of heights that 0 to 1 represent
-flat out int tree;
+flat out int triangle;   // number of the triangle whose last corner this is: two triangles for each quad
 flat out vec3 foot;      // relative to the eye
 flat out vec3 crown;     // half width and height of the upright quads, layer of their texture
 out vec3 above_foot;
@@ -14,7 +14,7 @@ out vec3 at;
 
 void main() {
     vec3 offset = tree_offset();
-    tree = gl_InstanceID;
+    triangle = 6 * gl_InstanceID + 2 * (gl_VertexID / 4) + (gl_VertexID % 4 == 3 ? 1 : 0);
     at = tree_texture();
     above_foot = offset;
     foot = base - eye_frame_m;

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from skugga.api.catalogue import find_level
+from skugga.selector.select import plan_of_view
 from skugga.shadows.maps import drawing, point_lookup
 from skugga.shadows.maps import lookup as lookup_module
 from skugga.shadows.maps.relevant_trees import relevant_trees
 from skugga.shadows.maps.windows import DepthMap
+from skugga.shadows.passes import PassLog
 from skugga.shadows.render import Frame
 from skugga.shadows.truth.truth import trace_truth
+from skugga.shadows.visibility import fill_steps, receivers_of
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
@@ -80,6 +84,22 @@ def test_point_lookup_compares_on_the_points_own_triangle(gl, landscape, monkeyp
         )
         uncompared_frame = render_close_view(landscape, map_size=256)
     assert np.nanmean(uncompared_frame.visibility) < np.nanmean(compared_frame.visibility) - 0.01
+
+
+def test_lifted_points_lie_on_no_triangle(gl, landscape):
+    """The corners that their buffer keeps change nothing: visibility is that with the points themselves as corners."""
+    scene = landscape.with_sun(SunSpec(azimuth=199, altitude=4))
+    buffer = receivers_of(geometry_buffer(scene, close_view(scene)), scene, "sun")
+    assert buffer.is_lifted is not None and buffer.corners_frame_m is not None
+    points = np.tile(buffer.position_frame_m, 3).astype(np.float32)
+    without_corners = replace(buffer, corners_frame_m=np.where(buffer.is_lifted[..., None], points, buffer.corners_frame_m))
+    plan = plan_of_view(scene, close_view(scene), "close", {"algorithm": "perspective_shadow_map", "map_size": 256})
+    casters, visibilities = find_casters(scene, buffer), []
+    for receivers in (buffer, without_corners):
+        clear_caches("light")
+        visibilities.append(fill_steps(plan.steps_of_light("sun"), receivers, scene, casters, (), PassLog()))
+    assert (visibilities[0][buffer.is_lifted] < 1.0).any()
+    np.testing.assert_array_equal(*visibilities)
 
 
 def test_points_of_trees_get_the_normal_offset(gl, landscape):
