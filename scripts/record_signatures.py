@@ -130,7 +130,8 @@ def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
     """Draw masks and heights of tiles, a picture and all layers of each raster. Files are written into ``folder``."""
     _draw_blocks(rasters, ["mask", "visibility", "terrain-rgb"])
     for raster in rasters:
-        _run_command("render", raster, *_sun_options(raster), "--size", "600x600", "-o", folder / "out.png")
+        for sky in ("even", "clear"):
+            _run_command("render", raster, *_sun_options(raster), "--sky", sky, "--size", "600x600", "-o", folder / "out.png")
         for layer in ("visibility", "shadow", "color", "cosi"):
             _run_command("shade", raster, "--layer", layer, *_sun_options(raster), "-o", folder / "out.tif")
 
