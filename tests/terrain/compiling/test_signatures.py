@@ -13,7 +13,6 @@ from skugga.terrain.compiling.signatures import recorded_signatures
 MODULES_WITHOUT_RECORDS = {
     "skugga.api.overviews": "`skugga overviews`",
     "skugga.shadows.horizons.far": "horizons of rasters",
-    "skugga.shadows.horizons.march": "horizons of rasters",
     "skugga.shadows.horizons.sky_view": "sky view factors of rasters",
     "skugga.shadows.irradiation.direct": "irradiation",
     "skugga.shadows.irradiation.sky": "irradiation",
