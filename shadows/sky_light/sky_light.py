@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.horizons.azimuths import evenly_spaced_azimuths_deg
-from skugga.shadows.horizons.block_ground import block_grid, horizon_blocks
+from skugga.shadows.horizons.block_ground import block_grid, block_plane, horizon_blocks
 from skugga.shadows.horizons.object_ground import has_objects, object_grids
 from skugga.shadows.horizons.scan import horizons_towards
 from skugga.shadows.sky_light.luminance import HORIZON_CODES, light_tables
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.grid import MapView, PixelWindow
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
@@ -51,10 +51,14 @@ class SkyHorizons:
         uint8 (``AZIMUTHS``, rows, cols): the sine of the horizon's angle, in steps of 1 / (``HORIZON_CODES`` - 1); 0 if level.
     first_pixel
         Row and column of the first node, in pixels of the map.
+    parts
+        Rows and columns of the parts whose azimuths count from one north, and the rotations (3, 3) of these parts, whose columns
+        are earth-fixed directions to the east, to the north and up.
     """
 
     code: np.ndarray
     first_pixel: tuple[float, float]
+    parts: tuple[tuple[PixelWindow, np.ndarray], ...]
 
 
 def sky_light_factor(
@@ -79,18 +83,29 @@ def sky_light_factor(
         Rows and columns (rows, cols) of the map's pixels in which the points lie. ``None``: there is a point for each pixel.
     """
     style, horizons = scene.style, _sky_horizons(scene, view)
-    altitude_deg, azimuth_deg = (90.0, 0.0) if scene.sun is None else (scene.sun.altitude_deg, scene.sun.azimuth_deg)
-    cover = 1.0 if style.sky == "overcast" or scene.sun is None else scene.loaded.level.weather.cloud_cover
-    rows, cols = horizons.code.shape[1:]
-    light = np.zeros((rows, cols, 3), np.float32)
-    run_in_chunks(rows, _add_sectors, horizons.code, light_tables(AZIMUTHS, cover, altitude_deg, azimuth_deg), light)
+    light = np.zeros((*horizons.code.shape[1:], 3), np.float32)
+    for (rows, cols), earth_from_enu in horizons.parts:
+        tables = _light_tables_in_frame(scene, earth_from_enu, frame)
+        code, part_light = horizons.code[:, rows, cols], light[rows, cols]
+        run_in_chunks(len(part_light), _add_sectors, code, tables, part_light)
     out = np.empty(normal_frame.shape[:2], np.float32)
     run_in_chunks(
         len(out), _write_factors, light, horizons.first_pixel, 1.0 / NODE_PIXELS, normal_frame, up_frame,
-        frame.directions_from_earth(_north_axis(scene, view)), style.slope_exaggeration_at(map_pixel_m(scene.world, view)),
-        style.max_shaded_slope, pixels, out,
+        style.slope_exaggeration_at(map_pixel_m(scene.world, view)), style.max_shaded_slope, pixels, out,
     )  # fmt: skip
     return out
+
+
+def _light_tables_in_frame(scene: Scene, earth_from_enu: np.ndarray, frame: LocalFrame) -> np.ndarray:
+    """Return ``light_tables`` under a scene's sky, seen from a place with the rotation ``earth_from_enu``, in a local frame."""
+    altitude_deg, azimuth_deg, cover = 90.0, 0.0, 1.0
+    if scene.sun is not None and scene.style.sky != "overcast":
+        east, north, up = scene.sun.to_sun_earth @ earth_from_enu
+        altitude_deg = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
+        azimuth_deg = float(np.degrees(np.arctan2(east, north)))
+        cover = scene.loaded.level.weather.cloud_cover
+    tables = light_tables(AZIMUTHS, cover, altitude_deg, azimuth_deg)
+    return np.asarray(tables @ (frame.frame_from_earth @ earth_from_enu).T, np.float32)
 
 
 def block_sky_light(block: ShadingBlock) -> np.ndarray:
@@ -107,15 +122,6 @@ def block_sky_light(block: ShadingBlock) -> np.ndarray:
     return sky_light_factor(block.scene, view, buffer.frame, buffer.shading_normal_frame, up.astype(np.float32), pixels)
 
 
-def _north_axis(scene: Scene, view: MapView) -> np.ndarray:
-    """Return the earth-fixed direction (3,) whose horizontal part is north: the earth's axis, or north itself in a flat world."""
-    if not scene.world.is_flat:
-        return np.array([0.0, 0.0, 1.0])
-    x, y = view.centre
-    point, up = scene.world.points_at_zero_height(view.grid.crs, np.array([x]), np.array([y]))
-    return np.asarray(scene.world.earth_from_enu(point[0], up[0])[:, 1])
-
-
 def _cache_key(scene: Scene, view: MapView) -> tuple[object, ...]:
     """Return the cache key of ``_sky_horizons``: its result does not depend on the sun."""
     return scene.world, scene.elevation, scene.objects, view
@@ -126,13 +132,16 @@ def _sky_horizons(scene: Scene, view: MapView) -> SkyHorizons:
     """Return the horizons at nodes over a map's pixels."""
     nodes, first_pixel = view.coarser_nodes(NODE_PIXELS)
     code = np.zeros((AZIMUTHS, nodes.rows, nodes.cols), np.uint8)
+    parts: list[tuple[PixelWindow, np.ndarray]] = []
     for part, row, col in horizon_blocks(scene, nodes, max_convergence_deg=MAX_CONVERGENCE_DEG):
-        window = code[:, row : row + part.rows, col : col + part.cols]
+        rows, cols = slice(row, row + part.rows), slice(col, col + part.cols)
+        window = code[:, rows, cols]
+        parts.append(((rows, cols), block_plane(scene.world, part, *part.centre_node).earth_from_enu))
         grid = object_grids(scene, part)[0] if has_objects(scene) else block_grid(scene, part)
         for horizons in horizons_towards(grid, evenly_spaced_azimuths_deg(AZIMUTHS)):
             tangent = horizons.orientation.grid_order_view(horizons.tangent)
             run_in_chunks(part.rows, _encode_horizons, tangent, window[horizons.number])
-    return SkyHorizons(code, first_pixel)
+    return SkyHorizons(code, first_pixel, tuple(parts))
 
 
 @compiled
@@ -158,10 +167,10 @@ def _add_sectors(first, last, code, tables, out):
 
 
 @compiled
-def _write_factors(first, last, light, first_pixel, nodes_per_pixel, normal, up, north_axis, exaggeration, max_slope, pixels, out):
+def _write_factors(first, last, light, first_pixel, nodes_per_pixel, normal, up, exaggeration, max_slope, pixels, out):
     """Write the irradiance on rows [first, last) of points to ``out`` (rows, cols).
 
-    ``light`` (n, m, 3) holds vectors east, north and up at nodes, of which the first lies at ``first_pixel``. ``pixels`` are rows
+    ``light`` (n, m, 3) holds vectors in the frame at nodes, of which the first lies at ``first_pixel``. ``pixels`` are rows
     and columns of the points' pixels, or ``None``. Slopes are exaggerated as for direct light.
     """
     rows, cols = light.shape[:2]
@@ -172,24 +181,17 @@ def _write_factors(first, last, light, first_pixel, nodes_per_pixel, normal, up,
             r, c = min(int(y), rows - 2), min(int(x), cols - 2)
             down, right = y - r, x - c
             a, b, d, e = (1.0 - down) * (1.0 - right), (1.0 - down) * right, down * (1.0 - right), down * right
-            east_light = a * light[r, c, 0] + b * light[r, c + 1, 0] + d * light[r + 1, c, 0] + e * light[r + 1, c + 1, 0]
-            north_light = a * light[r, c, 1] + b * light[r, c + 1, 1] + d * light[r + 1, c, 1] + e * light[r + 1, c + 1, 1]
-            up_light = a * light[r, c, 2] + b * light[r, c + 1, 2] + d * light[r + 1, c, 2] + e * light[r + 1, c + 1, 2]
+            x_light = a * light[r, c, 0] + b * light[r, c + 1, 0] + d * light[r + 1, c, 0] + e * light[r + 1, c + 1, 0]
+            y_light = a * light[r, c, 1] + b * light[r, c + 1, 1] + d * light[r + 1, c, 1] + e * light[r + 1, c + 1, 1]
+            z_light = a * light[r, c, 2] + b * light[r, c + 1, 2] + d * light[r + 1, c, 2] + e * light[r + 1, c + 1, 2]
             ux, uy, uz = np.float64(up[i, j, 0]), np.float64(up[i, j, 1]), np.float64(up[i, j, 2])
-            ex, ey, ez = (
-                north_axis[1] * uz - north_axis[2] * uy, north_axis[2] * ux - north_axis[0] * uz,
-                north_axis[0] * uy - north_axis[1] * ux,
-            )  # fmt: skip
-            length = np.sqrt(ex * ex + ey * ey + ez * ez)
-            length = length if length > 0.0 else 1.0
-            ex, ey, ez = ex / length, ey / length, ez / length
-            nx, ny, nz = uy * ez - uz * ey, uz * ex - ux * ez, ux * ey - uy * ex
-            px, py, pz = np.float64(normal[i, j, 0]), np.float64(normal[i, j, 1]), np.float64(normal[i, j, 2])
-            east, north, rise = px * ex + py * ey + pz * ez, px * nx + py * ny + pz * nz, px * ux + py * uy + pz * uz
+            nx, ny, nz = np.float64(normal[i, j, 0]), np.float64(normal[i, j, 1]), np.float64(normal[i, j, 2])
+            rise = nx * ux + ny * uy + nz * uz
             if rise > 0.0:
-                slope = exaggeration * np.sqrt(east * east + north * north) / rise
+                hx, hy, hz = nx - rise * ux, ny - rise * uy, nz - rise * uz  # the horizontal part
+                slope = exaggeration * np.sqrt(hx * hx + hy * hy + hz * hz) / rise
                 factor = exaggeration / np.sqrt(1.0 + slope * slope / (max_slope * max_slope))
-                east, north = factor * east, factor * north
-                length = np.sqrt(east * east + north * north + rise * rise)
-                east, north, rise = east / length, north / length, rise / length
-            out[i, j] = max(east * east_light + north * north_light + rise * up_light, MIN_FACTOR)
+                nx, ny, nz = rise * ux + factor * hx, rise * uy + factor * hy, rise * uz + factor * hz
+                length = np.sqrt(nx * nx + ny * ny + nz * nz)
+                nx, ny, nz = nx / length, ny / length, nz / length
+            out[i, j] = max(nx * x_light + ny * y_light + nz * z_light, MIN_FACTOR)

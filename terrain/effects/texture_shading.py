@@ -26,6 +26,9 @@ from skugga.terrain.ground.surface import Surface, map_pixel_m
 from skugga.terrain.ground.texture import RADIUS_NODES, max_texture_per_slope, relief_texture
 from skugga.terrain.scene import Scene
 
+MAX_PIXELS_PER_NODE = 1024
+"""Largest number of pixels from one node of the texture to the next: nothing is seen of cells that are larger."""
+
 GAIN = 5.0
 """Factor of the texture per pixel. Natural relief, with a root mean square of 0.05 to 0.15, reaches 0.2 to 0.6 of the strength."""
 
@@ -117,7 +120,7 @@ def _pixels_per_node(scene: Scene, pixel_m: float) -> int:
     """
     elevation = scene.elevation
     cell_m = max(elevation.cell_size_m(scene.world.metres_per_unit), elevation.resolution_m or 0.0)
-    return int(2 ** max(np.rint(np.log2(cell_m / pixel_m)), 0.0))
+    return int(2 ** np.clip(np.rint(np.log2(cell_m / pixel_m)), 0.0, np.log2(MAX_PIXELS_PER_NODE)))
 
 
 EFFECT = Effect(

@@ -296,7 +296,7 @@ def test_openapi_lists_all_parameters(yard_client: Client):
     operation = yard_client.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {parameter["name"] for parameter in operation["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
-        "time", "azimuth", "altitude", "style", "slope_exaggeration", "eye", "target", "fov",
+        "time", "azimuth", "altitude", "style", "slope_exaggeration", "sky", "eye", "target", "fov",
         "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
         "stencil", "counting", "mask",
     }  # fmt: skip

@@ -198,7 +198,7 @@ def test_tile_headers_describe_timing_reach_and_caching(client: Client):
     timing = answer.headers["server-timing"]
     plan = client.get("/levels/hills/plan").json()
     assert [part.split(";")[0] for part in timing.split(", ")][: len(plan["passes"])] == [
-        "geometry", "outside_casters", "sun-relief-sweep", "attached", "sky_view", "shading",
+        "geometry", "outside_casters", "sun-relief-sweep", "attached", "sky_view", "texture_shading", "shading",
     ]  # fmt: skip
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}

@@ -228,7 +228,7 @@ def test_water_is_needed_by_day_and_changes_only_water(make_lake, name):
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
-@pytest.mark.parametrize("altitude", [20.0, -3.0, -8.0, -9.0, -9.5, -10.0, -10.5, -11.0, -12.0, -40.0])
+@pytest.mark.parametrize("altitude", [20.0, -3.0, -8.0, -9.0, -9.5, -10.0, -10.5, -11.2, -12.0, -40.0])
 def test_water_that_the_plan_omits_does_not_show(make_lake, name, altitude):
     scene = make_lake().with_sun(SunSpec(azimuth=90.0, altitude=altitude))
     change = np.abs(render_lake(scene, name, True) - render_lake(scene, name, False)).max()
