@@ -206,6 +206,8 @@ class Algorithm:
         Whether the selector may choose it and a request over HTTP may name it; False for references.
     needs_opengl
         Whether it draws with OpenGL.
+    needs_view_pixels
+        Whether it finds the visibility at pixels of the view only, not at any point: it counts in the stencil.
     settings_types
         The types of its settings.
     resolve_settings
@@ -236,6 +238,7 @@ class Algorithm:
     layers: tuple[PassLayer, ...] = ()
     is_selectable: bool = True
     needs_opengl: bool = True
+    needs_view_pixels: bool = False
     settings_types: tuple[type[AlgorithmSettings], ...] = ()
     resolve_settings: Callable[[SettingsRequest], ResolvedSettings] = lambda request: (None, [])
     cache_names: tuple[str, ...] = ()

@@ -141,9 +141,9 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
     They include all pixels along the block's sides, unless ``visibilities`` is empty.
     """
     edges = np.zeros(buffer.valid.shape, np.bool_)
-    _mark_changes(buffer.surface_kind, 0.0, edges)
+    mark_changes(buffer.surface_kind, 0.0, edges)
     for visibility in visibilities:
-        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), MIN_EDGE_VISIBILITY_CHANGE, edges)
+        mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), MIN_EDGE_VISIBILITY_CHANGE, edges)
     if visibilities:
         for side in (edges[0], edges[-1], edges[:, 0], edges[:, -1]):
             side[:] = True
@@ -207,7 +207,7 @@ def _append_samples(
 
 
 @compiled
-def _mark_changes(values, threshold, edge_mask):
+def mark_changes(values, threshold, edge_mask):
     """Mark in ``edge_mask`` both pixels of each pair of neighbours whose values (rows, cols) differ by more than ``threshold``.
 
     A pixel has eight neighbours.

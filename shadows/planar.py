@@ -254,6 +254,7 @@ def _wrong_share(casting: Casting) -> float:
 
 ALGORITHM = Algorithm(
     name="planar",
+    needs_view_pixels=True,
     description="casters projected onto level ground through the stencil; no shadows of casters on casters",
     plural_name="planar",
     fill_visibility=fill_visibility,

@@ -17,6 +17,7 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.sky_light.sky_light import block_sky_light
 from skugga.shadows.supersampling import mean_visibilities, supersampling
+from skugga.shadows.view_edges import smooth_shadow_edges
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
 from skugga.terrain.casters.caster_types import Casters, Reach
 from skugga.terrain.casters.reach import find_casters, find_reach
@@ -309,6 +310,8 @@ def render_block(
     shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
         picture, shading_visibilities = anti_alias_block(scene, plan, own_pixels, visibilities, log)
+    if isinstance(view, PerspectiveView) and pixel_sampling == "means":
+        shading_visibilities = smooth_shadow_edges(scene, plan, picture, visibilities, casters, log)
     block = ShadingBlock(scene, view, picture.buffer, shading_visibilities, picture, block_sky_light)
     linear = _shade_block(block, plan, log)
     with log.record_pass(SHADING_PASS):
@@ -319,7 +322,7 @@ def render_block(
         color = encode_srgb(picture.average_samples(linear))
         valid, nodata = own_pixels.valid, np.float32(np.nan)
         visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in visibilities.items()}
-        shown_visibilities = visibilities
+        shown_visibilities = {light: np.where(valid, values[: view.rows], nodata) for light, values in shading_visibilities.items()}
         if isinstance(view, MapView):
             means = {light: picture.average_samples(values[..., None])[..., 0] for light, values in shading_visibilities.items()}
             shown_visibilities = {light: np.where(valid, values, nodata) for light, values in means.items()}

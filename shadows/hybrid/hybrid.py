@@ -119,6 +119,7 @@ def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent
 
 ALGORITHM = Algorithm(
     name="hybrid",
+    needs_view_pixels=True,
     description="a small map, and shadow volumes only where it cannot decide",
     plural_name="hybrid",
     fill_visibility=fill_visibility,

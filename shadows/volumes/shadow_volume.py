@@ -89,6 +89,7 @@ VOLUME_CACHES = (
 
 ALGORITHM = Algorithm(
     name="shadow_volume",
+    needs_view_pixels=True,
     description="shadow volumes, counted in the stencil: exact to the pixel",
     plural_name="shadow volumes",
     fill_visibility=fill_visibility,
