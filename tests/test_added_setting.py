@@ -66,8 +66,8 @@ A_PARAMETER: Edits = {
     ),
     "api/request.py": (
         (
-            "    sun: SunSpec | None = None\n    style: StyleName | None = None\n",
-            "    sun: SunSpec | None = None\n    raised: float | None = None\n    style: StyleName | None = None\n",
+            "    sun: SunSpec | None = None\n",
+            "    sun: SunSpec | None = None\n    raised: float | None = None\n",
         ),
         (
             "        return scene.with_sun(self.sun).with_style(",

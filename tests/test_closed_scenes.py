@@ -20,12 +20,14 @@ from skugga.shadows.ground_pictures import _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
+from skugga.shadows.sky_light.sky_light import block_sky_light
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
 from skugga.terrain.casters.caster_types import Patch
 from skugga.terrain.casters.patch_bounds import patch_bounds
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
+from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.facts.relief_rays import overview_probes
 from skugga.terrain.facts.visible_points import probes_in_map
 from skugga.terrain.gbuffer.bare_ground import bare_ground
@@ -106,6 +108,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     buffer, view_truth = geometry_buffer(scene, view), truth_of_view(scene, view, "sun")
     block = geometry_buffer(scene, scene.view(size=(64, 64)))
     attached_shadow_mask(block, scene)
+    block_sky_light(ShadingBlock(scene, block.view, block, {}))
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
     ground_detail._albedo_changes(buffer, scene, view)  # a level with imagery leaves it out

@@ -26,6 +26,9 @@ from skugga.terrain.ground.surface import Surface, map_pixel_m
 from skugga.terrain.ground.texture import RADIUS_NODES, max_texture_per_slope, relief_texture
 from skugga.terrain.scene import Scene
 
+HEIGHT_STEP_SHARE = 1.0 / 128.0
+"""Step to which heights are rounded, as a share of the distance between nodes: it changes light by at most 1 %."""
+
 MAX_PIXELS_PER_NODE = 1024
 """Largest number of pixels from one node of the texture to the next: nothing is seen of cells that are larger."""
 
@@ -98,13 +101,14 @@ def texture_factor(scene: Scene, view: MapView) -> np.ndarray:
         int(nodes.row0) - RADIUS_NODES, int(nodes.col0) - RADIUS_NODES, nodes.rows + 2 * RADIUS_NODES,
         nodes.cols + 2 * RADIUS_NODES,
     )  # fmt: skip
-    texture = relief_texture(heights.height_m)
+    node_m = pixel_m * pixels_per_node
+    texture = relief_texture(heights.height_m, HEIGHT_STEP_SHARE * node_m)
     if pixels_per_node > 1:
         from scipy.ndimage import affine_transform
 
         scale, start = 1.0 / pixels_per_node, [-first / pixels_per_node for first in first_pixel]
         texture = affine_transform(texture, [scale, scale], start, (view.rows, view.cols), order=2, mode="nearest", prefilter=False)
-    texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / (pixel_m * pixels_per_node))
+    texture *= np.float32(GAIN * style.slope_exaggeration_at(pixel_m) / node_m)
     return np.float32(1.0) + np.float32(style.texture_strength) * np.tanh(texture, out=texture)
 
 

@@ -23,42 +23,68 @@ to 0.15 for cells of 1 to 1,000 m (11 rasters of mountains, hills and coasts), a
 RADIUS_NODES = 64
 """Radius of the filter's kernel, in nodes."""
 
+KERNEL_SCALE = 2.0**20
+"""Factor of the kernel's values before they are rounded. Their largest is 0.46, those at the edge are some millionths."""
+
 _KERNEL_PERIOD_NODES = 16 * RADIUS_NODES
 """Period of the grid on which the kernel is computed from its spectrum. Copies of the kernel lie that far apart."""
 
 
-def relief_texture(height_m: np.ndarray) -> np.ndarray:
+def relief_texture(height_m: np.ndarray, height_step_m: float) -> np.ndarray:
     """Return the texture of a heightfield, metres per node^``EXPONENT``.
+
+    Heights and kernel are rounded to integers, and so is their convolution by Fourier transforms, which is then exact. So a node
+    has the same texture to the bit in all windows, and ground beyond the radius has no effect.
 
     Parameters
     ----------
     height_m
         float32 (rows + 2 ``RADIUS_NODES``, cols + 2 ``RADIUS_NODES``), metres: the nodes and their surroundings. NaN without
         ground.
+    height_step_m
+        Step to which heights are rounded, metres: a small part of the distance between nodes.
 
     Returns
     -------
     numpy.ndarray
         float32 (rows, cols). Missing ground counts as level with the node; 0 at nodes without ground.
     """
-    from scipy.signal import fftconvolve
-
     known = np.isfinite(height_m)
     inside = slice(RADIUS_NODES, -RADIUS_NODES), slice(RADIUS_NODES, -RADIUS_NODES)
     if not known[inside].any():
         return np.zeros(height_m[inside].shape, np.float32)
-    middle_m = np.mean(height_m[known], dtype=np.float64).astype(np.float32)
-    relative_m = np.where(known, height_m - middle_m, np.float32(0.0))
-    texture = fftconvolve(relative_m, texture_kernel(), mode="valid")
+    steps = np.rint(np.where(known, height_m, np.nan).astype(np.float64) / height_step_m)
+    steps -= np.rint(np.nanmean(steps))  # any whole number serves: the kernel's values add up to 0
+    steps[~known] = 0.0
+    texture = _convolve_exactly(steps)
     if not known.all():
-        texture -= relative_m[inside] * fftconvolve(known.astype(np.float32), texture_kernel(), mode="valid")
+        texture -= steps[inside] * _convolve_exactly(known.astype(np.float64))
         texture[~known[inside]] = 0.0
-    return texture.astype(np.float32, copy=False)
+    return (texture * (height_step_m / KERNEL_SCALE)).astype(np.float32)
+
+
+def _convolve_exactly(values: np.ndarray) -> np.ndarray:
+    """Return the convolution of whole numbers, float64 (rows, cols), with the kernel, where its radius lies within the array."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    rows, cols = values.shape
+    shape = next_fast_len(rows, real=True), next_fast_len(cols, real=True)
+    spectrum = rfft2(values, shape)
+    spectrum *= _kernel_spectrum(shape)
+    return np.rint(irfft2(spectrum, shape, overwrite_x=True)[2 * RADIUS_NODES : rows, 2 * RADIUS_NODES : cols])
+
+
+@cached("process", 48 * MIB)
+def _kernel_spectrum(shape: tuple[int, int]) -> np.ndarray:
+    """Return the spectrum of the kernel on a grid of a shape, complex128. Values that wrap round it are not used."""
+    from scipy.fft import rfft2
+
+    return np.asarray(rfft2(texture_kernel(), shape))
 
 
 @cached("process", MIB)
 def texture_kernel() -> np.ndarray:
-    """Return the kernel of the texture, float32 (2 ``RADIUS_NODES`` + 1,) * 2. Its values add up to 0."""
+    """Return the kernel of the texture times ``KERNEL_SCALE``, rounded: float64 (2 ``RADIUS_NODES`` + 1,) * 2. Its sum is 0."""
     frequency = np.hypot(np.fft.fftfreq(_KERNEL_PERIOD_NODES)[:, None], np.fft.rfftfreq(_KERNEL_PERIOD_NODES))
     kernel = np.fft.irfft2(frequency**EXPONENT, (_KERNEL_PERIOD_NODES, _KERNEL_PERIOD_NODES))
     offset = np.arange(-RADIUS_NODES, RADIUS_NODES + 1)
@@ -66,7 +92,9 @@ def texture_kernel() -> np.ndarray:
     taper = np.cos(0.5 * np.pi * np.minimum(distance / RADIUS_NODES, 1.0)) ** 2
     kernel = kernel[np.ix_(offset, offset)] * taper
     # The correction of the sum is spread out, so that it changes the response to wide landforms only.
-    return (kernel - kernel.sum() / taper.sum() * taper).astype(np.float32)
+    kernel = np.rint(KERNEL_SCALE * (kernel - kernel.sum() / taper.sum() * taper))
+    kernel[RADIUS_NODES, RADIUS_NODES] -= kernel.sum()
+    return np.asarray(kernel)
 
 
 def max_texture_per_slope() -> float:
@@ -75,4 +103,4 @@ def max_texture_per_slope() -> float:
     Opposite nodes of the kernel have the same weight, so a plane has no texture. Heights at a distance d differ by d at most.
     """
     offset = np.arange(-RADIUS_NODES, RADIUS_NODES + 1)
-    return float((np.abs(texture_kernel()) * np.hypot(offset[:, None], offset)).sum())
+    return float((np.abs(texture_kernel()) * np.hypot(offset[:, None], offset)).sum()) / KERNEL_SCALE
