@@ -152,4 +152,6 @@ def test_wms_driver_reads_a_latitude_first_crs(client: Client, tmp_path):
     query = {"bbox": f"{west},{south},{east},{north}", "crs": "EPSG:4326", "width": "128", "height": "128"}
     expected = picture(client, "/levels/timed/map.png", **query)
     valid = expected[..., 3] == 255
-    assert valid.sum() > 5_000 and np.array_equal(dataset.pixels[valid], expected[valid])
+    difference = np.abs(dataset.pixels[valid].astype(int) - expected[valid]).max(axis=-1)
+    # The driver rounds the bounds of its request, so that heights differ in their last bits.
+    assert valid.sum() > 5_000 and difference.max() <= 1 and (difference > 0).mean() < 1e-3
