@@ -25,7 +25,7 @@ from skugga.terrain.geo.grid import MapView, map_view
 from skugga.terrain.gl.device import Device
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
-from tests.render import plan_of, render
+from tests.render import plan_of
 
 SPOT = {"kind": "spot", "position": [-20, 10, 25], "target": [0, 0, 0], "cutoff": 40}
 OMNI = {"kind": "omni", "position": [0, -12, 20]}
@@ -56,9 +56,9 @@ def scene(build) -> Scene:
 
 
 def render_with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
-    """Render a view, by default ``eye``, with layers of the algorithms."""
+    """Render a view, by default ``eye``, with layers of the algorithms; without samples of edges, which have maps of their own."""
     view = view or scene.view("eye")
-    return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers))
+    return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers), pixel_sampling="points")
 
 
 def pass_picture(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
@@ -99,7 +99,8 @@ def test_pass_log_creates_only_requested_layers(gl, scene, monkeypatch):
         lambda self, target, *arguments, **keywords: reads.append(arguments) or original(self, target, *arguments, **keywords),
     )
     clear_caches("light", "scene")
-    plain_frame = render(scene, scene.view("eye"), algorithm="shadow_map")
+    plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map")
+    plain_frame = render_frame(scene, scene.view("eye"), plan, pixel_sampling="points")
     count = len(reads)
     clear_caches("light", "scene")
     layered_frame = render_with_layers(scene, "shadow-map", algorithm="shadow_map")
