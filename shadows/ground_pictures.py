@@ -93,7 +93,8 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     if SKY_LIGHT_PASS in plan.effect_names:
         with log.record_pass(SKY_LIGHT_PASS):
             if has_directional_sky(scene.style):
-                share = sky_light_factor(scene, ground.window_view, ground.frame, ground.normal_frame, ground.up_frame)
+                first_pixel = ground.window[0].start, ground.window[1].start
+                share = sky_light_factor(scene, view, ground.frame, ground.normal_frame, ground.up_frame, first_pixel=first_pixel)
                 ground = replace(ground, visible_sky_share=share)
     if TEXTURE_PASS in plan.effect_names:
         with log.record_pass(TEXTURE_PASS):

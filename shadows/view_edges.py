@@ -174,8 +174,8 @@ def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray)
     )  # fmt: skip
     position.reshape(-1, 3)[count:] = position.reshape(-1, 3)[count - 1]
     return replace(
-        buffer, view=replace(view, rows=shape[0]), valid=np.ones(shape, np.bool_), position_frame_m=position, albedo=None,
-        is_lifted=None, first_sample_row=None, sample_pixels=None, **arrays,
+        buffer, valid=np.ones(shape, np.bool_), position_frame_m=position, albedo=None, is_lifted=None, first_sample_row=0,
+        sample_pixels=None, **arrays,
     )  # fmt: skip
 
 

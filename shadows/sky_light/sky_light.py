@@ -68,6 +68,7 @@ def sky_light_factor(
     normal_frame: np.ndarray,
     up_frame: np.ndarray,
     pixels: tuple[np.ndarray, np.ndarray] | None = None,
+    first_pixel: tuple[int, int] = (0, 0),
 ) -> np.ndarray:
     """Return the irradiance of the sky at points of a map as float32 (rows, cols).
 
@@ -80,7 +81,10 @@ def sky_light_factor(
     normal_frame, up_frame
         float32 (rows, cols, 3), the unit normals and the unit vectors up.
     pixels
-        Rows and columns (rows, cols) of the map's pixels in which the points lie. ``None``: there is a point for each pixel.
+        Rows and columns (rows, cols) of the map's pixels in which the points lie. ``None``: there is a point for each pixel from
+        ``first_pixel`` on.
+    first_pixel
+        Row and column of the map's pixel in which the first point lies.
     """
     style, horizons = scene.style, _sky_horizons(scene, view)
     light = np.zeros((*horizons.code.shape[1:], 3), np.float32)
@@ -90,7 +94,8 @@ def sky_light_factor(
         run_in_chunks(len(part_light), _add_sectors, code, tables, part_light)
     out = np.empty(normal_frame.shape[:2], np.float32)
     run_in_chunks(
-        len(out), _write_factors, light, horizons.first_pixel, 1.0 / NODE_PIXELS, normal_frame, up_frame,
+        len(out), _write_factors, light, tuple(np.subtract(horizons.first_pixel, first_pixel)), 1.0 / NODE_PIXELS, normal_frame,
+        up_frame,
         style.slope_exaggeration_at(map_pixel_m(scene.world, view)), style.max_shaded_slope, pixels, out,
     )  # fmt: skip
     return out
