@@ -55,6 +55,9 @@ MAX_TEXEL_STRETCH, MIN_AXIS_SINE = 4.0, 1e-3
 """Largest length of a texel on a surface that the light grazes, in texels; and the smallest sine between the rays and the normal
 that gives an axis."""
 
+MAX_SHIFT_SHARE = 0.25
+"""Largest shift of a sample by its texel, as a share of its distance from the eye: it stays before the eye."""
+
 MAX_DISTANCE_RATIO = 1.5
 """Largest ratio of a sample's distance from the eye and that of its pixel's point. Beyond it, the plane leaves the surface."""
 
@@ -182,6 +185,7 @@ def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray)
 def _spread_over_texels(samples: GeometryBuffer, scene: Scene, light: str, steps: Sequence[Step]) -> GeometryBuffer:
     """Return samples that are also spread over a texel of a light's maps, if there are any."""
     texel_m: np.ndarray | None = None
+    assert isinstance(samples.view, PerspectiveView)
     for step in steps:
         find_texels = ALGORITHMS[step.algorithm].accuracy.texel_m
         if find_texels is not None:
@@ -192,17 +196,17 @@ def _spread_over_texels(samples: GeometryBuffer, scene: Scene, light: str, steps
     position = np.empty_like(samples.position_frame_m)
     run_in_chunks(
         len(position), _write_spread_samples, samples.position_frame_m, samples.normal_frame, np.ascontiguousarray(texel_m),
-        np.array(scene.light_position(light, samples.frame)), _TEXEL_OFFSETS, position,
+        np.array(scene.light_position(light, samples.frame)), samples.view.in_frame(samples.frame)[0], _TEXEL_OFFSETS, position,
     )  # fmt: skip
     return replace(samples, position_frame_m=position)
 
 
 @compiled
-def _write_spread_samples(first, last, position, normal, texel, light, offsets, out):
+def _write_spread_samples(first, last, position, normal, texel, light, eye, offsets, out):
     """Write the samples of rows [``first``, ``last``), moved by ``offsets`` (k, 2) texels within their planes, to ``out``.
 
     ``light`` (4,) is the homogeneous position of the light. A step of a texel across the light's rays becomes the step in the plane
-    that the rays project it on, at most ``MAX_TEXEL_STRETCH`` texels long.
+    that the rays project it on, at most ``MAX_TEXEL_STRETCH`` texels long and ``MAX_SHIFT_SHARE`` of the distance from the ``eye``.
     """
     cols = position.shape[1]
     for i in range(first, last):
@@ -224,6 +228,10 @@ def _write_spread_samples(first, last, position, normal, texel, light, offsets, 
             k = (i * cols + j) % len(offsets)
             along = texel[i, j] * offsets[k, 0]
             beside = texel[i, j] * offsets[k, 1] * stretch
+            distance = np.sqrt((px - eye[0]) ** 2 + (py - eye[1]) ** 2 + (pz - eye[2]) ** 2)
+            shift = np.sqrt(along * along + beside * beside)
+            scale = min(MAX_SHIFT_SHARE * distance / max(shift, 1e-12), 1.0)
+            along, beside = scale * along, scale * beside
             out[i, j, 0], out[i, j, 1] = px + along * ax + beside * bx, py + along * ay + beside * by
             out[i, j, 2] = pz + along * az + beside * bz
 
