@@ -80,18 +80,22 @@ def smooth_shadow_edges(
     sampled_pixel = np.full(picture.pixel_buffer.valid.shape, -1)
     sampled_pixel[picture.sampled_pixels] = np.arange(len(on_plane))
     shared = sampled_pixel[row, col]  # the places of pixels with samples, all of them on planes
-    points = _samples_of_pixels(picture.buffer, row, col)
+    # In pictures full of edges, such as woods, half of the samples: they then are at most four times as many as pixels.
+    chosen = slice(None) if len(row) * SAMPLE_COUNT <= sampled_pixel.size else slice(None, None, 2)
+    offsets, texel_offsets = _SAMPLE_OFFSETS[chosen], _TEXEL_OFFSETS[chosen]
+    count = len(offsets)
+    points = _samples_of_pixels(picture.buffer, row, col, offsets)
     kept_layers, requested_layers, log.requested_layers = log.take_layers(), log.requested_layers, frozenset()
     smooth = dict(visibilities)
     for light in lights:
-        samples = _spread_over_texels(points, scene, light, plan.steps_of_light(light))
+        samples = _spread_over_texels(points, scene, light, plan.steps_of_light(light), texel_offsets)
         steps = needed_steps(scene, plan.steps_of_light(light), samples, casters, log)
         sampled = fill_steps(steps, samples, scene, casters, plan.effect_names, log)
         with log.record_pass(ATTACHED_PASS):
             sampled[attached_shadow_mask(samples, scene, light)] = 0.0
-        total = sampled.reshape(-1)[: len(row) * SAMPLE_COUNT].reshape(-1, SAMPLE_COUNT).sum(axis=1)
+        total = sampled.reshape(-1)[: len(row) * count].reshape(-1, count).sum(axis=1)
         smooth[light] = visibilities[light].copy()
-        means = (visibilities[light][row, col] + total) / np.float32(1 + SAMPLE_COUNT)
+        means = (visibilities[light][row, col] + total) / np.float32(1 + count)
         smooth[light][row, col] = means
         own_samples = smooth[light][picture.picture_rows :].reshape(-1)
         for number in range(picture.sample_count):
@@ -157,13 +161,13 @@ def _edge_mask(picture: MultisampledBuffer, on_plane: np.ndarray, visibilities: 
     return edges
 
 
-def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray) -> GeometryBuffer:
-    """Return a buffer with ``SAMPLE_COUNT`` points for each of some pixels, one after the other; the last row is padded."""
+def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray, offsets: np.ndarray) -> GeometryBuffer:
+    """Return a buffer with a point at each of ``offsets`` (k, 2) from each of some pixels' centres; the last row is padded."""
     view = buffer.view
     assert isinstance(view, PerspectiveView)
-    count, cols = len(row) * SAMPLE_COUNT, view.cols
+    count, cols = len(row) * len(offsets), view.cols
     shape = -(-count // cols), cols
-    pixel = np.minimum(np.arange(shape[0] * cols) // SAMPLE_COUNT, len(row) - 1)
+    pixel = np.minimum(np.arange(shape[0] * cols) // len(offsets), len(row) - 1)
     arrays: dict[str, Any] = {}
     for name in _PIXEL_ARRAYS:
         value = getattr(buffer, name)
@@ -173,7 +177,7 @@ def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray)
     eye, camera_from_frame = view.in_frame(buffer.frame)
     run_in_chunks(
         len(row), _write_samples, row, col, buffer.position_frame_m, buffer.normal_frame, eye, camera_from_frame,
-        np.array([view.row0, view.col0, view.step_px, view.focal_px]), _SAMPLE_OFFSETS, position.reshape(-1, 3),
+        np.array([view.row0, view.col0, view.step_px, view.focal_px]), offsets, position.reshape(-1, 3),
     )  # fmt: skip
     position.reshape(-1, 3)[count:] = position.reshape(-1, 3)[count - 1]
     return replace(
@@ -182,8 +186,10 @@ def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray)
     )  # fmt: skip
 
 
-def _spread_over_texels(samples: GeometryBuffer, scene: Scene, light: str, steps: Sequence[Step]) -> GeometryBuffer:
-    """Return samples that are also spread over a texel of a light's maps, if there are any."""
+def _spread_over_texels(
+    samples: GeometryBuffer, scene: Scene, light: str, steps: Sequence[Step], offsets: np.ndarray
+) -> GeometryBuffer:
+    """Return samples that are also spread over a texel of a light's maps, by ``offsets`` (k, 2), if there are any."""
     texel_m: np.ndarray | None = None
     assert isinstance(samples.view, PerspectiveView)
     for step in steps:
@@ -196,7 +202,7 @@ def _spread_over_texels(samples: GeometryBuffer, scene: Scene, light: str, steps
     position = np.empty_like(samples.position_frame_m)
     run_in_chunks(
         len(position), _write_spread_samples, samples.position_frame_m, samples.normal_frame, np.ascontiguousarray(texel_m),
-        np.array(scene.light_position(light, samples.frame)), samples.view.in_frame(samples.frame)[0], _TEXEL_OFFSETS, position,
+        np.array(scene.light_position(light, samples.frame)), samples.view.in_frame(samples.frame)[0], offsets, position,
     )  # fmt: skip
     return replace(samples, position_frame_m=position)
 
