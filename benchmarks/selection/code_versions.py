@@ -145,7 +145,7 @@ def _normalized_python(text: str) -> str:
     functions, and methods of arrays and containers.
     """
     tree = ast.parse(text)
-    foreign = set(dir(builtins)) | {
+    foreign = (set(dir(builtins)) - {"_"}) | {  # the prompt of Python, also that of doctests, sets "_"
         alias.asname or alias.name.split(".")[0]
         for node in ast.walk(tree)
         if isinstance(node, ast.Import) or (isinstance(node, ast.ImportFrom) and not (node.module or "").startswith("skugga"))

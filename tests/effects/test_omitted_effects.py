@@ -46,7 +46,8 @@ class Bound:
 
 BOUNDS: dict[EffectName, Bound] = {
     **dict.fromkeys(get_args(EffectName), Bound()),
-    "refraction": Bound(is_of_neighbourhood=True, max_changed_share=0.002),
+    # Smooth edges show motions of a part of a pixel, within the range of the neighbours.
+    "refraction": Bound(is_of_neighbourhood=True, max_changed_share=0.004),
     "soft_edges": Bound(is_of_neighbourhood=True),
     "haze": Bound(MAX_NEAR_STEPS, MAX_CHANGED_PIXEL_SHARE),
 }
@@ -95,7 +96,7 @@ UNNEEDED_RUNS: dict[EffectName, frozenset[str]] = {
     # The bound is that of a pit whose sides are as steep as the steepest slope, in shadow.
     "texture_shading": frozenset({
         "valley of 0.2 %, overcast", "valley of 0.4 %", "valley of 0.4 %, overcast", "valley of 0.7 %",
-        "valley of 0.7 %, overcast", "valley of 1 %", "valley of 2 %", "plain", "shallow valley, sun at -20.0",
+        "valley of 1 %", "valley of 2 %", "plain", "shallow valley, sun at -20.0",
     }),
     # The bound is that of white walls in the dark.
     "lamps": frozenset({

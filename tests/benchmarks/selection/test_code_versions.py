@@ -106,3 +106,11 @@ def test_measured_rows_hold_for_the_present_code(step: str):
     views, _ = read_table()
     stale = Counter(name for view in views for name in stale_algorithms(view, step))
     assert not stale, f"measure again (benchmarks/selection/__main__.py); views by algorithm with older code: {dict(stale)}"
+
+
+def test_values_at_a_prompt_do_not_count(monkeypatch: pytest.MonkeyPatch):
+    """Python's prompt, and a doctest, keep the last value as a built-in name."""
+    code = "def f(pair):\n    _, last = pair\n    return last\n"
+    before = _normalized_python(code)
+    monkeypatch.setattr("builtins._", 1, raising=False)
+    assert _normalized_python(code) == before
