@@ -4,7 +4,7 @@
 (``skugga.shadows.sky_light``). It replaces the sky-view factor, and the style's sky that is brighter towards the sun. Trees keep
 the light of the open sky.
 
-**Predicate.** The style decides: ``sky: clear`` or ``sky: overcast``, in maps of a level on the earth or in a flat world.
+**Predicate.** The style decides: ``sky: clear`` or ``sky: overcast``, in maps with relief or objects.
 """
 
 from __future__ import annotations
