@@ -6,6 +6,8 @@ PYTEST := $(VENV)/bin/python -m pytest
 INSTALLED := $(VENV)/.installed
 SYSTEM    := $(VENV)/.system-libraries
 VIEWER    := api/static/index.html
+SITE      := site
+SITE_TOOLS := $(VENV)/.site-tools
 
 MODULES        := viewer/node_modules/.package-lock.json
 MAP_CLIENTS    := tests/browser/clients/node_modules/.package-lock.json
@@ -15,7 +17,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-thorough test-browser test-clients test-soak test-lowest lock hunt check notebook wheel viewer viewer-if-possible chromium qgis nginx clean
+.PHONY: help setup run test test-long test-thorough test-browser test-clients test-soak test-lowest lock hunt check docs notebook wheel release viewer viewer-if-possible chromium qgis nginx clean
 .DELETE_ON_ERROR:
 
 help:
@@ -29,10 +31,12 @@ help:
 	@echo "make test-lowest   a quick part of the tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lock          write requirements.lock: the newest versions that pyproject.toml allows"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
-	@echo "make check         ruff, mypy, import-linter and the names that must not come back"
+	@echo "make check         ruff, mypy, import-linter, the names that must not come back, and the site's links"
+	@echo "make docs          build the documentation site into site/"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
 	@echo "make viewer        build the viewer into api/static/"
 	@echo "make wheel         build a wheel with the viewer and compiled loops into dist/"
+	@echo "make release       build and check what a package index gets, install it and draw a picture with it"
 	@echo "make clean         remove everything that make has made"
 
 setup: $(INSTALLED) $(SYSTEM)
@@ -50,7 +54,7 @@ test-long: setup
 	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "long and not browser" $(ARGS)
 
 # The hard cases by all algorithms, at length, and other checks of minutes: for whoever changes an algorithm or a policy, and before
-# docs/hard-cases.md is written anew.
+# docs/reports/hard-cases.md is written anew.
 test-thorough: setup
 	$(PYTEST) -n 2 --dist loadfile -m thorough $(ARGS)
 
@@ -89,12 +93,17 @@ lock: $(INSTALLED)
 hunt: setup
 	$(VENV)/bin/python -m tests.hard_cases.hunt $(ARGS)
 
-check: $(INSTALLED)
+check: $(INSTALLED) $(SITE_TOOLS)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
 	$(VENV)/bin/python scripts/check_words.py
+	$(VENV)/bin/python -m scripts.build_site $(SITE)
+
+# Pages, the reference that is written from the code, search. Dead links and missing anchors are failures.
+docs: $(SITE_TOOLS)
+	@$(VENV)/bin/python -m scripts.build_site $(SITE)
 
 notebook: setup
 	$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
@@ -105,6 +114,11 @@ notebook: setup
 wheel: setup viewer
 	$(VENV)/bin/python scripts/make_wheel.py $(ARGS)
 
+# The wheel, the source distribution, both checked; the wheel in an empty environment.
+release: setup viewer
+	@$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[release]'
+	$(VENV)/bin/python -m scripts.make_release $(ARGS)
+
 viewer: $(VIEWER)
 
 viewer-if-possible: $(INSTALLED)
@@ -112,12 +126,17 @@ viewer-if-possible: $(INSTALLED)
 	    echo "skugga: the viewer was not built ('make viewer' says why); all else works without it" >&2
 
 clean:
-	rm -rf $(VENV) $(LOWEST) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
+	rm -rf $(VENV) $(LOWEST) $(SITE) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
 
 $(INSTALLED): pyproject.toml requirements.lock
 	@scripts/make-venv.sh $(VENV)
 	@echo "skugga: installing Python packages into $(VENV) (a minute or so)"
 	@$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[test,viewer]'
+	@touch $@
+
+$(SITE_TOOLS): $(INSTALLED)
+	@echo "skugga: installing what builds the documentation site"
+	@$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
 	@touch $@
 
 $(SYSTEM): $(INSTALLED) scripts/check_system.py

@@ -151,7 +151,10 @@ def _plan_of_product(plan: Plan, product: Product) -> Plan:
 
     In the thick of haze, pictures do not compute shadows, since nobody sees them.
     """
-    return plan if product.is_display else plan.without_effect("haze", "data do not depend on what the air lets one see")
+    if product.is_display:
+        return plan
+    reason = "data do not depend on what the air lets one see"
+    return plan.without_effect("haze", reason).without_effect("precipitation", reason)
 
 
 def draw_picture(

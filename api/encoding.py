@@ -39,9 +39,12 @@ def apply_color_scale(array: np.ndarray, product: Product, options: ProductOptio
 
 def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> np.ndarray:
     """Return a view's array as a picture for PNG. Arrays that are no pictures are drawn over the view's colours."""
-    if product.to_picture is None:
+    if product.to_picture is None and product.draw_over_frame is None:
         return array
     assert picture is not None and picture.frame is not None
+    if product.draw_over_frame is not None:
+        return product.draw_over_frame(array, picture.frame)
+    assert product.to_picture is not None
     return product.to_picture(array, picture.frame.color)
 
 

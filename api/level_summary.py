@@ -169,7 +169,14 @@ def _check_files(scene: Scene) -> None:
     objects = scene.objects
     errors: list[InputError] = []
     reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
-    reads += [lambda: ground_imagery(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
+    reads += [
+        lambda: ground_imagery(scene),
+        lambda: objects.lines,
+        lambda: objects.land_cover,
+        lambda: objects.placement,
+        lambda: objects.trees,
+        lambda: scene.lamps,
+    ]
     for read in reads:
         try:
             read()

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlencode
 
-from pydantic import BaseModel, ConfigDict, SerializeAsAny, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, SerializeAsAny, field_validator, model_validator
 
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product, ProductOptions
+from skugga.terrain.color_ramp import canonical_ramp_text, parse_ramp
 from skugga.terrain.level.level import Shadows, override_settings, parse_algorithm
-from skugga.terrain.level.parts import SkyName, SlopeExaggeration, StyleName, SunSpec
+from skugga.terrain.level.parts import Generalisation, LocalLightDeg, SkyName, SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
     from skugga.terrain.scene import Scene
@@ -56,13 +57,16 @@ class PictureRequest(_RequestModel):
     """The part of a request that is independent of the view: the sun, the style and the shadow settings.
 
     ``None`` keeps the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
-    only needs a line in ``applied_to``.
+    only needs a line in ``applied_to``. ``ramp`` is a colour ramp as text (``skugga.terrain.color_ramp``), in its one spelling.
     """
 
     sun: SunSpec | None = None
     style: Literal["auto"] | StyleName | None = None
     slope_exaggeration: SlopeExaggeration | None = None
     sky: SkyName | None = None
+    ramp: Annotated[str, AfterValidator(canonical_ramp_text)] | None = None
+    local_light: LocalLightDeg | None = None
+    generalisation: Generalisation | None = None
     overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **parameters: str) -> str:
@@ -72,7 +76,18 @@ class PictureRequest(_RequestModel):
 
     def applied_to(self, scene: Scene) -> Scene:
         """Return a level's scene with the requested sun and style."""
-        return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration, self.sky)
+        return scene.with_sun(self.sun).with_style(
+            self.style,
+            self.slope_exaggeration,
+            self.sky,
+            None if self.ramp is None else parse_ramp(self.ramp),
+            self.local_light,
+            self.generalisation,
+        )
+
+
+STYLE_FIELDS = "style", "slope_exaggeration", "sky", "ramp", "local_light", "generalisation"
+"""Fields of a ``PictureRequest`` that change the style alone."""
 
 
 class ProductRequest(PictureRequest):
@@ -94,7 +109,7 @@ class ProductRequest(PictureRequest):
         if product.when != "sun":
             fields |= {"sun": None, "overrides": RequestedSettings()}
         if not product.is_display:
-            fields |= {"style": None, "slope_exaggeration": None, "sky": None}
+            fields |= dict.fromkeys(STYLE_FIELDS)
         options = fields.get("options", {})
         if type(options) is not product.options:
             fields["options"] = product.options_of(dict(options))

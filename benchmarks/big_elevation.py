@@ -15,7 +15,7 @@ script writes missing rasters and keeps them. ``skugga overviews`` writes the ov
 * **far**: distance at which a mountain's shadow ends, about 60 km under a sun at 2 degrees, in tiles of all zooms and in the grid
   of ``shade``.
 
-Each measurement runs in its own process. Figures are medians with minimum and maximum.
+Each measurement runs in its own process. Figures are medians with minimum and maximum; docs/reports/big-rasters.md has them.
 """
 
 from __future__ import annotations

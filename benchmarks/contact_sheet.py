@@ -41,8 +41,10 @@ CELL_ASPECT_RATIO = 5 / 4
 SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "shadow_map 1024": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
     "perspective_shadow_map 1024": {"algorithm": "perspective_shadow_map", "map_size": 1024},
+    "light_space_perspective_map 1024": {"algorithm": "light_space_perspective_map", "map_size": 1024},
     "shadow_volume": {"algorithm": "shadow_volume"},
     "hybrid": {"algorithm": "hybrid"},
+    "reconstructed_volume 1024": {"algorithm": "reconstructed_volume", "map_size": 1024},
     "hybrid original": {"algorithm": "hybrid", "mask": "original"},
 }
 """Rows of the sheet: overrides of a level's ``shadows`` by name."""

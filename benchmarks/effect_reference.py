@@ -43,7 +43,8 @@ def plain_scene(folder: Path) -> Scene:
         "map": {"kind": "map", "size": [SIDE_PX, SIDE_PX]},
         "camera": {"kind": "perspective", "eye": [15.04, 47.79, 60], "target": [15.08, 47.82, 0], "fov": 45, "size": [1280, 1024]},
     }
-    effects = {"ground_detail": "off", "haze": "off"}  # the only effects that a plain calls for, in perspective
+    # The only effects that a plain calls for, in perspective.
+    effects = {"ground_materials": "off", "ground_detail": "off", "haze": "off"}
     keys = {"terrain": {"source": "plain.tif"}, "sun": {"azimuth": 180, "altitude": 60}, "views": views, "effects": effects}
     return level_scene(folder, keys)
 

@@ -127,6 +127,7 @@ LEVEL_KEYS_BY_EFFECT: dict[EffectName, dict[str, Any]] = {
     "lamps": {"sun": "none", "lights": {"mast": {"kind": "omni", "position": [-84.17, 36.21333, 300]}}},
     "water": {"water": {"level": 311}},
     "haze": {"weather": {"visibility": 45_000}},
+    "precipitation": {"weather": {"precipitation": "rain"}},
 }
 """Keys of a level over the Jacksboro fault that requires the effect."""
 
@@ -134,7 +135,9 @@ BUNDLED_VIEW_BY_EFFECT: dict[EffectName, tuple[str, str]] = {
     "alpha_test": ("jacksboro_wooded", "valley"),
     "soft_edges": ("jacksboro_wooded", "valley"),
     "crowns": ("jacksboro_wooded", "valley"),
+    "ground_materials": ("jacksboro_wooded", "village"),
     "ground_detail": ("jacksboro_wooded", "village"),
+    "facades": ("jacksboro_wooded", "village"),
 }
 """Bundled level and its view that require the effect."""
 

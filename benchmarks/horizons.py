@@ -2,8 +2,8 @@
 
     python -m benchmarks.horizons DATA [--write]
 
-DATA is the folder of sample rasters. With ``--write`` the tables go into docs/horizons.md, else they are printed. It takes two
-minutes on one core. Times are CPU seconds of one core, the least of three runs; the sweep of one sun is timed beside them.
+DATA is the folder of sample rasters. With ``--write`` the report goes to docs/reports/horizons.md, else it is printed. It takes
+two minutes on one core. Times are CPU seconds of one core, the least of three runs; the sweep of one sun is timed beside them.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
+from benchmarks.report_pages import REPORTS, format_provenance, measured_here
 from benchmarks.selection.synthetic import fractal_noise
 from skugga.shadows.horizons.azimuths import SKY_VIEW_KINDS, evenly_spaced_azimuths_deg
 from skugga.shadows.horizons.grid import HorizonGrid, grid_of_array
@@ -25,11 +26,7 @@ from skugga.shadows.horizons.sky_view import sky_view_factor
 from skugga.shadows.sweep.grid import sunlit_nodes
 from skugga.shadows.sweep.horizon import horizon_deg
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "horizons.md"
-"""The page with the tables."""
-
-BEGIN, END = "<!-- measured -->\n", "<!-- end of measured -->\n"
-"""Marks of the tables on the page."""
+REPORT = REPORTS / "horizons.md"
 
 RASTERS = {
     "mountains, 30 m (Big Tujunga)": "mountain/bigtujunga_30m_utm11.tif",
@@ -140,14 +137,17 @@ def interpolated_angle(angles: np.ndarray, azimuth_deg: float) -> np.ndarray:
 
 
 def main() -> None:
-    """Measure, and print or write the tables."""
+    """Measure, and print or write the report."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.horizons", description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
     grids = {name: _grid(*read_heights(arguments.data / path)) for name, path in RASTERS.items()}
     fractal = {f"fractal, {FRACTAL_SIDE} x {FRACTAL_SIDE}": _grid(fractal_heights(), FRACTAL_CELL_M)}
-    tables = [
+    parts = [
+        "# Report: horizons and sky view of whole rasters",
+        format_provenance(measured_here("python -m benchmarks.horizons DATA --write")),
+        "`DATA` is the folder of sample rasters.",
         "Millions of cells a second, core and azimuth:",
         "| ground | horizon | " + " | ".join(SKY_VIEW_KINDS) + " | the sweep of one sun |",
         "| --- |" + " --- |" * (len(SKY_VIEW_KINDS) + 2), *speed_rows(fractal | grids), "",
@@ -156,10 +156,9 @@ def main() -> None:
         f"Share of cells where a mask from stored horizons differs from the sweep of the sun itself, mean of {len(SUNS)} suns:",
         "| ground | 72 azimuths | 180 | 360 | at the sun's own azimuth |", "| --- | --- | --- | --- | --- |", *mask_rows(grids),
     ]  # fmt: skip
-    text = "\n".join(line if line.startswith("|") or not line else f"{line}\n" for line in tables) + "\n\n"
+    text = "\n".join(part if part.startswith("|") or not part else f"{part}\n" for part in parts) + "\n"
     if arguments.write:
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n{text}{END}{rest.partition(END)[2]}", encoding="utf-8")
+        REPORT.write_text(text, encoding="utf-8")
     else:
         print(text)
 

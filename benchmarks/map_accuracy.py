@@ -5,6 +5,7 @@
 
 Every terrain or surface raster below FOLDER is drawn at its own resolution (at most ``--pixels`` a side, from its middle). Rasters
 are sorted by the 95th percentile of their slope, steepest first. Truth is ray-traced on the triangles that are drawn.
+The stored table is docs/reports/shadow-map-accuracy.md.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.report_pages import format_provenance, measured_here
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached_shadow import attached_shadow_mask
@@ -110,9 +112,13 @@ def main() -> None:
         scenes.sort(key=lambda item: -item[0])
         maps = f", map {args.map_size}, {args.filter} tap(s) a side" if args.algorithm == "shadow_map" else ""
         lines = [
-            f"# `{args.algorithm}` against truth, {args.pixels} pixels{maps}",
+            f"# Report: `{args.algorithm}` against truth, {args.pixels} pixels{maps}",
             "",
-            f"Made by `benchmarks/map_accuracy.py` on {device().renderer}. Shares in per cent, edges in pixels.",
+            format_provenance(
+                replace(measured_here("python -m benchmarks.map_accuracy FOLDER --markdown FILE"), device=device().renderer)
+            ),
+            "",
+            "Shares in per cent, edges in pixels ([metrics](../accuracy.md#metrics)).",
             "",
             "| raster | slope p95 | azimuth / altitude | shadow | `wrong` | `wrong_cast` | false | missed | `edge_p95` | "
             "`interior` | boundary |",

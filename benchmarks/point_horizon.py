@@ -5,7 +5,8 @@ or a bundled level's name.
 
 Cold is the first point of a newly opened scene, with compiled loops. Warm are the other points, each at another place. Figures are
 medians of wall time and of CPU time in milliseconds, and the maximum of CPU time. The horizon is compared with Embree's rays
-against a mesh of the raster's own cells. The rays pass 0.02 degrees above and below the horizon.
+against a mesh of the raster's own cells. The rays pass 0.02 degrees above and below the horizon. Figures
+belong in docs/reports/sun-at-a-point.md, with date, commit and device.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@
 the coordinator and its table of tasks with empty tasks, Dask with empty tasks on a local cluster, and the packing of tiles into an
 archive.
 
-``tell`` prints the tables of docs/scale.md from these figures: hours and bytes for a country and for the planet, and costs by the
-price of a core hour (``--money``). It also simulates a run of many workers task by task from the measured times. Some workers are
-slow, and some die.
+``tell`` prints the tables of docs/reports/scale.md from these figures: hours and bytes for a country and for the planet, and costs
+by the price of a core hour (``--money``). It also simulates a run of many workers task by task from the measured times. Some
+workers are slow, and some die.
 """
 
 from __future__ import annotations
@@ -291,7 +291,7 @@ def simulate(
 
 
 def print_tables(figures: ScaleFigures, workers: int, core_hour_price: float) -> None:
-    """Print the tables of docs/scale.md. ``workers`` is the number of simulated workers."""
+    """Print the tables of docs/reports/scale.md. ``workers`` is the number of simulated workers."""
     seconds = np.array([task[1] for task in figures.tasks])
     tiles = sum(task[2] for task in figures.tasks)
     rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in figures.tasks) / tiles

@@ -4,7 +4,8 @@
     python -m benchmarks.scenes trees [--trees 1000000] [--repeats 5]
     python -m benchmarks.scenes thinning [--trees 1000000]
 
-`accuracy` compares every view of the levels (default: all bundled levels) with ray-traced truth, for the first light of each level.
+`accuracy` compares every view of the levels (default: all bundled levels) with ray-traced truth, for the first light of each level
+(docs/reports/scene-accuracy.md).
 `trees` draws two 1280 x 1024 views of 10 x 10 km of hills under one wood. It reports median times, the process's peak memory and
 the device. `thinning` compares the share of ray-traced shadow in the same views, with decimated distant trees and with all trees.
 """

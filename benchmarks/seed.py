@@ -8,7 +8,7 @@ untimed run on a small part compiles all loops first.
 
 `gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, in Skugga's environment or in
 one that ``--rio`` names) read a finished hillshade of the same raster, without cast shadows. Tools that are not installed are
-reported and skipped.
+reported and skipped. Figures belong in docs/reports/scale.md, with date, commit and device.
 """
 
 from __future__ import annotations

@@ -1,9 +1,14 @@
-"""Contact sheets of every named style: mountains, city, plain and forest, at noon and in the evening, as maps and in perspective.
+"""Contact sheets of scenes and styles under four suns, with the effects that each picture ran, and their times.
 
-    python -m benchmarks.styles FOLDER -o OUT [--picture docs/images/styles.webp] [--side 480]
+    python -m benchmarks.styles FOLDER -o OUT [--old OTHER_OUT] [--picture docs/images/styles.webp] [--side 480] [--places ...]
 
-FOLDER has the sample rasters. The script writes a sheet of all styles for each place and light into OUT. ``--picture`` also writes
-the sheet of the docs.
+FOLDER has the sample rasters. The script writes a sheet of all styles for each place and light into OUT: mountains, city, plain,
+forest, village, valley, street and room, at noon and in the evening, in summer and in winter. With ``--old`` the sheets that an
+earlier version wrote into OTHER_OUT are shown above the new ones. ``OUT/effects.md`` has the table of pictures, and ``--picture``
+writes the sheet of the docs.
+
+The proof that effects run only where they are called for: an effect that ran is read from the record of passes, shader programs and
+loops, and the script fails if the record and the plan of a picture differ.
 """
 
 from __future__ import annotations
@@ -21,13 +26,17 @@ from PIL import Image
 from skugga.api.catalogue import find_level
 from skugga.selector.select import plan_of_view
 from skugga.shadows.render import render_frame
+from skugga.terrain.effects import EFFECTS
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.style import STYLES
 
-LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azimuth=255.0, altitude=13.0)}
-"""Suns by name."""
+LIGHTS = {
+    "summer-noon": SunSpec(azimuth=195.0, altitude=62.0), "summer-evening": SunSpec(azimuth=280.0, altitude=13.0),
+    "winter-noon": SunSpec(azimuth=185.0, altitude=20.0), "winter-evening": SunSpec(azimuth=232.0, altitude=6.0),
+}  # fmt: skip
+"""Suns by name, as at some 45 degrees north."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +71,17 @@ PLACES = {
     ),
     "valley, in perspective": StyledPlace("jacksboro_wooded", view="valley"),
     "village, in perspective": StyledPlace("jacksboro_wooded", view="village"),
+    "landscape, in perspective": StyledPlace("spatialace", view="main"),
+    "street, in perspective": StyledPlace("thesis_street_sun", view="main"),
+    "room, in perspective": StyledPlace("thesis_room_sun", view="main"),
 }
 """Places by name."""
 
 SHOWN_PLACES = ("high mountains", "city")
-"""Places of the docs' picture, in the evening."""
+"""Places of the docs' picture, on a winter's noon."""
+
+UNRECORDED_EFFECTS = frozenset({"soft_edges"})
+"""Effects that some algorithms run without a trace in the record."""
 
 
 def place_scene(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
@@ -79,8 +94,21 @@ def place_scene(place: StyledPlace, folder: Path, scratch: Path) -> Scene:
     return build_scene(load_level(level))
 
 
-def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, width_px: int) -> np.ndarray:
-    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``width_px`` pixels wide, white where no surface is."""
+def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, width_px: int) -> tuple[np.ndarray, str]:
+    """Draw a place in a style under a sun, ``width_px`` pixels wide.
+
+    Returns
+    -------
+    picture
+        uint8 (rows, cols, 3), white where no surface is.
+    effects
+        The effects that ran with their times, and the effects left out: two cells of a Markdown table.
+
+    Raises
+    ------
+    RuntimeError
+        An effect ran that the plan does not list, or a listed one did not run.
+    """
     scene = scene.with_sun(light).with_style(style)
     view = scene.view(place.view)
     if place.view == "map":
@@ -89,20 +117,43 @@ def draw_picture(scene: Scene, place: StyledPlace, style: str, light: SunSpec, w
         view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (width_px, width_px))
     else:
         view = scene.view(place.view, size=(width_px, round(width_px * view.rows / view.cols)))
-    frame = render_frame(scene, view, plan_of_view(scene, view, place.view, {}))
-    return np.where(frame.opaque_mask[..., None], frame.color, np.uint8(255))
+    plan = plan_of_view(scene, view, place.view, {})
+    frame = render_frame(scene, view, plan)
+    # Passes of cast shadows are named after the light, the casters and the algorithm: "sun/relief: sweep".
+    left_out_by_parts = {"cast_shadows" if ": " in record.name else record.name for record in frame.passes if record.is_left_out}
+    if (frame.effects ^ plan.effect_names) - UNRECORDED_EFFECTS - left_out_by_parts:
+        raise RuntimeError(f"{place.source} {style}: planned {sorted(plan.effect_names)}, ran {sorted(frame.effects)}")
+    times_ms = {record.name: record.ms for record in frame.passes}
+    ran = [f"{name} {times_ms[name]:.0f} ms" if name in times_ms else name for name in EFFECTS if name in frame.effects]
+    left_out = [name for name in EFFECTS if name not in frame.effects]
+    return np.where(frame.opaque_mask[..., None], frame.color, np.uint8(255)), f"{', '.join(ran)} | {', '.join(left_out)}"
 
 
-def draw_sheet(folder: Path, name: str, light: str, width_px: int) -> Image.Image:
-    """Return all styles of a place (a key of ``PLACES``) under a light (a key of ``LIGHTS``), side by side.
+def draw_sheet(folder: Path, name: str, light: str, width_px: int) -> tuple[Image.Image, list[str]]:
+    """Return all styles of a place (a key of ``PLACES``) under a light (a key of ``LIGHTS``), side by side, and the table's rows.
 
     ``folder`` has the sample rasters. Each picture is ``width_px`` pixels wide.
     """
     place = PLACES[name]
+    pictures, rows = [], []
     with tempfile.TemporaryDirectory() as scratch:
         scene = place_scene(place, folder, Path(scratch))
-        parts = [draw_picture(scene, place, style, LIGHTS[light], width_px) for style in STYLES]
-    return Image.fromarray(np.concatenate(parts, axis=1))
+        for style in STYLES:
+            picture, effects = draw_picture(scene, place, style, LIGHTS[light], width_px)
+            pictures.append(picture)
+            rows.append(f"| {name} | {light} | {style} | {effects} |")
+    return Image.fromarray(np.concatenate(pictures, axis=1)), rows
+
+
+def below_old_sheet(sheet: Image.Image, old_path: Path) -> Image.Image:
+    """Return a sheet below the one of the same name that an earlier version wrote, if there is any."""
+    if not old_path.exists():
+        return sheet
+    with Image.open(old_path) as old:
+        page = Image.new("RGB", (max(old.width, sheet.width), old.height + sheet.height), "white")
+        page.paste(old, (0, 0))
+        page.paste(sheet, (0, old.height))
+    return page
 
 
 def main() -> None:
@@ -111,17 +162,25 @@ def main() -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     parser.add_argument("--picture", type=Path)
+    parser.add_argument("--old", type=Path, metavar="OTHER_OUT")
+    parser.add_argument("--lights", nargs="*", default=list(LIGHTS), choices=list(LIGHTS))
     parser.add_argument("--side", type=int, default=480)
     parser.add_argument("--places", nargs="*", default=list(PLACES), choices=list(PLACES))
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
+    table = ["| place | light | style | effects that ran | left out |", "| --- | --- | --- | --- | --- |"]
     for name in args.places:
-        for light in LIGHTS:
-            target = args.output / f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
-            draw_sheet(args.folder.resolve(), name, light, args.side).save(target)
-            print(f"{target}: {', '.join(STYLES)}", flush=True)
+        for light in args.lights:
+            file_name = f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
+            sheet, rows = draw_sheet(args.folder.resolve(), name, light, args.side)
+            sheet.save(args.output / file_name)
+            if args.old is not None:
+                below_old_sheet(sheet, args.old / file_name).save(args.output / f"compared-{file_name}")
+            table += rows
+            print(f"{args.output / file_name}: {', '.join(STYLES)}", flush=True)
+    (args.output / "effects.md").write_text("\n".join(table) + "\n", encoding="utf-8")
     if args.picture is not None:
-        rows = [np.asarray(draw_sheet(args.folder.resolve(), name, "evening", 320)) for name in SHOWN_PLACES]
+        rows = [np.asarray(draw_sheet(args.folder.resolve(), name, "winter-noon", 320)[0]) for name in SHOWN_PLACES]
         Image.fromarray(np.concatenate(rows)).save(args.picture, quality=88, method=6)
         print(args.picture)
 

@@ -6,7 +6,7 @@
 FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Truth is traced for random cells of each
 raster, away from its rim and holes. Every 10 seconds of the day a ray is traced from each cell to the sun, against the same
 triangles as the sweep. `--seconds` instead measures the time for 4.2 million cells of generated mountains, on all cores that the
-process may use (with `taskset -c 0` on one core).
+process may use (with `taskset -c 0` on one core). Figures belong in docs/reports/sun-hours.md, with date, commit and device.
 """
 
 from __future__ import annotations

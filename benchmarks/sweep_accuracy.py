@@ -7,7 +7,7 @@
 The middle of every raster of heights below FOLDER becomes an array in a flat world. Its holes are filled as for shadow casting, and
 its cells have the size of the cells at its middle latitude. Truth is traced with rays from the nodes. Quads are cut along their
 higher diagonals, as in the sweep. Nodes count if truth does not depend on the rays' offset from the ground. ``--all-azimuths``
-measures the azimuths 0 to 359 degrees on the raster of that name.
+measures the azimuths 0 to 359 degrees on the raster of that name. The stored table is docs/reports/sweep-accuracy.md.
 """
 
 from __future__ import annotations
@@ -269,11 +269,16 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
 
 def format_report(rasters: list[Raster], all_figures: list[SweepFigures], lines: int) -> list[str]:
     """Format Markdown: a row per raster, and a summary. ``lines`` is the sweep's number of lines per cell."""
+    # report_pages imports benchmarks.sweep_speed, which imports this module
+    from benchmarks.report_pages import format_provenance, measured_here
+
     rows = [
-        f"# The line sweep against rays: {lines} line(s) a cell",
+        f"# Report: the line sweep against rays: {lines} line(s) a cell",
         "",
-        "Made by `benchmarks/sweep_accuracy.py`. Shares of decided cells in per cent; `interior`: wrong and farther than 2 cells",
-        "from truth's boundary. Steepest: from a cell to its neighbour. Undecided: of all cells.",
+        format_provenance(measured_here("python -m benchmarks.sweep_accuracy FOLDER --markdown FILE")),
+        "",
+        "Shares of decided cells in per cent; `interior`: wrong and farther than 2 cells from truth's boundary.",
+        "Steepest: from a cell to its neighbour. Undecided: of all cells.",
         "",
         "| raster | size | cell m | steepest | wrong: mean | worst | at | its shadow | `interior` | worst | undecided |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",

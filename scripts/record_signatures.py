@@ -132,6 +132,7 @@ def compute_pictures(rasters: Sequence[Path], folder: Path) -> None:
     for raster in rasters:
         for sky in ("even", "clear"):
             _run_command("render", raster, *_sun_options(raster), "--sky", sky, "--size", "600x600", "-o", folder / "out.png")
+        _run_command("render", raster, *_sun_options(raster), "--style", "swiss", "--size", "30x30", "-o", folder / "out.png")
         for layer in ("visibility", "shadow", "color", "cosi"):
             _run_command("shade", raster, "--layer", layer, *_sun_options(raster), "-o", folder / "out.tif")
 

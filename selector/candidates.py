@@ -20,7 +20,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, Level
 from skugga.terrain.scene import Scene
 
-MAX_CANDIDATES = 40
+MAX_CANDIDATES = 48
 """Maximum number of candidates of a view."""
 
 DEFAULT_PLAN_FILTERS: tuple[int | str, ...] = (1, 3, "sun")

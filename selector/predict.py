@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from skugga.selector.choices import Choice, PlanRequest, PolicyName
+from skugga.selector.cost.cost_model import frames_at_rest_ms
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.cost.typical_device import model_for_device
 from skugga.selector.expected_loss import MAX_MISS_CHANCE_OF_LIKELY_OPTION, least_expected_loss
 from skugga.selector.formatting import format_duration, format_percent, format_wrong_share
 from skugga.selector.observation import Observation
-from skugga.selector.options import LightOptions, predicted_choices
+from skugga.selector.options import MIN_MS, LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.planner import Planner, planner_of
 from skugga.selector.ranking import RankingResult
@@ -58,6 +59,8 @@ class PlanOptions:
         Names of the choices beyond ``MAX_OPTIONS`` by light, which no policy looks at.
     observed_basis
         Word in reasons for the origin of observed times and errors, such as "measured".
+    device
+        Calibration that the times are predicted with; ``None``: the plan tells no times of frames at rest.
     """
 
     planner: Planner
@@ -65,6 +68,7 @@ class PlanOptions:
     unmeasured: Mapping[AlgorithmName, str] = field(default_factory=dict)
     unsearched: Mapping[str, Sequence[str]] = field(default_factory=dict)
     observed_basis: str = "measured"
+    device: DeviceProfile | None = None
 
     def basis(self, light: str, option_index: int) -> str:
         """Return the word for the origin of an option's time and errors: ``observed_basis`` or "expected".
@@ -195,7 +199,7 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
             lights[light] = LightOptions.expected(options[:MAX_OPTIONS], errors)
             if len(options) > MAX_OPTIONS:
                 unsearched[light] = [option.choice.name for option in options[MAX_OPTIONS:]]
-    return PlanOptions(planner, lights, unmeasured, unsearched)
+    return PlanOptions(planner, lights, unmeasured, unsearched, device=device)
 
 
 def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[NamedReason] = ()) -> Plan:
@@ -228,6 +232,7 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
                 ),
                 is_measured=policy in ("probe", "measure")
                 and all(option_index in light_options.observations for light_options, option_index in winning_options),
+                ms_at_rest=_ms_at_rest(options, winners),
             ),
             "target": Target(
                 max_error=max_error,
@@ -236,6 +241,23 @@ def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequenc
             ),
             "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons, *_unsearched_reasons(options)],
         }
+    )
+
+
+def _ms_at_rest(options: PlanOptions, winners: Mapping[str, int]) -> float | None:
+    """Return the expected milliseconds of a frame of a perspective view in which nothing has moved since the frame before.
+
+    ``winners`` holds the number of the chosen option by light. Observed times of frames made anew are scaled by the share of the
+    work that the cost model expects to remain. ``None`` for maps.
+    """
+    descriptor = options.planner.descriptor
+    if options.device is None or descriptor.view_kind == "map":
+        return None
+    chosen = {light: options.lights[light].options[option_index] for light, option_index in winners.items()}
+    rest_ms = frames_at_rest_ms(options.device, descriptor, [step for option in chosen.values() for step in option.steps])
+    return sum(
+        options.lights[light].figures(winners[light]).ms * (rest_ms.get(light, 0.0) / max(option.ms, MIN_MS))
+        for light, option in chosen.items()
     )
 
 

@@ -139,7 +139,7 @@ class AccuracyInputs:
     error_constants: Mapping[str, ErrorConstants] = field(default_factory=dict)
 
 
-MarkerColour = Literal["blue", "vermilion", "green", "purple", "orange", "sky", "gray", "black"]
+MarkerColour = Literal["blue", "vermilion", "green", "purple", "orange", "sky", "gray", "black", "brown"]
 """Names of colours that stay distinct for colour-blind readers (``skugga.api.report.page.marks``)."""
 
 
@@ -155,7 +155,7 @@ class PlotMarker:
         Whether the shape is filled.
     """
 
-    shape: Literal["circle", "square", "triangle", "diamond", "wedge", "star", "cross"]
+    shape: Literal["circle", "square", "triangle", "diamond", "wedge", "pentagon", "hexagon", "star", "cross"]
     colour: MarkerColour
     filled: bool = True
 

@@ -43,7 +43,7 @@ class AlgorithmSettings(BaseModel):
         return [*required, *self.changed_values()]
 
     def changed_values(self, *excluded: str) -> list[str]:
-        """Return the values that differ from their defaults, as text.
+        """Return the values that differ from their defaults, as text; numbers that are no integers with their names.
 
         Parameters
         ----------
@@ -54,7 +54,8 @@ class AlgorithmSettings(BaseModel):
             name: field_info.default for name, field_info in type(self).model_fields.items() if not field_info.is_required()
         }
         names = [name for name in defaults if name in Shadows.model_fields and name not in excluded]
-        return [str(getattr(self, name)) for name in names if getattr(self, name) != defaults[name]]
+        values = {name: getattr(self, name) for name in names if getattr(self, name) != defaults[name]}
+        return [f"{name}_{value:g}" if isinstance(value, float) else str(value) for name, value in values.items()]
 
 
 class AreaLightSettings(AlgorithmSettings):

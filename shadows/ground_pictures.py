@@ -28,10 +28,12 @@ from skugga.terrain.effects.sky_view import apply_sky_view
 from skugga.terrain.effects.texture_shading import texture_factor
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.landforms import generalised_normals, locally_lit_normals
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, ground_imagery
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
+from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import shaded_ground_srgb, slope_sky_view_factor
@@ -87,13 +89,16 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     lit = _sunlit_shares(scene, ground, plan, log)
     if lit is None:
         return None
+    first_pixel = ground.window[0].start, ground.window[1].start
+    with log.record_pass(GEOMETRY_PASS):
+        if scene.style.generalisation_at(map_pixel_m(scene.world, view)) > 0.0:
+            ground = replace(ground, normal_frame=_generalised_ground_normals(scene, view, ground))
     if SKY_VIEW_PASS in plan.effect_names:
         with log.record_pass(SKY_VIEW_PASS):
             pass  # the ground already includes its sky view
     if SKY_LIGHT_PASS in plan.effect_names:
         with log.record_pass(SKY_LIGHT_PASS):
             if has_directional_sky(scene.style):
-                first_pixel = ground.window[0].start, ground.window[1].start
                 share = sky_light_factor(scene, view, ground.frame, ground.normal_frame, ground.up_frame, first_pixel=first_pixel)
                 ground = replace(ground, visible_sky_share=share)
     if TEXTURE_PASS in plan.effect_names:
@@ -101,7 +106,8 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
             textured_share = ground.visible_sky_share * texture_factor(scene, ground.window_view)
             ground = replace(ground, visible_sky_share=textured_share)
     with log.record_pass(SHADING_PASS):
-        color = shaded_ground_srgb(ground, scene, lit) if "color" in needs else None
+        normal = locally_lit_normals(scene, view, ground.frame, ground.normal_frame, ground.up_frame, first_pixel=first_pixel)
+        color = shaded_ground_srgb(replace(ground, normal_frame=normal), scene, lit) if "color" in needs else None
         opacity = _shadow_opacity(ground, lit) if "opacity" in needs else None
     return Picture(ground.valid, (), color, opacity, reach=reach)
 
@@ -132,6 +138,18 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
     return BareGround(
         view, buffer.frame, buffer.valid, full_window, buffer.height_m, buffer.shading_normal_frame, up.astype(np.float32), share
     )
+
+
+def _normals_key(scene: Scene, view: MapView, ground: BareGround) -> tuple[object, ...]:
+    """Return the cache key of ``_generalised_ground_normals``: its result does not depend on the sun."""
+    return scene.world, scene.elevation, view, scene.style.generalisation
+
+
+@cached("scene", 160 * MIB, key=_normals_key)
+def _generalised_ground_normals(scene: Scene, view: MapView, ground: BareGround) -> np.ndarray:
+    """Return the generalised normals (r, c, 3) float32 of a map's bare ground."""
+    first_pixel = ground.window[0].start, ground.window[1].start
+    return generalised_normals(scene, view, ground.frame, ground.normal_frame, ground.up_frame, first_pixel=first_pixel)
 
 
 def _nodes_around_pixels(view: MapView) -> MapView:

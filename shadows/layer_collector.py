@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.passes import PIXEL_LAYERS, PassLayer
+from skugga.shadows.passes import LINE_LAYERS, PIXEL_LAYERS, PassLayer
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import PixelWindow
 
@@ -16,7 +16,7 @@ class LayerCollector:
     """Collector of a frame's intermediate pictures, by layer and light.
 
     Layers with one value for each pixel (``PIXEL_LAYERS``) are placed at their blocks' windows in a frame of ``size`` (rows, cols).
-    Pictures of other layers, such as depth maps, are tiled.
+    Pictures of other layers, such as depth maps, are tiled. Lines are joined.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -55,24 +55,25 @@ class LayerCollector:
         """The assembled picture of each layer and light."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
         for (layer, light), pictures in (*self._pixel_layers.items(), *self._sized_layers.items()):
-            out.setdefault(layer, {})[light] = tiled_pictures(pictures)
+            out.setdefault(layer, {})[light] = np.concatenate(pictures) if layer in LINE_LAYERS else tiled_pictures(pictures)
         return out
 
 
 def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
-    """Return pictures (rows, cols) of one dtype as one picture, tiled row by row.
+    """Return pictures (rows, cols) or (rows, cols, bands) of one dtype as one picture, tiled row by row.
 
     The tiles form a grid with about as many columns as rows. Gaps between them are NaN, or 0 for integers.
     """
     rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     tile_cols = int(np.ceil(np.sqrt(len(pictures))))
-    out = _empty_picture((-(-len(pictures) // tile_cols) * rows, tile_cols * cols), pictures[0].dtype)
+    size = -(-len(pictures) // tile_cols) * rows, tile_cols * cols
+    out = _empty_picture((*size, *pictures[0].shape[2:]), pictures[0].dtype)
     for number, picture in enumerate(pictures):
         row, col = number // tile_cols * rows, number % tile_cols * cols
         out[row : row + picture.shape[0], col : col + picture.shape[1]] = picture
     return out
 
 
-def _empty_picture(size: tuple[int, int], dtype: np.dtype) -> np.ndarray:
-    """Return a picture (rows, cols) of NaN, or of 0 for integers. ``size`` is its rows and columns."""
+def _empty_picture(size: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Return a picture of NaN, or of 0 for integers. ``size`` is its shape: rows, columns, and bands if it has any."""
     return np.full(size, np.nan if dtype.kind == "f" else 0, dtype)

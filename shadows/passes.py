@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,15 +24,34 @@ CASTERS_PASS = "outside_casters"
 ATTACHED_PASS = "attached"
 """Name of the pass that computes attached shadow, and means over sub-pixel nodes."""
 
-PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
+PassLayer = Literal[
+    "shadow-map", "stencil", "silhouettes", "volumes", "shadow-height", "light-frustum", "light-bounds", "light-view",
+    "post-perspective",
+]  # fmt: skip
 """Intermediate pictures:
 
-- ``shadow-map``: depth maps as drawn, float32 from 0 (nearest to the light) to 1.
-- ``stencil``: the stencil, uint8.
+- ``shadow-map``: depth maps as drawn, float32 from 0 (nearest to the light) to 1 (nothing casts). Cascades from the nearest, or
+  blocks row by row, side by side; the six of an omni light as 3 x 2, from straight down to straight up. Of a conservative map, its
+  nearest bounds.
+- ``stencil``: the stencil, uint8. Of ``shadow_volume``, the number of volumes that contain the point; of ``hybrid``, the same in
+  marked pixels; of ``planar``, 0 for no receiving plane, 1 for lit, 2 for shadow.
 - ``silhouettes``: silhouette edges, uint8, 255 where one is visible; of a hybrid, the pixels that its volumes decide.
 - ``volumes``: the number of faces of shadow volumes in front of the point, uint8.
-- ``shadow-height``: the height in metres above which the sun is visible, float32.
+- ``shadow-height``: the height in metres above which the sun is visible, float32; on sunlit ground its own height.
+- ``light-frustum``: the edges of the space that each map covers, float64 (n, 8), for n lines: both ends in the frame, metres, the
+  number of the map, and the role of the line (``MAP_LINE`` and others).
+- ``light-bounds``: the same for the boxes that maps are fitted to: of receivers (role 1, white) and of casters (role 2, red).
+- ``light-view``: what the light sees in each map, float32: metres from a lamp, or along the sun's rays from the view's origin; NaN
+  where nothing casts. At most 1024 texels a side, each the nearest of a block.
+- ``post-perspective``: the scene in the space of a perspective map, float32 (rows, cols, 5): the point in the frame, metres, NaN
+  where there is none, the opacity of the cube's edges, and that of rays to the light (yellow).
 """
+
+LINE_LAYERS: frozenset[PassLayer] = frozenset({"light-frustum", "light-bounds"})
+"""Layers that hold lines (n, 8) instead of pixels."""
+
+MAP_LINE, RECEIVER_LINE, CASTER_LINE = 0.0, 1.0, 2.0
+"""Roles of lines: edges of a map's space, of its receivers' box, and of its casters' box."""
 
 PIXEL_LAYERS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
 """Layers with one value for each pixel of the picture. The others have a size of their own."""
@@ -116,11 +135,15 @@ class PassLog:
         The layers that passes shall keep.
     layers
         The layers that passes kept, by layer and light, in order.
+    fitted_maps
+        The depth maps (``skugga.shadows.maps.windows.DepthMap``) that were fitted to the points of a perspective view last, by
+        light and kinds of casters. Samples of the same view are looked up in them.
     """
 
     records: dict[str, PassRecord] = field(default_factory=dict)
     requested_layers: frozenset[PassLayer] = frozenset()
     layers: dict[tuple[PassLayer, str], list[np.ndarray]] = field(default_factory=dict)
+    fitted_maps: dict[tuple[str, tuple[str, ...]], list[Any]] = field(default_factory=dict)
 
     @contextmanager
     def record_pass(self, name: str) -> Iterator[PassRecord]:

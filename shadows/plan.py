@@ -51,6 +51,10 @@ class Predicted(_FrozenModel):
     the cast shadow. ``is_estimate`` tells the times of a device that is not calibrated, which may be off by a factor of two. In
     dense woods ``is_coverage`` is true, and ``wrong_cast`` is the error of coverage, which targets limit there. ``is_measured``
     tells that the choices were drawn on this view, and their errors and times measured.
+
+    ``ms`` is the time of a frame that is made anew. ``ms_at_rest`` is that of a frame of a perspective view in which nothing has
+    moved since the frame before: its maps and volumes are cached, and their work is not counted. It equals ``ms`` where the
+    descriptor says that something moves. It is ``None`` for maps, whose finished blocks are cached.
     """
 
     ms: float
@@ -59,6 +63,7 @@ class Predicted(_FrozenModel):
     is_estimate: bool = False
     is_coverage: bool = False
     is_measured: bool = False
+    ms_at_rest: float | None = None
 
 
 @dataclass(frozen=True)

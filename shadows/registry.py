@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from skugga.shadows import none, planar
 from skugga.shadows.algorithm import Algorithm
 from skugga.shadows.hybrid import hybrid
-from skugga.shadows.maps import perspective_shadow_map, shadow_map
+from skugga.shadows.maps import light_space_perspective_map, perspective_shadow_map, shadow_map
+from skugga.shadows.reconstruction import reconstructed_volume
 from skugga.shadows.requirements import Requirement, is_area_light, requirements_of
 from skugga.shadows.sweep import sweep
 from skugga.shadows.truth import truth
@@ -19,7 +20,10 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
-ALGORITHM_MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
+ALGORITHM_MODULES = (
+    shadow_map, perspective_shadow_map, light_space_perspective_map, shadow_volume, hybrid,
+    reconstructed_volume, planar, sweep, truth, none,
+)  # fmt: skip
 """The modules of the algorithms that come with Skugga."""
 
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in ALGORITHM_MODULES}

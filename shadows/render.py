@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from skugga.shadows.block_casters import find_outside_casters
+from skugga.shadows.block_normals import with_generalised_normals, with_locally_lit_normals
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.layer_collector import LayerCollector
 from skugga.shadows.map_edges import anti_alias_block
@@ -37,7 +38,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, encode_srgb, shade, slope_sky_view_factor
 from skugga.terrain.sky import sky_pixel_colors
 
-RENDERER_VERSION = 7
+RENDERER_VERSION = 9
 """Version of the renderer. Increment it by hand with every change of any picture: older tile pyramids are redrawn."""
 
 SHADING_PASS = "shading"
@@ -313,10 +314,9 @@ def render_block(
     if isinstance(view, PerspectiveView) and pixel_sampling == "means":
         shading_visibilities = smooth_shadow_edges(scene, plan, picture, visibilities, casters, log)
     block = ShadingBlock(scene, view, picture.buffer, shading_visibilities, picture, block_sky_light)
-    linear = _shade_block(block, plan, log)
-    with log.record_pass(SHADING_PASS):
-        if not isinstance(view, MapView):
-            _draw_sky(scene, view, picture, linear)
+    linear, block = _shade_block(block, plan, log)
+    if not isinstance(view, MapView):
+        _draw_sky(scene, view, picture, plan, linear, log)
     _run_effects("color", {"color": linear}, block, plan, log)
     with log.record_pass(SHADING_PASS):
         color = encode_srgb(picture.average_samples(linear))
@@ -330,19 +330,30 @@ def render_block(
     return Frame(view, plan, color, visibilities, shown_visibilities, own_pixels.height_m, position, frame, (), casters.reach)
 
 
-def _shade_block(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
-    """Return the linear display colour (rows, cols, 3) of a block's surface."""
+def _shade_block(block: ShadingBlock, plan: Plan, log: PassLog) -> tuple[np.ndarray, ShadingBlock]:
+    """Return the linear display colour (rows, cols, 3) of a block's surface, and the block with its final shading normals."""
     light: dict[Stage, np.ndarray] = {}
+    with log.record_pass(GEOMETRY_PASS):
+        shaded_block = with_generalised_normals(block)
+    if shaded_block is not block:  # the open sky above a slope is that of the true ground
+        light["skylight"], block = _initial_values(block, "skylight"), shaded_block
     for stage in STAGES_BEFORE_SHADING:
         _run_effects(stage, light, block, plan, log)
+        if stage == "normal" and stage in light:
+            block = replace(block, buffer=replace(block.buffer, shading_normal_frame=light[stage]))
     with log.record_pass(SHADING_PASS):
         sunlight = light["sunlight"] if "sunlight" in light else _initial_values(block, "sunlight")
-        return shade(block.buffer, block.scene, sunlight, light.get("albedo"), light.get("skylight"), light.get("lamplight"))
+        arrays = (light.get(stage) for stage in ("albedo", "skylight", "lamplight", "gloss"))
+        return shade(with_locally_lit_normals(block).buffer, block.scene, sunlight, *arrays), block
 
 
 def _initial_values(block: ShadingBlock, stage: Stage) -> np.ndarray:
     """Return the array with which the first effect of a stage starts."""
     shape = block.buffer.valid.shape
+    if stage == "normal":
+        return block.buffer.shading_normal_frame.copy()
+    if stage == "gloss":
+        return np.zeros((*shape, 4), np.float32)
     if stage == "albedo":
         return albedo_of(block.buffer, block.scene)
     if stage == "sunlight":
@@ -362,15 +373,23 @@ def _run_effects(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBl
                 effect.apply(values[stage], block)
 
 
-def _draw_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
-    """Write the sky's colour to the pixels and samples without a surface.
+def _draw_sky(
+    scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, plan: Plan, linear: np.ndarray, log: PassLog
+) -> None:
+    """Write the sky's colour to the pixels and samples without a surface, within the pass of the effect that draws the sky.
 
     ``linear`` (rows, cols, 3) is the linear colour of the buffer's points, which is changed in place.
     """
-    row, col = np.nonzero(~picture.buffer.valid)
-    pixel_row, pixel_col = picture.pixels_of_points(row, col)
-    colors = sky_pixel_colors(scene, view, pixel_row, pixel_col)
-    run_in_chunks(len(row), _copy_colors, row * linear.shape[1] + col, colors, linear.reshape(-1, 3))
+    sky_colors: Callable[[Scene, PerspectiveView, np.ndarray, np.ndarray], np.ndarray] = sky_pixel_colors
+    pass_name = SHADING_PASS
+    for name, effect in EFFECTS.items():
+        if effect.sky_colors is not None and name in plan.effect_names:
+            sky_colors, pass_name = effect.sky_colors, name
+    with log.record_pass(pass_name):
+        row, col = np.nonzero(~picture.buffer.valid)
+        pixel_row, pixel_col = picture.pixels_of_points(row, col)
+        colors = sky_colors(scene, view, pixel_row, pixel_col)
+        run_in_chunks(len(row), _copy_colors, row * linear.shape[1] + col, colors, linear.reshape(-1, 3))
 
 
 @compiled

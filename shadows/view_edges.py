@@ -7,7 +7,8 @@ point only.
 
 Pixels on edges of surfaces have samples already (``skugga.terrain.gbuffer.antialias``), and foliage is too fine for planes. Where
 all samples of a pixel lie on the plane of its own point, on ground that the view grazes, they take the pixel's mean. An algorithm
-that counts in the view's own pixels cannot look other points up (``Algorithm.needs_view_pixels``).
+that counts in the view's own pixels (``Algorithm.needs_view_pixels``) gets the four pixels of the finer view that its samples of
+edges of surfaces belong to.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.map_block import EDGE_SAMPLES_PER_SIDE
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
@@ -45,8 +47,14 @@ _SAMPLE_OFFSETS = np.array([
 ])  # fmt: skip
 """Offsets of the samples from the pixel's centre, rows and columns in pixels: one in each of eight rows and eight columns."""
 
-TEXEL_SHARE = 0.75
+TEXEL_SHARE = 1.0
 """Share of a texel's longer side over which samples are spread. Without it, edges show the stairs of texels wider than pixels."""
+
+GROWTH_PX = (1, 8, 8, 8)
+"""Reach of each growth of the samples in pixels. Few pixels are left after the first."""
+
+_FINER_OFFSETS = (np.indices((EDGE_SAMPLES_PER_SIDE,) * 2).reshape(2, -1).T + 0.5) / EDGE_SAMPLES_PER_SIDE - 0.5
+"""Offsets of the finer view's pixels from the pixel's centre, rows and columns in pixels."""
 
 _TEXEL_OFFSETS = TEXEL_SHARE * _SAMPLE_OFFSETS[[3, 6, 1, 4, 7, 2, 5, 0]]
 """Offsets of the samples in texels. Samples beside one another in the pixel lie apart in the texel."""
@@ -72,41 +80,74 @@ def smooth_shadow_edges(
 
     ``visibilities`` (rows, cols) are those of the points themselves. Raises the errors of the algorithms.
     """
-    lights = [light for light in plan.lights if _has_samples(plan.steps_of_light(light))]
+    lights = [light for light in plan.lights if plan.steps_of_light(light)]
     on_plane = _samples_on_planes(picture)
-    row, col = np.nonzero(_edge_mask(picture, on_plane, [visibilities[light] for light in lights]))
-    if not len(row):
-        return visibilities
-    sampled_pixel = np.full(picture.pixel_buffer.valid.shape, -1)
+    is_smooth = _smooth_surface_mask(picture, on_plane)
+    pixel_mask = _edge_mask(is_smooth, [visibilities[light][: picture.picture_rows] for light in lights])
+    sampled_pixel = np.full(pixel_mask.shape, -1)
     sampled_pixel[picture.sampled_pixels] = np.arange(len(on_plane))
-    shared = sampled_pixel[row, col]  # the places of pixels with samples, all of them on planes
     # In pictures full of edges, such as woods, half of the samples: they then are at most four times as many as pixels.
-    chosen = slice(None) if len(row) * SAMPLE_COUNT <= sampled_pixel.size else slice(None, None, 2)
-    offsets, texel_offsets = _SAMPLE_OFFSETS[chosen], _TEXEL_OFFSETS[chosen]
-    count = len(offsets)
-    points = _samples_of_pixels(picture.buffer, row, col, offsets)
+    chosen = slice(None) if pixel_mask.sum() * SAMPLE_COUNT <= pixel_mask.size else slice(None, None, 2)
     kept_layers, requested_layers, log.requested_layers = log.take_layers(), log.requested_layers, frozenset()
     smooth = dict(visibilities)
-    for light in lights:
-        samples = _spread_over_texels(points, scene, light, plan.steps_of_light(light), texel_offsets)
-        steps = needed_steps(scene, plan.steps_of_light(light), samples, casters, log)
-        sampled = fill_steps(steps, samples, scene, casters, plan.effect_names, log)
-        with log.record_pass(ATTACHED_PASS):
-            sampled[attached_shadow_mask(samples, scene, light)] = 0.0
-        total = sampled.reshape(-1)[: len(row) * count].reshape(-1, count).sum(axis=1)
-        smooth[light] = visibilities[light].copy()
-        means = (visibilities[light][row, col] + total) / np.float32(1 + count)
-        smooth[light][row, col] = means
-        own_samples = smooth[light][picture.picture_rows :].reshape(-1)
-        for number in range(picture.sample_count):
-            own_samples[shared[shared >= 0] * picture.sample_count + number] = means[shared >= 0]
+    is_sampled = np.zeros(pixel_mask.shape, np.bool_)
+    counts_in_pixels = any(ALGORITHMS[step.algorithm].needs_view_pixels for light in lights for step in plan.steps_of_light(light))
+    row, col = np.nonzero(pixel_mask)
+    for growth_px in (0,) if counts_in_pixels else (*GROWTH_PX, 0):
+        if not len(row):
+            break
+        is_sampled[row, col] = True
+        is_mixed = np.zeros(len(row), np.bool_)
+        shared = sampled_pixel[row, col]  # the places of pixels with samples, all of them on planes
+        for light in lights:
+            values = _sampled_visibility(scene, plan, light, picture.buffer, (row, col), chosen, casters, log)
+            own = visibilities[light][row, col]
+            values = np.where(np.isnan(values), own[:, None], values)  # NaN: outside of the maps
+            means = (own + values.sum(axis=1)) / np.float32(1 + values.shape[1])
+            is_mixed |= np.maximum(values.max(axis=1), own) - np.minimum(values.min(axis=1), own) > MIN_VISIBILITY_CHANGE
+            if smooth[light] is visibilities[light]:
+                smooth[light] = visibilities[light].copy()
+            smooth[light][row, col] = means
+            own_samples = smooth[light][picture.picture_rows :].reshape(-1)
+            for number in range(picture.sample_count):
+                own_samples[shared[shared >= 0] * picture.sample_count + number] = means[shared >= 0]
+        row, col = _neighbours(row[is_mixed], col[is_mixed], growth_px, is_smooth & ~is_sampled)
     log.layers, log.requested_layers = kept_layers, requested_layers
     return smooth
 
 
-def _has_samples(steps: Sequence[Step]) -> bool:
-    """Return whether the algorithms of a light's steps, of which there are some, find the visibility of any point."""
-    return bool(steps) and not any(ALGORITHMS[step.algorithm].needs_view_pixels for step in steps)
+def _sampled_visibility(
+    scene: Scene, plan: Plan, light: str, buffer: GeometryBuffer, pixels: tuple[np.ndarray, np.ndarray], chosen: slice,
+    casters: Casters, log: PassLog,
+) -> np.ndarray:  # fmt: skip
+    """Return the visibility of a light at the samples of some pixels, rows (n,) and columns (n,): float32 (n, k).
+
+    ``chosen`` are the samples in use. Samples outside of the light's maps are NaN.
+    """
+    steps = plan.steps_of_light(light)
+    if any(ALGORITHMS[step.algorithm].needs_view_pixels for step in steps):
+        samples, count = _pixels_of_finer_view(buffer, *pixels), len(_FINER_OFFSETS)
+    else:
+        points = _samples_of_pixels(buffer, *pixels, _SAMPLE_OFFSETS[chosen])
+        samples, count = _spread_over_texels(points, scene, light, steps, _TEXEL_OFFSETS[chosen]), len(_SAMPLE_OFFSETS[chosen])
+    steps = needed_steps(scene, steps, samples, casters, log)
+    sampled = fill_steps(steps, samples, scene, casters, plan.effect_names, log)
+    with log.record_pass(ATTACHED_PASS):
+        sampled[attached_shadow_mask(samples, scene, light)] = 0.0
+    return sampled[samples.first_sample_row :].reshape(-1)[: len(pixels[0]) * count].reshape(-1, count)
+
+
+def _neighbours(row: np.ndarray, col: np.ndarray, reach_px: int, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the neighbours of some pixels at ``row`` and ``col`` (n,), among those ``allowed`` (rows, cols).
+
+    Neighbours are up to ``reach_px`` columns away in the same row, or in the row above or below.
+    """
+    steps = [(0, step) for step in range(-reach_px, reach_px + 1) if step] + [(-1, 0), (1, 0)]
+    is_neighbour = np.zeros(allowed.shape, np.bool_)
+    for row_step, col_step in steps:
+        is_neighbour[np.clip(row + row_step, 0, len(allowed) - 1), np.clip(col + col_step, 0, allowed.shape[1] - 1)] = True
+    rows, cols = np.nonzero(is_neighbour & allowed)
+    return rows, cols
 
 
 def _samples_on_planes(picture: MultisampledBuffer) -> np.ndarray:
@@ -147,17 +188,22 @@ def _write_samples_on_planes(first, last, row, col, first_sample_row, count, pos
         out[n] = is_on_plane
 
 
-def _edge_mask(picture: MultisampledBuffer, on_plane: np.ndarray, visibilities: Sequence[np.ndarray]) -> np.ndarray:
-    """Return which pixels (rows, cols) of a picture lie on either side of an edge of a shadow, bool.
+def _smooth_surface_mask(picture: MultisampledBuffer, on_plane: np.ndarray) -> np.ndarray:
+    """Return which pixels (rows, cols) of a picture show a surface whose samples lie on a plane, bool.
 
     Of the pixels with samples only those count whose samples are ``on_plane`` (n,).
     """
     rows, buffer = picture.picture_rows, picture.buffer
     is_smooth = buffer.valid[:rows] & (buffer.surface_kind[:rows] != FOREST)
     is_smooth[picture.sampled_pixels] &= on_plane
+    return is_smooth
+
+
+def _edge_mask(is_smooth: np.ndarray, visibilities: Sequence[np.ndarray]) -> np.ndarray:
+    """Return which pixels (rows, cols) of ``is_smooth`` lie on either side of an edge of a shadow, bool."""
     edges = np.zeros(is_smooth.shape, np.bool_)
     for visibility in visibilities:  # NaN differs from no neighbour
-        mark_changes(np.where(is_smooth, visibility[:rows], np.float32(np.nan)), MIN_VISIBILITY_CHANGE, edges)
+        mark_changes(np.where(is_smooth, visibility, np.float32(np.nan)), MIN_VISIBILITY_CHANGE, edges)
     return edges
 
 
@@ -182,8 +228,29 @@ def _samples_of_pixels(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray,
     position.reshape(-1, 3)[count:] = position.reshape(-1, 3)[count - 1]
     return replace(
         buffer, valid=np.ones(shape, np.bool_), position_frame_m=position, albedo=None, is_lifted=None, first_sample_row=0,
-        sample_pixels=None, **arrays,
+        sample_pixels=None, mesh_triangle=None, **arrays,
     )  # fmt: skip
+
+
+def _pixels_of_finer_view(buffer: GeometryBuffer, row: np.ndarray, col: np.ndarray) -> GeometryBuffer:
+    """Return a buffer whose samples are the pixels of the finer view within some pixels, on the planes of these.
+
+    Its own pixels, which algorithms that count in pixels expect above the samples, show nothing.
+    """
+    samples, view = _samples_of_pixels(buffer, row, col, _FINER_OFFSETS), buffer.view
+    shape, count = samples.valid.shape, len(_FINER_OFFSETS)
+    index = np.minimum(np.arange(shape[0] * shape[1]), len(row) * count - 1)
+    pixels = tuple(
+        (start[index // count] * EDGE_SAMPLES_PER_SIDE + np.indices((EDGE_SAMPLES_PER_SIDE,) * 2)[axis].reshape(-1)[index % count])
+        .reshape(shape)
+        for axis, start in enumerate((row, col))
+    )  # fmt: skip
+    arrays: dict[str, Any] = {}
+    for name in (*_PIXEL_ARRAYS, "position_frame_m", "valid"):
+        value = getattr(samples, name)
+        if value is not None:
+            arrays[name] = np.concatenate([np.zeros((view.rows, *value.shape[1:]), value.dtype), value])
+    return replace(samples, first_sample_row=view.rows, sample_pixels=pixels, **arrays)
 
 
 def _spread_over_texels(

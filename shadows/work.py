@@ -12,6 +12,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, erfc, log, pi, radians, sin, sqrt
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -27,6 +28,12 @@ Counts = dict[str, float]
 
 Work = dict[str, Counts]
 """Counts by name of a part of the work."""
+
+CachedResult = Literal["depth maps", "volumes", "conservative maps", "sun-aligned ground"]
+"""Kinds of results that algorithms cache in perspective views, for the next frame."""
+
+RESULTS_AT_REST: frozenset[CachedResult] = frozenset(get_args(CachedResult))
+"""The results that caches still hold if light, casters and camera have not moved since the frame before."""
 
 MAX_CASTER_OPACITY = 0.98
 """Upper bound of the share of light that a wood is assumed to block."""
@@ -53,11 +60,18 @@ class Workload:
         The name of the light.
     kinds
         The kinds of casters that the step serves.
+    cached
+        The results that the frame before left in caches, so that their work is not counted. Empty for a frame that is made anew.
     """
 
     descriptor: Descriptor
     light: str
     kinds: Collection[CasterKind]
+    cached: frozenset[CachedResult] = frozenset()
+
+    def is_cached(self, result: CachedResult) -> bool:
+        """Return whether a kind of results is in a cache. The results of a map's blocks never are: finished blocks are cached."""
+        return result in self.cached and not self.is_map_view
 
     @cached_property
     def facts(self) -> LightFacts:

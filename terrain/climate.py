@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.interpolation import smoothstep
-
-ColorRamp = tuple[tuple[float, str], ...]
 
 SNOW_LINE_BY_LATITUDE = (
     (-90.0, -700.0), (-64.0, -400.0), (-60.0, 150.0), (-55.0, 700.0), (-48.0, 1250.0), (-44.0, 1900.0), (-38.0, 2800.0),

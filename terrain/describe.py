@@ -20,6 +20,7 @@ from skugga.terrain.facts.coarse_view import CoarseView, coarse_view_of
 from skugga.terrain.facts.descriptor import Descriptor, join_bands
 from skugga.terrain.facts.fact_types import Band, Fact, LampFacts
 from skugga.terrain.facts.light_facts import MIN_EYE_DISTANCE_M, ViewProbes, facts_of_lights
+from skugga.terrain.facts.plane_facts import plane_facts
 from skugga.terrain.facts.row_widths import row_width_ratio
 from skugga.terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
@@ -67,13 +68,15 @@ def describe(
         assert coarse_view is not None and isinstance(view, PerspectiveView)
         view_facts = _perspective_facts(scene, view, coarse_view)
         probes, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
+    receiver_planes, plane_share = plane_facts(scene, coarse_view, probes.probes)
     return Descriptor(
         view=name, flat_world=scene.world.is_flat, radius_m=scene.world.radius_m, casters=scene.objects.caster_kinds, lamps=lamps,
         relief_m=high - low, rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
         pieces=pieces, stands=caster_facts_of(scene, sampled_view, trees), moves=bool(scene.loaded.level.moving_keys),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
-        highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_object_m, weather=scene.loaded.level.weather,
+        highest_sun_deg=scene.highest_sun_deg, receiver_planes=receiver_planes, plane_share=plane_share,
+        tallest_m=scene.objects.tallest_object_m, weather=scene.loaded.level.weather,
         lights=facts_of_lights(probes, _visible_area_share(scene, view_facts["receivers_light_m"]), lamp_names),
         facts={key: _nan_to_none(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items()
                if effect.facts is not None},

@@ -14,6 +14,7 @@ from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
 from skugga.terrain.cache import MIB, cached, clear_scene_caches
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.default_sun import default_sun
 from skugga.terrain.errors import InputError, LevelError, Problem, SourceError
 from skugga.terrain.geo.axes import axes_of, check_axes
@@ -154,13 +155,23 @@ class Scene:
         """Return the same scene under another sun (``None``: the level's)."""
         return self if spec is None else replace(self, sun=sun_of(spec, self.world), sun_is_default=False)
 
-    def with_style(self, name: str | None, slope_exaggeration: float | None = None, sky: str | None = None) -> Scene:
-        """Return the same scene in another style, exaggeration of slopes in shading, or sky of maps (``None``: the level's).
+    def with_style(
+        self,
+        name: str | None,
+        slope_exaggeration: float | None = None,
+        sky: str | None = None,
+        ramp: ColorRamp | None = None,
+        local_light: float | None = None,
+        generalisation: float | None = None,
+    ) -> Scene:
+        """Return the same scene in another style (``None``: the level's), with changes.
+
+        The changes are those of ``StyleSpec``; ``None``: no change.
 
         A style given by name does not use the level's colour ramp. Raises ``InputError``.
         """
         level_spec = self.loaded.level.style
-        spec = style_spec(level_spec, name, slope_exaggeration, sky)
+        spec = style_spec(level_spec, name, slope_exaggeration, sky, ramp, local_light, generalisation)
         return self if spec == level_spec else replace(self, style_spec=spec)
 
     def with_lamp(self, lamp: Lamp) -> Scene:

@@ -19,7 +19,11 @@ from skugga.terrain.meshes.solids import Solids
 from skugga.terrain.trees.trees import Trees
 
 if TYPE_CHECKING:
+    from skugga.terrain.ground.draped_lines import DrapedLines
+    from skugga.terrain.ground.land_cover import LandCover
     from skugga.terrain.meshes.assemble import Placement
+    from skugga.terrain.meshes.facades import Facades
+    from skugga.terrain.meshes.surface import Surface
     from skugga.terrain.trees.forest import Planting
 
 MIN_EDGE_NORMAL_DISTANCE = 0.8
@@ -52,8 +56,27 @@ class SceneObjects:
         if seconds == self.clock_seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, clock_seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_creases", "animated_lamps")})
+        shared = ("lines", "land_cover", "planting", "placement", "facades", "solid_creases", "animated_lamps")
+        other.__dict__.update({name: getattr(self, name) for name in shared})
         return other
+
+    @cached_property
+    def lines(self) -> DrapedLines | None:
+        """The level's roads and rivers on its ground, or ``None``."""
+        if not (self.loaded.level.roads or self.loaded.level.rivers):
+            return None
+        from skugga.terrain.ground.line_sources import read_lines
+
+        return read_lines(self.loaded, self.world, self.elevation)
+
+    @cached_property
+    def land_cover(self) -> LandCover | None:
+        """The level's land cover, with the floor of its woods, or ``None``."""
+        if not (self.loaded.level.land_cover or self.loaded.level.forest):
+            return None
+        from skugga.terrain.ground.land_cover_sources import read_land_cover
+
+        return read_land_cover(self.loaded, self.world, self.elevation)
 
     @cached_property
     def planting(self) -> Planting | None:
@@ -72,13 +95,15 @@ class SceneObjects:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Statements on what was read from the files of trees and footprints."""
-        return tuple(note for part in (self.placement, self.planting) if part is not None for note in part.notes)
+        """Statements on what was read from the files of lines, land cover, trees and footprints."""
+        parts = (self.lines, self.land_cover, self.placement, self.planting)
+        return tuple(note for part in parts if part is not None for note in part.notes)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Statements on probable mistakes in the files of trees and footprints."""
-        return tuple(text for part in (self.placement, self.planting) if part is not None for text in part.warnings)
+        """Statements on probable mistakes in the files of lines, land cover, trees and footprints."""
+        parts = (self.lines, self.land_cover, self.placement, self.planting)
+        return tuple(text for part in parts if part is not None for text in part.warnings)
 
     @cached_property
     def placement(self) -> Placement | None:
@@ -106,6 +131,20 @@ class SceneObjects:
 
         placed = solids(self.placement, self.clock_seconds)
         return placed if len(placed.triangles) else None
+
+    @property
+    def surface(self) -> Surface | None:
+        """Textures and materials of the meshes' triangles, or ``None`` if each triangle has one colour."""
+        return None if self.placement is None else self.placement.surface
+
+    @cached_property
+    def facades(self) -> Facades | None:
+        """The façades of the level's buildings, or ``None``. Buildings do not move."""
+        if self.placement is None or self.solids is None:
+            return None
+        from skugga.terrain.meshes.facades import facades
+
+        return facades(self.placement, self.solids)
 
     @cached_property
     def solid_creases(self) -> np.ndarray:

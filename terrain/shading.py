@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.climate import ColorRamp
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.compiled import run_in_chunks
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -23,6 +23,7 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading_loops import (
     DaylightInFrame,
+    LeafOptics,
     ShadingParameters,
     Tints,
     encode_rows,
@@ -59,6 +60,14 @@ MAP_FOLIAGE_ALBEDO_FACTOR = 2.0
 
 LEAF_TRANSLUCENCY = 0.3
 """Share of foliage's light that does not depend on its normal. Leaves are translucent and lie in all directions."""
+
+LEAF_TRANSMITTANCE_RATIO = (0.87, 0.96, 0.0)
+"""Transmittance of a leaf over its reflectance, linear RGB: transmitted light is yellower.
+
+The leaf model PROSPECT-D (J.-B. Feret et al. 2017, fitted to measured leaves) gives the reflectance (0.066, 0.127, 0.032) and the
+transmittance (0.057, 0.122, 0) for a green leaf: structure 1.5, 40 ug/cm2 of chlorophyll, 8 of carotenoids, 10 mg/cm2 of water and
+9 of dry matter, under a black body of 5800 K. Leaves absorb nearly all blue light that enters them.
+"""
 
 CLOUD_LIGHT_COLOR = (0.94, 0.97, 1.00)
 """Linear colour of the light that passes through clouds."""
@@ -171,6 +180,7 @@ def shade(
     albedo: np.ndarray | None = None,
     skylight: np.ndarray | None = None,
     lamplight: np.ndarray | None = None,
+    gloss: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the linear display colour of a buffer's points.
 
@@ -184,6 +194,8 @@ def shade(
         (rows, cols), the visible share of the sky. Default: the share that each slope leaves visible without its surroundings.
     lamplight
         (rows, cols, 3), light of lamps.
+    gloss
+        (rows, cols, 4), the share of the sun's light that the surface mirrors, and the share that its diffuse light lacks.
 
     Returns
     -------
@@ -196,9 +208,16 @@ def shade(
     run_in_chunks(
         len(out), shade_rows, buffer.shading_inputs, shading_parameters(scene, buffer.view, buffer.frame),
         daylight_in_frame(scene, buffer.frame),
-        scene.world.up_origin(buffer.frame), LEAF_TRANSLUCENCY, albedo, sunlight, skylight, lamplight, out,
+        scene.world.up_origin(buffer.frame), leaf_optics(buffer), albedo, sunlight, skylight, lamplight, gloss, out,
     )  # fmt: skip
     return out
+
+
+def leaf_optics(buffer: GeometryBuffer) -> LeafOptics:
+    """Return the optical properties of foliage in a buffer's view. Maps show the sunlit side of leaves alone."""
+    if isinstance(buffer.view, MapView):
+        return LeafOptics(LEAF_TRANSLUCENCY, np.zeros(3), np.zeros(3))
+    return LeafOptics(LEAF_TRANSLUCENCY, np.array(LEAF_TRANSMITTANCE_RATIO), buffer.view.in_frame(buffer.frame)[0])
 
 
 def daylight_in_frame(scene: Scene, frame: LocalFrame) -> DaylightInFrame:

@@ -38,6 +38,17 @@ MIN_SUN_ALTITUDE_COSINE = 0.15
 Near the zenith the sun's azimuth is undefined.
 """
 
+CROWN_OPTICAL_DEPTH = 2.5
+"""Optical depth of a crown along its diameter: half the leaf area index, for leaves in all directions (J. Ross 1981).
+
+Temperate broadleaf woods have an index of 5.1 (G. Asner, J. Scurlock and J. Hicke 2003, "Global synthesis of leaf area index").
+"""
+
+LEAF_GREENNESS = 0.25
+"""Excess of green over red, relative to red, from which on a colour is that of leaves. The painted leaves have 0.45 and more, bark
+has less than 0.
+"""
+
 MIN_LIT_COSINE = 1e-9
 """Minimum cosine to the sun that counts as lit."""
 
@@ -125,6 +136,24 @@ class ShadingParameters(NamedTuple):
     max_shaded_slope: float
     air_veil_by_height: np.ndarray
     foliage_albedo_factor: float
+
+
+class LeafOptics(NamedTuple):
+    """Optical properties of foliage in a view.
+
+    Attributes
+    ----------
+    isotropic_share
+        Share of foliage's light that does not depend on its normal.
+    transmittance_ratio
+        (3,), a leaf's transmittance over its reflectance, in linear RGB; 0 in maps.
+    eye_frame_m
+        (3,), the eye in the frame, metres.
+    """
+
+    isotropic_share: float
+    transmittance_ratio: np.ndarray
+    eye_frame_m: np.ndarray
 
 
 @compiled
@@ -226,25 +255,27 @@ def encode_rows(first, last, linear, srgb_table, out):
 
 @compiled
 def shade_rows(
-    first, last, shading_inputs, parameters, daylight_in_frame, up_origin, translucency, albedo, sunlight, skylight, lamplight, out
+    first, last, shading_inputs, parameters, daylight_in_frame, up_origin, leaves, albedo, sunlight, skylight, lamplight, gloss, out
 ):
     """Compute the linear display colour of the rows [``first``, ``last``) of a geometry buffer, into ``out``.
 
-    ``up_origin`` is the point from which "up" points away (``World.up_origin``). ``translucency`` is the share of foliage's light
-    that does not depend on its normal (``LEAF_TRANSLUCENCY``). ``albedo`` (rows, cols, 3) is NaN where the ground has its tint;
-    ``None`` if that is everywhere. ``sunlight``, ``skylight`` and ``lamplight`` are those of ``shade``.
+    ``up_origin`` is the point from which "up" points away (``World.up_origin``). ``leaves`` is a ``LeafOptics``. ``albedo``
+    (rows, cols, 3) is NaN where the ground has its tint; ``None`` if that is everywhere. ``sunlight``, ``skylight``,
+    ``lamplight`` and ``gloss`` are those of ``shade``.
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     valid, kind, position, height, normal = shading_inputs
     tints, north, greying, directional_share, terminator, exaggeration, limit, veils, foliage = parameters
     has_sun, to_sun, sun, sky, night = daylight_in_frame
+    isotropic_share, transmittance_ratio, eye = leaves
+    has_translucent_leaves = has_sun and transmittance_ratio[1] > 0.0
     has_true_slopes = exaggeration == 1.0 and limit >= UNLIMITED_SLOPE
     for i in range(first, last):
         for j in range(valid.shape[1]):
             if not valid[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
-            translucent_share = translucency if kind[i, j] == FOREST else 0.0
+            translucent_share = isotropic_share if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - up_origin[0], p[1] - up_origin[1], p[2] - up_origin[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             sky_view = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
@@ -264,6 +295,10 @@ def shade_rows(
             visible_ground_share = 0.0 if kind[i, j] == RELIEF else 0.5 * (1.0 - cos_zenith)
             level_direct = SUNLIT_GROUND_SHARE * max(sine, 0.0) * _direct_fade(sine)
             direct = (translucent_share + (1.0 - translucent_share) * max(cos_sun, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
+            mirrored = 0.0
+            if gloss is not None:
+                mirrored = _direct_fade(sine) * sunlight[i, j]
+                direct *= 1.0 - gloss[i, j, 3]
             tint_index, fraction = _tint_position(height[i, j])
             veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
             red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, tint_index, fraction)
@@ -274,16 +309,48 @@ def shade_rows(
                 red, green, blue = min(foliage * red, 1.0), min(foliage * green, 1.0), min(foliage * blue, 1.0)
             surface_color = red, green, blue
             grey = luminance_of(red, green, blue)
+            transmitted = 0.0
+            if has_translucent_leaves and kind[i, j] == FOREST:
+                vx, vy, vz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+                cos_scattering = (vx * to_sun[0] + vy * to_sun[1] + vz * to_sun[2]) / np.sqrt(vx * vx + vy * vy + vz * vz)
+                transmitted = leaf_share(red, green) * transmitted_share(cos_scattering, cos_sun)
+                transmitted *= _direct_fade(sine) * sunlight[i, j]
             for k in range(3):
-                light = surface_color[k] * sun[k] * direct + (surface_color[k] + greying * (grey - surface_color[k])) * sky[k] * (
-                    sky_light_share * sky_view
-                )
+                light = surface_color[k] * sun[k] * (direct + transmittance_ratio[k] * transmitted) + (
+                    surface_color[k] + greying * (grey - surface_color[k])
+                ) * sky[k] * (sky_light_share * sky_view)
                 ground_light = GROUND_REFLECTANCE * (sun[k] * level_direct + sky[k] * sky_light_share)
                 light += surface_color[k] * ground_light * visible_ground_share
+                if gloss is not None:
+                    light += sun[k] * gloss[i, j, k] * mirrored
                 if lamplight is not None:
                     light += surface_color[k] * lamplight[i, j, k]
                 light = tone_curve(light)
                 out[i, j, k] = light + veil * (AIR_VEIL_COLOR[k] * sky_light_share - light)
+
+
+@compiled
+def transmitted_share(cos_scattering, cos_sun):
+    """Return the sunlight that leaves transmit to the eye, as a multiple of the transmittance of a leaf times the irradiance.
+
+    Leaves lie in all directions and scatter by Lambert's law on both sides. Then the light that they transmit has the phase
+    function 8 / (3 pi) (sin b + (pi - b) cos b) at the scattering angle b (J. Shultis and R. Myneni 1988, "Radiative transfer in
+    vegetation canopies with anisotropic scattering"). A quarter of it leaves a dense crown, so that all directions together get no
+    more than the transmitted light: 2/3 against the sun, 0 with the sun behind the eye. On the way through the crown the sunlight
+    is attenuated by Beer's law.
+
+    ``cos_scattering`` is the cosine of b between the sun's rays and the direction to the eye, and ``cos_sun`` that between the
+    crown's normal and the sun: where it is negative, its amount is the path through a spherical crown, in diameters.
+    """
+    cosine = min(max(cos_scattering, -1.0), 1.0)
+    phase = np.sqrt(1.0 - cosine * cosine) + (np.pi - np.arccos(cosine)) * cosine
+    return 2.0 / (3.0 * np.pi) * phase * np.exp(-CROWN_OPTICAL_DEPTH * max(-cos_sun, 0.0))
+
+
+@compiled
+def leaf_share(red, green):
+    """Return the share of leaves in the colour of a tree: 1 for leaves, 0 for bark and snow, which are no greener than red."""
+    return min(max((green - red) / max(LEAF_GREENNESS * red, 1e-9), 0.0), 1.0)
 
 
 @internal

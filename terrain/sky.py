@@ -10,6 +10,9 @@ through the air, which adds colours:
   of the optical depth counts.
 - Towards the zenith red fades first, since thinner air scatters less: orange, yellow, a pale green, blue.
 - Round the sun, air and dust scatter forwards in a wide and a narrow lobe (L. G. Henyey and J. L. Greenstein 1941).
+- The sun's disc is so bright that it saturates: white when it is high, yellow when it is low. A narrow glow leads over to the
+  lobes. Its limb is the mean over each pixel. Fog dims both, and an overcast sky hides them. Water mirrors the sky without them,
+  since it has a glint of its own.
 
 **Dithering.** Without it a sky's 8-bit steps, some pixels wide, would show as bands. Each pixel is moved by up to half a step
 before encoding, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced
@@ -23,9 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, run_in_chunks
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.interpolation import smoothstep
+from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading_loops import twilight_sky_share
 
@@ -59,8 +64,31 @@ ZENITH_DARKENING = 0.25
 AUREOLE_LOBES = ((0.72, 0.40), (0.965, 0.55))
 """Asymmetry of each lobe of light round the sun, and the share of the sun's colour in its middle."""
 
+SUN_DISC_EXPOSURE = 20.0
+"""Exposure of the sun's disc: its colour is 1 - exp(-exposure * light)."""
+
+SUN_GLOW_SHARE, SUN_GLOW_WIDTH_DEG, SUN_GLOW_RADIUS_DEG = 0.55, 0.7, 6.0
+"""Share of the disc's colour in the glow at the disc's middle, its half width, and its radius."""
+
+SUN_DISC_SAMPLES = 8
+"""Samples per side of a pixel on the limb of the sun's disc."""
+
+VISIBILITY_CONTRAST = 0.02
+"""Contrast of a black object with the horizon at the distance that defines the visibility."""
+
+CLEAR_AIR_VISIBILITY_M = 100_000.0
+"""Default visibility: clear weather, without the dust of a dry summer."""
+
+AEROSOL_SCALE_HEIGHT_M = 1200.0
+"""Scale height of the aerosol that dims the sun's disc (E. Bruneton and F. Neyret 2008)."""
+
 MAX_TWILIGHT_DEPRESSION_DEG = 9.0
 """Depression of the sun below the horizon down to which it colours the horizon."""
+
+SUN_RADIUS_RAD, SUN_GLOW_WIDTH_RAD, SUN_GLOW_RADIUS_RAD = (
+    float(np.radians(angle_deg)) for angle_deg in (SUN_RADIUS_DEG, SUN_GLOW_WIDTH_DEG, SUN_GLOW_RADIUS_DEG)
+)
+COS_SUN_RADIUS, COS_SUN_GLOW_RADIUS = float(np.cos(SUN_RADIUS_RAD)), float(np.cos(SUN_GLOW_RADIUS_RAD))
 
 BATCH_PIXELS = 1024
 """Pixels per batch."""
@@ -97,18 +125,52 @@ class Sky(NamedTuple):
     sun_altitude_sine_cosine: np.ndarray
 
 
-def sky_of(scene: Scene) -> Sky:
-    """Return the sky of a scene, by the sun's altitude and the clouds. It is dark at night and without a sun."""
+class SunDisc(NamedTuple):
+    """The sun's disc and its glow in a view.
+
+    Attributes
+    ----------
+    to_sun_camera
+        (3,), unit vector to the middle of the disc, in the camera's axes.
+    color
+        (3,), linear colour of the disc.
+    disc_share
+        Share of ``color`` in the disc, 0 to 1. The disc is missing at 0.
+    glow_share
+        Share of ``color`` in the glow at the middle of the disc, 0 to 1.
+    pixel_side
+        Side of a pixel, in units of the view's ``row0`` and ``col0``.
+    """
+
+    to_sun_camera: np.ndarray
+    color: np.ndarray
+    disc_share: float
+    glow_share: float
+    pixel_side: float
+
+
+def sky_brightness(scene: Scene) -> float:
+    """Return the brightness of a scene's sky relative to the day's. It is low at night and without a sun."""
+    sine = np.sin(np.radians(-90.0 if scene.sun is None else scene.sun.altitude_deg))
+    return 0.02 + 0.98 * float(twilight_sky_share(sine))
+
+
+def sky_of(scene: Scene, cloud_cover: float | None = None) -> Sky:
+    """Return the sky of a scene, by the sun's altitude and the clouds. It is dark at night and without a sun.
+
+    ``cloud_cover`` replaces that of the weather.
+    """
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
-    brightness, cover = 0.02 + 0.98 * float(twilight_sky_share(sine)), scene.loaded.level.weather.cloud_cover
+    brightness = sky_brightness(scene)
+    cover = scene.loaded.level.weather.cloud_cover if cloud_cover is None else cloud_cover
     twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / MAX_TWILIGHT_DEPRESSION_DEG))
     low_sun_share = (
         float(smoothstep((LOW_SUN_ALTITUDES_DEG[1] - altitude_deg) / (LOW_SUN_ALTITUDES_DEG[1] - LOW_SUN_ALTITUDES_DEG[0])))
         * twilight
     )
     grey, horizon = np.array(OVERCAST_SKY_COLOR), np.array(HORIZON_COLOR)
-    reddened = _sunlight_color(altitude_deg)
+    reddened = sunlight_color(altitude_deg)
     lit = reddened / reddened.max()
 
     def horizon_color(share: float) -> np.ndarray:
@@ -141,20 +203,48 @@ def horizontal_sun_direction(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
     return horizontal / length if length > 1e-9 else np.zeros(3)
 
 
-def sky_pixel_colors(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+def sky_pixel_colors(
+    scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray, cloud_cover: float | None = None
+) -> np.ndarray:
     """Return the linear display colour (n, 3) of the sky in the pixels ``rows`` and ``cols`` (n,) of a view.
 
-    Colours are dithered by up to half an 8-bit step.
+    Colours are dithered by up to half an 8-bit step. ``cloud_cover`` replaces that of the weather: with 0 it is the sky in gaps
+    between clouds.
     """
+    cover = scene.loaded.level.weather.cloud_cover if cloud_cover is None else cloud_cover
     up = np.array([0.0, 0.0, 1.0]) if scene.world.is_flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     horizontal_to_sun = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step_px])
     axes = view.earth_from_camera.T
     out = np.empty((rows.size, 3), np.float32)
     run_in_chunks(
-        rows.size, _write_sky_pixels, rows, cols, pixels, view.focal_px, axes @ up, axes @ horizontal_to_sun, sky_of(scene), out
-    )
+        rows.size, _write_sky_pixels, rows, cols, pixels, view.focal_px, axes @ up, axes @ horizontal_to_sun,
+        sky_of(scene, cover), sun_disc_of(scene, view, up, cover), out,
+    )  # fmt: skip
     return out
+
+
+def sun_disc_of(scene: Scene, view: PerspectiveView, up: np.ndarray, cloud_cover: float) -> SunDisc:
+    """Return the sun's disc in a view. ``up`` (3,) is the unit vector away from the earth at the eye.
+
+    Its glow fades as the disc sets.
+    """
+    pixel_side = view.pixel_share * view.step_px
+    if scene.sun is None:
+        return SunDisc(np.zeros(3), np.zeros(3), 0.0, 0.0, pixel_side)
+    to_sun, weather = scene.sun.to_sun_earth, scene.loaded.level.weather
+    altitude_deg = float(np.degrees(np.arcsin(np.clip(to_sun @ up, -1.0, 1.0))))
+    visible_share = float(smoothstep(0.5 + 0.5 * altitude_deg / SUN_RADIUS_DEG))
+    extinction_per_m = -np.log(VISIBILITY_CONTRAST) * (
+        1.0 / min(weather.visibility or CLEAR_AIR_VISIBILITY_M, CLEAR_AIR_VISIBILITY_M) - 1.0 / CLEAR_AIR_VISIBILITY_M
+    )
+    transmittance = float(np.exp(-extinction_per_m * AEROSOL_SCALE_HEIGHT_M * min(_air_mass(altitude_deg), MAX_AIR_MASS)))
+    # The share of the densest cloud's light that comes through falls in the same way as the sky gets overcast.
+    unclouded_share = 1.0 - cloud_cover**4
+    color = 1.0 - np.exp(-SUN_DISC_EXPOSURE * sunlight_color(altitude_deg))
+    disc_share = unclouded_share * (1.0 - float(np.exp(-SUN_DISC_EXPOSURE * transmittance))) if visible_share > 0.0 else 0.0
+    glow_share = SUN_GLOW_SHARE * visible_share * (1.0 - cloud_cover) * transmittance
+    return SunDisc(view.earth_from_camera.T @ to_sun, color, disc_share, glow_share, pixel_side)
 
 
 @compiled
@@ -232,12 +322,51 @@ def gradient_noise(x, y):
     return outer - np.floor(outer) - 0.5
 
 
+@internal
+def _disc_coverage(px, py, pixel_side, focal, to_sun, up):
+    """Return the share of a pixel that the sun's disc above the horizon covers, by samples of the pixel at (``px``, ``py``)."""
+    covered = 0
+    for i in range(SUN_DISC_SAMPLES):
+        for j in range(SUN_DISC_SAMPLES):
+            x = (px + ((j + 0.5) / SUN_DISC_SAMPLES - 0.5) * pixel_side) / focal
+            y = (py + ((i + 0.5) / SUN_DISC_SAMPLES - 0.5) * pixel_side) / focal
+            if x * up[0] + y * up[1] + up[2] <= 0.0:
+                continue
+            cosine = (x * to_sun[0] + y * to_sun[1] + to_sun[2]) / np.sqrt(1.0 + x * x + y * y)
+            if cosine >= COS_SUN_RADIUS:
+                covered += 1
+    return covered / (SUN_DISC_SAMPLES * SUN_DISC_SAMPLES)
+
+
 @compiled
-def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, out):
+def _add_sun_disc(px, py, focal, up, disc, color):
+    """Blend the sun's disc and its glow over the colours (3, n) of the pixels at ``px`` and ``py`` (n,), in place.
+
+    ``disc`` is a ``SunDisc``, and ``up`` (3,) the unit vector up in the camera's axes.
+    """
+    to_sun, disc_color, disc_share, glow_share, pixel_side = disc
+    for n in range(px.size):
+        x, y = px[n] / focal, py[n] / focal
+        cosine = (x * to_sun[0] + y * to_sun[1] + to_sun[2]) / np.sqrt(1.0 + x * x + y * y)
+        if cosine < COS_SUN_GLOW_RADIUS:
+            continue
+        angle = np.arccos(min(cosine, 1.0))
+        width = angle / SUN_GLOW_WIDTH_RAD
+        share = glow_share * (1.0 - smoothstep_value(angle / SUN_GLOW_RADIUS_RAD)) / (1.0 + width * width)
+        # A pixel is at most as wide as in the middle of the picture.
+        if angle < SUN_RADIUS_RAD + pixel_side / focal:
+            share += (max(disc_share, share) - share) * _disc_coverage(px[n], py[n], pixel_side, focal, to_sun, up)
+        for k in range(3):
+            color[k, n] += (max(disc_color[k], color[k, n]) - color[k, n]) * share
+
+
+@compiled
+def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_sun, sky, disc, out):
     """Write the dithered colours of the pixels from ``first`` to ``last`` (exclusive) to ``out`` (n, 3), by ``sky_colors``.
 
     ``rows`` and ``cols`` (n,) are the pixels. ``pixels`` (3,) holds the view's ``col0``, ``row0`` and ``step_px``, and ``focal``
     its focal length in pixels. ``up`` and ``horizontal_to_sun`` (3,) are unit vectors in the camera's axes.
+    ``disc`` is a ``SunDisc``.
     """
     px, py, sine, azimuth_cosine = np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS), np.empty(BATCH_PIXELS)
     color = np.empty((3, BATCH_PIXELS))
@@ -255,6 +384,8 @@ def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_
                 1.0,
             )
         sky_colors(sky, sine[:count], azimuth_cosine[:count], color[:, :count])
+        if disc.disc_share > 0.0:
+            _add_sun_disc(px[:count], py[:count], focal, up, disc, color[:, :count])
         for k in range(3):
             for n in range(count):
                 # sRGB is about the root of linear light, so that a step of 1/255 is twice that root over 255.
@@ -263,11 +394,15 @@ def _write_sky_pixels(first, last, rows, cols, pixels, focal, up, horizontal_to_
                 out[begin + n, k] = min(max(dithered, 0.0), 1.0)
 
 
-def _sunlight_color(altitude_deg: float) -> np.ndarray:
+def sunlight_color(altitude_deg: float) -> np.ndarray:
     """Return the colour (3,) that sunlight gives to the horizon: white light after its path through the air.
 
     Only the share ``SINGLE_SCATTERING_SHARE`` of the air's optical depth counts.
     """
+    return np.exp(-SINGLE_SCATTERING_SHARE * min(_air_mass(altitude_deg), MAX_AIR_MASS) * np.array(OPTICAL_DEPTH_OF_AIR))
+
+
+def _air_mass(altitude_deg: float) -> float:
+    """Return the optical air mass of the path of sunlight, relative to the zenith (Kasten and Young 1989)."""
     altitude = max(altitude_deg, 0.0)
-    mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(OPTICAL_DEPTH_OF_AIR))
+    return float(1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364))

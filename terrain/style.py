@@ -26,7 +26,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.climate import ColorRamp, climate_srgb, ramp_srgb
+from skugga.terrain.climate import climate_srgb, ramp_srgb
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import Level
 from skugga.terrain.level.level_errors import allowed_phrase
@@ -47,6 +48,9 @@ Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood
 
 EXAGGERATION_EXPONENT, MAX_EXAGGERATION = 0.25, 3.0
 """Power by which slopes grow with a map's pixel size beyond ``min_exaggerated_pixel_m``, and the maximum factor."""
+
+GENERALISED_PIXELS_M = 100.0, 400.0
+"""Sides of a map's pixels from which on slopes are generalised, and fully so: zooms 10 and 8 of web maps in the Alps."""
 
 UNLIMITED_SLOPE = 1e3
 """A slope limit without effect."""
@@ -84,6 +88,10 @@ class Style:
         Share of the veil at height 0, and the height in metres over which it falls to 1/e.
     slope_exaggeration, max_shaded_slope
         Factor of slopes in shading, and the upper limit (a tangent) of exaggerated slopes.
+    local_light
+        Largest turn, in degrees, of the light that shades relief along it, in maps (``skugga.terrain.gbuffer.landforms``).
+    generalisation
+        Share of large landforms in slopes of maps of small scale, 0 to 1 (``generalisation_at``).
     min_exaggerated_pixel_m
         Side of a map's pixels in metres. In maps with larger pixels slopes are exaggerated more (``slope_exaggeration_at``). Pixels
         of a country's map are means over whole valleys, whose slopes are too gentle to see.
@@ -107,6 +115,8 @@ class Style:
     air_veil_scale_height_m: float = 1500.0
     slope_exaggeration: float = 1.0
     max_shaded_slope: float = UNLIMITED_SLOPE
+    local_light: float = 0.0
+    generalisation: float = 0.0
     min_exaggerated_pixel_m: float = 60.0
     has_natural_ground: bool = True
 
@@ -114,6 +124,14 @@ class Style:
         """Return the factor of slopes in a map whose pixels have a side of ``pixel_m`` metres."""
         pixel_factor = (pixel_m / self.min_exaggerated_pixel_m) ** EXAGGERATION_EXPONENT
         return self.slope_exaggeration * float(np.clip(pixel_factor, 1.0, MAX_EXAGGERATION))
+
+    def generalisation_at(self, pixel_m: float) -> float:
+        """Return the share of large landforms in the slopes of a map, 0 to 1.
+
+        It grows with the logarithm of the pixels' side ``pixel_m`` in metres, from 0 at ``GENERALISED_PIXELS_M``'s first value.
+        """
+        first, last = np.log(GENERALISED_PIXELS_M)
+        return self.generalisation * float(np.clip((np.log(pixel_m) - first) / (last - first), 0.0, 1.0))
 
 
 STYLES = {
@@ -131,7 +149,7 @@ STYLES = {
              (3200.0, "#f6efdd"), (4200.0, "#fffdf6")),
             sunlight_color=(1.0, 0.93, 0.76), sky_light_color=(0.60, 0.68, 1.0), sky_light_desaturation=0.7,
             sky="clear", sunward_sky_light_share=0.8, air_veil_share=0.22,
-            slope_exaggeration=1.25,
+            slope_exaggeration=1.25, local_light=30.0, generalisation=0.65,
         ),
         Style(
             "grey", "neutral grey, as a base for other colours",
@@ -177,12 +195,34 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_area_share: Cal
         style = replace(style, ramp=spec.ramp, has_latitude_tints=False)
     if spec.sky is not None:
         style = replace(style, sky=spec.sky)
+    if spec.local_light is not None:
+        style = replace(style, local_light=spec.local_light)
+    if spec.generalisation is not None:
+        style = replace(style, generalisation=spec.generalisation)
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 
-def style_spec(level_style: StyleSpec, name: str | None, slope_exaggeration: float | None, sky: str | None = None) -> StyleSpec:
-    """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``."""
-    changes = {"name": name, "slope_exaggeration": slope_exaggeration, "sky": sky}
+def style_spec(
+    level_style: StyleSpec,
+    name: str | None,
+    slope_exaggeration: float | None,
+    sky: str | None = None,
+    ramp: ColorRamp | None = None,
+    local_light: float | None = None,
+    generalisation: float | None = None,
+) -> StyleSpec:
+    """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``.
+
+    A style given by name does not use the level's colour ramp, but that of the request.
+    """
+    changes = {
+        "name": name,
+        "slope_exaggeration": slope_exaggeration,
+        "sky": sky,
+        "ramp": ramp,
+        "local_light": local_light,
+        "generalisation": generalisation,
+    }
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
         return StyleSpec.model_validate({**(level_style.model_dump(exclude={"ramp"} if name is not None else set())), **changes})

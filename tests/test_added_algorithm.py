@@ -353,8 +353,10 @@ def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
 PATH_BY_ALGORITHM = {
     "shadow_map": "shadows/maps/",
     "perspective_shadow_map": "shadows/maps/",
+    "light_space_perspective_map": "shadows/maps/",
     "shadow_volume": "shadows/volumes/",
     "hybrid": "shadows/hybrid/",
+    "reconstructed_volume": "shadows/reconstruction/",
     "planar": "shadows/planar.py",
     "sweep": "shadows/sweep/",
     "truth": "shadows/truth/",

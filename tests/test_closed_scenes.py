@@ -16,7 +16,7 @@ from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.view_truth import truth_of_view
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached_shadow import attached_shadow_mask
-from skugga.shadows.ground_pictures import _ground_between_nodes
+from skugga.shadows.ground_pictures import _generalised_ground_normals, _ground_between_nodes
 from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
@@ -28,11 +28,13 @@ from skugga.terrain.casters.patch_bounds import patch_bounds
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
 from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.facts.plane_facts import _roof_planes
 from skugga.terrain.facts.relief_rays import overview_probes
 from skugga.terrain.facts.visible_points import probes_in_map
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.gbuffer.landforms import landforms
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -109,17 +111,21 @@ def draw_with_everything(scene: Scene) -> list[object]:
     block = geometry_buffer(scene, scene.view(size=(64, 64)))
     attached_shadow_mask(block, scene)
     block_sky_light(ShadingBlock(scene, block.view, block, {}))
+    landforms(scene, block.view, block.frame)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
     ground_detail._albedo_changes(buffer, scene, view)  # a level with imagery leaves it out
     texel_footprint_px(scene, plan.steps_of_light("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
-    bare_ground(scene, nodes, None)
+    ground = bare_ground(scene, nodes, None)
+    assert ground is not None
+    _generalised_ground_normals(scene, nodes, ground)
     _ground_between_nodes(scene, nodes.part(0, 0, 8, 8).shifted(0.25, 0.25), None)
     patch_bounds(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
     compute(scene, nodes, ProductRequest(product="height"), None)
+    _roof_planes(scene.objects)  # a map of ground that is not a plane leaves it out
     point = place_at(scene, tuple(lon_lat_at(240, 200)))
     horizon_profile(load_surroundings(scene, point))
     view_truth.errors([np.ones(buffer.valid.shape)], plan.steps_of_light("sun"), 1.0)

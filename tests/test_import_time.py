@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[1]
 
 SLOW_MODULES = frozenset(
     "OpenGL PIL boto3 dask embreex fastapi llvmlite mapbox_earcut matplotlib moderngl morecantile numba numpy pandas pmtiles pvlib "
-    "pydantic pyogrio pyproj rasterio rich scipy.interpolate scipy.ndimage scipy.optimize scipy.sparse scipy.spatial shapely "
-    "starlette trimesh uvicorn xarray".split()
+    "py_straight_skeleton pydantic pyogrio pyproj rasterio rich scipy.interpolate scipy.ndimage scipy.optimize scipy.sparse "
+    "scipy.spatial shapely starlette trimesh uvicorn xarray".split()
 )
 """Modules that take from a hundredth of a second (moderngl) to almost a second (pvlib) to import. SciPy counts by its parts: the
 package alone is light, and numba imports it.

@@ -118,6 +118,7 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     return {
         "choice": algorithms_label(plan),
         "ms": None if predicted is None else predicted.ms,
+        "ms_at_rest": None if predicted is None else predicted.ms_at_rest,
         "error": None if predicted is None else predicted.wrong_cast,
         "met": plan.target.met,
         "plan": plan.model_dump(mode="json"),

@@ -15,12 +15,13 @@ import typer
 
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import ProgressLines
-from skugga.api.cli.snapshot import StyleOverrides, check_seconds, declare_view_loops
+from skugga.api.cli.snapshot import NO_STYLE_OVERRIDES, StyleOverrides, check_seconds, declare_view_loops
 from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
+from skugga.api.request import PictureRequest
 from skugga.selector.film import FilmFrame, FrameMoment, describe_frame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
@@ -88,7 +89,7 @@ def render_film(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     seconds: float | None = None,
-    style_overrides: StyleOverrides = (None, None, None),
+    style_overrides: StyleOverrides = NO_STYLE_OVERRIDES,
     stats: Path | None = None,
     max_ms: float | None = None,
 ) -> None:
@@ -120,7 +121,7 @@ def render_film(
         print_warnings(scene)
         if sun is None and span.start is None:
             print_default_sun(scene)
-        scene = scene.with_style(*style_overrides)
+        scene = PictureRequest(**style_overrides).applied_to(scene)
         request = FilmRequest(span, view, path, size, bounds, crs, overrides)
         moments = frame_moments(scene, request)
         check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))

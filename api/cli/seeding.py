@@ -13,6 +13,7 @@ import typer
 from rich import box
 from rich.console import Console
 
+from skugga.api.cli.common_options import check_has_style, read_style
 from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.product_parameters import split_product_options
 from skugga.api.cli.progress import ProgressLines
@@ -46,7 +47,7 @@ TASK_TABLE_FILE_NAME = "tasks.sqlite"
 LOG_FILE_NAME = "log.jsonl"
 
 ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
-"""Assumed bytes of a PNG tile full of data, by layer, until tiles are measured. ``color`` was measured (docs/scale.md)."""
+"""Assumed bytes of a PNG tile full of data, by layer, until tiles are measured. ``color`` was measured (docs/reports/scale.md)."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,9 @@ class SeedOptions:
     step: str | None
     azimuth: float | None
     altitude: float | None
+    style: str | None
+    slope_exaggeration: float | None
+    sky: str | None
     workers: int | None
     scheduler: str | None
     work: Path | None
@@ -90,8 +94,12 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
         check_output(path)
     check_output_files(level, [("--output", path) for path in paths])
     level = level.model_copy(update={"path": level.path.resolve()})
+    look = read_style(options.style, options.slope_exaggeration, options.sky)
+    check_has_style(product_named(options.layer), options.style, options.slope_exaggeration, options.sky)
     layer_options, overrides = split_product_options(product_named(options.layer), declared_options)
-    product_request = ProductRequest(product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides))
+    product_request = ProductRequest(
+        product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides), **look
+    )
     request = SeedRequest(level, _parse_zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
     work = options.work or options.output.with_name(options.output.name.replace(TIME_PLACEHOLDER, "times") + ".seed")
     store_address = options.shards or str(work.resolve() / "shards")

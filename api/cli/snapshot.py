@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.compute import ComputedProduct, compute, plan_for
 from skugga.api.encoding import ARRAY_FORMATS, apply_color_scale, as_picture, encode_exactly
 from skugga.api.picture_cost import MAX_MS_OPTION, check_cost, limit_or_service_limit_ms
-from skugga.api.request import ProductRequest
+from skugga.api.request import PictureRequest, ProductRequest
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.plan import Plan
 from skugga.terrain.atomic_files import write_atomically
@@ -29,8 +30,10 @@ MAX_CLOCK_S = 1e9
 """Largest absolute reading of a level's clock, as in level files."""
 
 
-StyleOverrides = tuple[str | None, float | None, str | None]
-"""Names of a style, factor of slope exaggeration, and name of a sky; ``None`` keeps the level's value."""
+StyleOverrides = Mapping[str, Any]
+"""Fields of a ``PictureRequest`` that change the style, as ``read_style`` returns them; absent fields keep the level's value."""
+
+NO_STYLE_OVERRIDES: StyleOverrides = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,7 @@ def snapshot(
     seconds: float | None = None,
     light: str | None = None,
     max_ms: float | None = None,
-    style_overrides: StyleOverrides = (None, None, None),
+    style_overrides: StyleOverrides = NO_STYLE_OVERRIDES,
 ) -> Snapshot:
     """Compute a product of a level's view.
 
@@ -86,7 +89,7 @@ def snapshot(
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
     if request.sun is None and request.product_record.when == "sun":
         print_default_sun(scene)
-    scene = scene.with_style(*style_overrides)
+    scene = PictureRequest(**style_overrides).applied_to(scene)
     plan = plan_for(scene, view_value, view, request.product_record, overrides, has_time_limit=max_ms is not None)
     if plan is not None:
         is_map = isinstance(view_value, MapView)

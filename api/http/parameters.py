@@ -21,6 +21,7 @@ from skugga.api.products.product import Product
 from skugga.api.request import PictureRequest, ProductRequest, RequestedSettings
 from skugga.api.signature_parameters import FunctionT, with_parameters, with_shadow_settings
 from skugga.api.workers.jobs import ServedPolicy
+from skugga.terrain.color_ramp import ALLOWED_RAMP_TEXTS, MAX_RAMP_CHARACTERS
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
@@ -107,6 +108,33 @@ SkyQuery = Annotated[
     ),
 ]
 
+RampQuery = Annotated[
+    str | None,
+    Query(
+        max_length=MAX_RAMP_CHARACTERS,
+        description="Colours of the ground by its height above the level's zero, in place of the style's: "
+        f"{ALLOWED_RAMP_TEXTS}. Colours between two heights are mixed.",
+        examples=["0:a9be98,1500:d9d2ae,4000:f4f4f4"],
+    ),
+]
+
+LocalLightQuery = Annotated[
+    float | None,
+    PLAIN_DECIMAL,
+    Query(
+        ge=0.0, le=45.0, allow_inf_nan=False, examples=[30],
+        description="Largest turn in degrees of the light that shades relief along it, in maps; shadows stay those of the sun.",
+    ),
+]  # fmt: skip
+GeneralisationQuery = Annotated[
+    float | None,
+    PLAIN_DECIMAL,
+    Query(
+        ge=0.0, le=1.0, allow_inf_nan=False, examples=[0.6],
+        description="Share of large landforms in the slopes of maps of small scale; shadows stay those of the true ground.",
+    ),
+]  # fmt: skip
+
 
 def style_named(name: str | None, parameter_name: str = "style") -> StyleName | None:
     """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
@@ -137,12 +165,16 @@ async def picture_query(
     style: StyleQuery = None,
     slope_exaggeration: SlopeExaggerationQuery = None,
     sky: SkyQuery = None,
+    ramp: RampQuery = None,
+    local_light: LocalLightQuery = None,
+    generalisation: GeneralisationQuery = None,
     **shadow_settings: Any,
 ) -> PictureRequest:
     """Return the request for a picture (a FastAPI dependency). Raises ``InputError``."""
     sun = request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
-        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, sky=sky,
+        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, sky=sky, ramp=ramp,
+        local_light=local_light, generalisation=generalisation,
         overrides=served_settings(shadow_settings),
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ from skugga.api.request import ProductRequest
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.level.camera_file import load_camera_path
 
 
@@ -40,6 +41,7 @@ class LevelPictures(LevelState):
         style: str | None = None,
         slope_exaggeration: float | None = None,
         sky: str | None = None,
+        ramp: ColorRamp | None = None,
         **shadows: Any,
     ) -> np.ndarray:
         """Render a layer of a view of the level.
@@ -68,6 +70,8 @@ class LevelPictures(LevelState):
             Factor by which slopes are exaggerated, in shading only.
         sky
             The sky that lights the ground of maps: ``even``, ``clear`` or ``overcast``; default: the style's.
+        ramp
+            Pairs of a height in metres and a colour such as ``#b3c2a2``, with increasing heights, in place of the style's colours.
         **shadows
             Keys of a level's ``shadows``, as ``algorithm="shadow_volume"``.
 
@@ -83,7 +87,7 @@ class LevelPictures(LevelState):
             For a wrong argument, or if rendering fails.
         """
         scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).at_second(seconds)
-        scene = scene.with_style(style, slope_exaggeration, sky)
+        scene = scene.with_style(style, slope_exaggeration, sky, ramp)
         product, rendered_view = product_named(layer), scene.view(view, bounds, crs_text(crs), size)
         self._issue_object_warnings()
         plan = plan_for(scene, rendered_view, view, product, shadows)
@@ -109,6 +113,7 @@ class LevelPictures(LevelState):
         style: str | None = None,
         slope_exaggeration: float | None = None,
         sky: str | None = None,
+        ramp: ColorRamp | None = None,
         **shadows: Any,
     ) -> Iterator[np.ndarray]:
         """Return an iterator of the pictures of a film.
@@ -128,7 +133,7 @@ class LevelPictures(LevelState):
             A camera file, for a moving camera.
         fps
             Pictures per second. Without ``step``, a film with clock readings has ``1 / fps`` seconds between pictures.
-        time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, sky, **shadows
+        time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, sky, ramp, **shadows
             As in ``render``.
 
         Returns
@@ -143,7 +148,7 @@ class LevelPictures(LevelState):
         """
         camera_path = None if path is None else load_camera_path(path)
         span = film_span(iso_time(start), iso_time(end), step, fps, camera_path, seconds)
-        scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration, sky)
+        scene = self._scene.with_sun(requested_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration, sky, ramp)
         request = FilmRequest(span, view, camera_path, size, bounds, crs_text(crs), shadows)
         moments = frame_moments(scene, request)
         self._issue_object_warnings()

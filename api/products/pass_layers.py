@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.api.products.product import NEEDS_FRAME, MapFormat, Product, ProductInput
+from skugga.api.light_drawing import draw_lines_over_frame, draw_post_perspective, tone_map_light_view
+from skugga.api.products.product import NEEDS_FRAME, MapFormat, Product, ProductInput, ViewKind
 from skugga.shadows.passes import PassLayer
 from skugga.terrain.errors import InputError, Problem
 
@@ -45,17 +46,28 @@ def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 
 
 def _pass_product(
-    layer: PassLayer, description: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None
+    layer: PassLayer,
+    description: str,
+    formats: tuple[MapFormat, ...],
+    to_picture: Callable[..., Any] | None = None,
+    draw_over_frame: Callable[..., Any] | None = None,
+    view_kinds: tuple[ViewKind, ...] = ("map", "perspective"),
 ) -> Product:
     """Return the product that shows a layer of an algorithm's render pass, such as a shadow map.
 
-    ``to_picture`` returns a picture for PNG from the layer and the frame's colours; ``None`` if the layer itself is shown.
+    ``to_picture`` returns a picture for PNG from the layer and the frame's colours, and ``draw_over_frame`` one from the layer and
+    the frame; without either the layer itself is shown. ``view_kinds`` are the kinds of views that it exists for.
     """
 
     def compute(product_input: ProductInput) -> np.ndarray:
         """Return the pass layer of the frame's first light. Raises ``InputError`` if the light has none."""
         frame = product_input.frame
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
+        notes = [record.note for record in frame.passes if record.name.startswith(f"{light}/") and record.note]
+        if light not in by_light and notes:
+            raise InputError(
+                "layer", Problem(f"{light} has no layer {layer} in this view: {notes[0]}"), "Use another view or layer"
+            )
         if not by_light:
             raise InputError("layer", Problem(f"no light has a layer {layer} in this view"), "Use another view or layer")
         if light not in by_light:
@@ -64,7 +76,7 @@ def _pass_product(
 
     return Product(
         name=layer, description=description, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer,
-        to_picture=to_picture,
+        to_picture=to_picture, draw_over_frame=draw_over_frame, view_kinds=view_kinds,
     )  # fmt: skip
 
 
@@ -75,5 +87,18 @@ PRODUCTS = (
         "silhouettes", "edges of casters seen from the light; for a hybrid, the pixels that its volumes decide", ("npy", "png")
     ),
     _pass_product("volumes", "shadow volumes over the picture", ("npy", "png"), _blend_volumes),
-    _pass_product("shadow-height", "", ("npy", "tif")),
+    _pass_product("shadow-height", "the height in metres above which the sun is visible", ("npy", "tif")),
+    _pass_product(
+        "light-frustum", "the space that each shadow map covers, as lines over the picture", ("npy", "png"),
+        draw_over_frame=draw_lines_over_frame, view_kinds=("perspective",),
+    ),
+    _pass_product(
+        "light-bounds", "the boxes of receivers and casters that shadow maps are fitted to", ("npy", "png"),
+        draw_over_frame=draw_lines_over_frame, view_kinds=("perspective",),
+    ),
+    _pass_product("light-view", "what the light sees in its shadow maps, near parts bright", ("npy", "png"), tone_map_light_view),
+    _pass_product(
+        "post-perspective", "the scene in the space of a perspective shadow map", ("npy", "png"),
+        draw_over_frame=draw_post_perspective, view_kinds=("perspective",),
+    ),
 )  # fmt: skip

@@ -47,7 +47,7 @@ def _position(product_input: ProductInput) -> np.ndarray:
 PRODUCTS = (
     Product(
         name="depth",
-        description="",
+        description="depth in metres: below the level's highest ground in a map, along the view axis in perspective",
         formats=("npy", "tif"),
         compute=_depth,
         needs=NEEDS_FRAME,
@@ -57,7 +57,7 @@ PRODUCTS = (
     ),
     Product(
         name="position",
-        description="",
+        description="coordinates x, y and height in the CRS of the level's maps",
         formats=("npy",),
         compute=_position,
         needs=NEEDS_FRAME,

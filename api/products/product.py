@@ -38,6 +38,9 @@ MEDIA_TYPES: dict[MapFormat, str] = {
 
 PICTURE_FORMATS: tuple[PictureFormat, ...] = ("png", "webp", "jpg")
 
+ViewKind = Literal["map", "perspective"]
+"""Kinds of views."""
+
 HeightEncoding = Literal["mapbox", "terrarium"]
 """Encodings of heights in colours, by MapLibre's names."""
 
@@ -144,7 +147,7 @@ class Product:
     name
         The name in commands, queries and files.
     description
-        A description in one line, in lower case; empty for a product that HTTP does not serve.
+        A description in one line, in lower case.
     formats
         The file formats that hold it without loss, or as a picture.
     compute
@@ -175,6 +178,8 @@ class Product:
         The layer of a pass that it shows.
     to_picture
         Returns a picture for PNG, from the array and the frame's colour.
+    draw_over_frame
+        Returns a picture for PNG, from the array and the frame, in place of ``to_picture``.
     color_scale
         Returns the colour scale of pictures and legends, for options and a world.
     describe
@@ -204,7 +209,7 @@ class Product:
     description: str
     formats: tuple[MapFormat, ...]
     compute: Callable[[ProductInput], np.ndarray]
-    view_kinds: tuple[Literal["map", "perspective"], ...] = ("map", "perspective")
+    view_kinds: tuple[ViewKind, ...] = ("map", "perspective")
     when: Literal["none", "sun", "days"] = "sun"
     needs: Needs = NEEDS_NOTHING
     perspective_needs: Needs | None = None
@@ -218,6 +223,7 @@ class Product:
     encoding: HeightEncoding | None = None
     pass_layer: PassLayer | None = None
     to_picture: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    draw_over_frame: Callable[[np.ndarray, Frame], np.ndarray] | None = None
     color_scale: Callable[[Any, World], ColorScale] | None = None
     describe: Callable[[Any], tuple[str, str]] | None = None
     empty: Callable[[int, int, float], np.ndarray] | None = None

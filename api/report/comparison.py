@@ -43,11 +43,12 @@ def print_comparison(comparison: Comparison, base_command: str) -> None:
 
     ``base_command`` is the command line of the comparison, to which ``--only ROW`` can be appended.
     """
-    console = Console(width=140)
+    console = Console(width=148)
     table = Table(box=None, header_style="bold")
     table.add_column("algorithm-texels-taps-bits", no_wrap=True, overflow="ignore")
     for title in (
         "ms",
+        "at rest",
         "wrong cast %",
         "soft %",
         "wrong %",
@@ -143,6 +144,7 @@ def _table_cells(row: ComparisonRow) -> list[str]:
     return [
         f["name"],
         f"{f['ms_median']:.0f}" + ("?" if f["cold"] else ""),
+        "" if f["ms_at_rest"] is None else f"{f['ms_at_rest']:.0f}",
         f"{100 * f['wrong_cast']:.2f}",
         f"{100 * f['soft_error']:.2f}",
         f"{100 * f['wrong']:.3f}",

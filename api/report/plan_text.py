@@ -90,6 +90,21 @@ def format_choices(plan: Plan) -> list[str]:
 
 
 def format_expectation(plan: Plan) -> str:
+    """Return sentences on a plan's expected time and error, on its target, and on its time while nothing moves."""
+    return " ".join(filter(None, [_expectation_sentences(plan), _at_rest_sentence(plan)]))
+
+
+def _at_rest_sentence(plan: Plan) -> str:
+    """Return a sentence on the expected time of a frame in which nothing has moved; empty where it is not shorter or not known."""
+    if plan.predicted is None or plan.predicted.ms_at_rest is None:
+        return ""
+    at_rest = format_duration(plan.predicted.ms_at_rest)
+    if plan.predicted.ms_at_rest >= plan.predicted.ms or at_rest == format_duration(plan.predicted.ms):
+        return ""
+    return f"While nothing moves: {at_rest} a frame, since caches hold maps and volumes."
+
+
+def _expectation_sentences(plan: Plan) -> str:
     """Return one or two sentences on a plan's expected time and error, and on its target."""
     target = format_target(plan.target)
     if plan.predicted is None:
@@ -221,6 +236,8 @@ def _setting_phrase(key: str, value: object) -> str:
             return f"{value} x {value} taps"
         case "culling", "none":
             return "no culling"
+        case "mask" | "slide_back", "off":
+            return f"no {display_name(key)}"
         case _, str() if key != "culling":
             return f"{display_name(value)} {display_name(key)}"
         case _:

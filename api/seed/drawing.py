@@ -38,7 +38,7 @@ class TaskDrawer:
         loaded = load_level(spec.level)
         declare_product(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
         self._scene = build_scene(loaded)
-        self._scenes_by_sun = {number: self._scene.with_sun(sun) for number, sun in enumerate(spec.suns)}
+        self._scenes_by_sun = {number: spec.request(number).applied_to(self._scene) for number in range(len(spec.suns))}
 
     def draw(self, task: Task) -> TaskResult:
         """Draw a task and write its shard. Raises ``SkuggaError`` and ``OSError``."""

@@ -31,6 +31,7 @@ from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.casters.caster_types import PATCH_QUADS
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES
 from skugga.terrain.effects.texture_shading import texture_margin_px
+from skugga.terrain.gbuffer.landforms import landform_margin_px
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
@@ -49,7 +50,7 @@ LATTICE_INTERVALS = 4
 MARGIN_PX, MARGIN_CELLS = 8, 8
 """Margins that a block's normals and bilinear heights need: pixels around the block, and cells around these pixels.
 
-Texture shading needs more pixels (``texture_margin_px``).
+Texture shading and large landforms need more pixels (``texture_margin_px``, ``landform_margin_px``).
 """
 
 SHADOW_MARGIN_DEG = 0.3
@@ -145,10 +146,12 @@ class GroundDependencies:
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._sunlit_chunks(plan)
         has_texture = plan is not None and TEXTURE_PASS in plan.effect_names
+        style = self._scene.style
+        landforms_px = landform_margin_px() if plan is not None and (style.generalisation or style.local_light) else 0
         masks = []
         for x, y in blocks:
             texture_px = texture_margin_px(self._scene, block_of_grid(grid, x, y)) if has_texture else 0
-            visible_chunks = self._visible_chunks(grid, x, y, MARGIN_PX + texture_px)
+            visible_chunks = self._visible_chunks(grid, x, y, MARGIN_PX + max(texture_px, landforms_px))
             masks.append(
                 visible_chunks if sunlit is None else visible_chunks | self._shading_chunks(grid, x, y, visible_chunks, sunlit)
             )

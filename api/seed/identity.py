@@ -96,7 +96,10 @@ def digest_of_json(value: Any) -> str:
 def _source_names(loaded: LoadedLevel) -> list[str]:
     """Return the names of the files that a level refers to, as written in the level file."""
     level = loaded.level
-    sources = [level.terrain.source, level.terrain.imagery, *(forest_stand.source for forest_stand in level.forest)]
+    sources = [level.terrain.source, level.terrain.imagery]
+    sources += [spec.source for spec in (*level.roads, *level.rivers)]
+    sources += [spec.source for spec in level.land_cover]
+    sources += [stand.source for stand in level.forest]
     for mesh in level.meshes:
         sources += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
     return [name for name in dict.fromkeys(sources) if name is not None]

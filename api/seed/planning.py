@@ -174,13 +174,18 @@ def _make_spec(
     on_status("Reading the ground")
     ground = GroundDependencies(scene, cached_ground_chunks(loaded, scene, table))
     product, overrides = request.product_request.product_record, request.product_request.overrides
-    request_values = [level_digest(loaded, scene, table), request.format, request.product_request.model_dump(mode="json")]
+    request_values = [
+        level_digest(loaded, scene, table),
+        request.format,
+        request.product_request.model_dump(mode="json", exclude_none=True),
+    ]
     # The range of heights scales colours, and its middle places lines towards the sun.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
-    planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
+    level_key = LevelKey(**{**request.level.model_dump(), "version": version})
+    planner = _Planner(table, loaded, level_key, overrides.for_selector(), request.product_request.picture)
     tasks, plans, measured_costs = [], [], table.measured_costs()
     for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
-        lit_scene = scene.with_sun(sun)
+        lit_scene = request.product_request.with_sun(sun).applied_to(scene)
         ground_under_sun, settings = (
             ground.with_sun(lit_scene),
             digest_of_json([*request_values, None if sun else _level_sun_values(scene)]),
@@ -207,10 +212,12 @@ def _make_spec(
 class _Planner:
     """Make the plan of each zoom of a level, as a service would. Plans that the table stores are reused."""
 
-    def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
+    def __init__(
+        self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any], picture: PictureRequest
+    ) -> None:
         self._table, self._level, self._overrides = table, level, overrides
         settings = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
-        self._request_digest = digest_of_json([settings, repr(sorted(overrides.items()))])
+        self._request_digest = digest_of_json([settings, repr(sorted(overrides.items())), picture.query()])
         self._plan_measurements: PlanMeasurements | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:

@@ -4,8 +4,8 @@
 
 DATA is the folder of sample rasters. ``--python`` is the interpreter of the package `insolation` and of SurtGIS. GRASS is Debian's
 `grass-core`, SAGA its `saga`. Tools that are missing or fail are reported and skipped. With ``--write`` the figures go into
-irradiation.json and the tables into docs/irradiation.md, else they are printed. ``--only`` measures some tables again; figures of
-the others are kept. It takes about half an hour on two idle cores.
+irradiation.json and the report to docs/reports/irradiation.md, else it is printed. ``--only`` measures some tables again; figures
+of the others are kept. It takes about half an hour on two idle cores.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ import rasterio
 from benchmarks.irradiation.figures import HillRow, RayRow, Results, ToolRow
 from benchmarks.irradiation.hill_raster import HillRaster, open_hills
 from benchmarks.irradiation.hills import hills_irradiation
-from benchmarks.irradiation.page import format_tables, hill_table, ray_table, tool_table
+from benchmarks.irradiation.page import format_report, hill_table, ray_table, tool_table
 from benchmarks.irradiation.rays import beam_errors, sample_cells
 from benchmarks.irradiation.tools import PERIODS, beam_tools, measure_tools, missing_tools
 from benchmarks.peers.tools import run_process
+from benchmarks.report_pages import REPORTS, head_commit
 from benchmarks.sun_questions.commands_and_rasters import RASTERS, SKUGGA_COMMAND, WHOLE_RASTERS, read_dem, tool_versions
 from benchmarks.sweep_speed import processor_name
 from skugga.api.raster_view import raster_view
@@ -44,10 +45,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 FIGURES_FILE = Path(__file__).with_name("irradiation.json")
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "irradiation.md"
-
-BEGIN, END = "<!-- measured -->\n", "<!-- end of measured -->\n"
-"""Marks of the tables on the page."""
+REPORT = REPORTS / "irradiation.md"
 
 YEAR = 2023
 
@@ -181,11 +179,14 @@ def measure(arguments: argparse.Namespace) -> Results:
             progress(tool_table([tool_row]))
         results = replace(results, tools=tools, left_out=left_out)
     used = [name for name in ("Skugga", "GRASS", "SAGA", "SurtGIS") if name in results.versions]
-    return replace(results, load_after=os.getloadavg()[0], versions={name: results.versions[name] for name in used})
+    return replace(
+        results, load_after=os.getloadavg()[0], versions={name: results.versions[name] for name in used},
+        date=date.today().isoformat(), commit=head_commit(),
+    )  # fmt: skip
 
 
 def main() -> None:
-    """Measure, and print or write the tables."""
+    """Measure, and print or write the report."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.irradiation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -200,11 +201,10 @@ def main() -> None:
         parser.error(f"--only {arguments.only} is invalid. Allowed: hills, rays, tools.")
     warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear")  # pvlib uses a name that pandas will drop
     results = measure(arguments)
-    text = format_tables(results)
+    text = format_report(results)
     if arguments.write:
         FIGURES_FILE.write_text(json.dumps(asdict(results), indent=1) + "\n", "utf-8")
-        before, _, rest = PAGE.read_text("utf-8").partition(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.partition(END)[2]}", "utf-8")
+        REPORT.write_text(text, "utf-8")
     else:
         print(text)
 

@@ -115,6 +115,8 @@ class Results:
         Names of tools that were skipped, with the reason.
     hills, rays, tools
         The tables' rows.
+    date, commit
+        Date of the latest measurement, ISO 8601, and abbreviated hash of its commit.
     """
 
     where: str
@@ -125,6 +127,8 @@ class Results:
     hills: list[HillRow]
     rays: list[RayRow]
     tools: list[ToolRow]
+    date: str = "unknown"
+    commit: str = "unknown"
 
     @staticmethod
     def read(values: dict[str, Any]) -> Results:

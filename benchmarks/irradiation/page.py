@@ -5,6 +5,7 @@ from __future__ import annotations
 from benchmarks.irradiation.figures import HillRow, RayRow, Results, ToolRow
 from benchmarks.irradiation.rays import BeamErrors
 from benchmarks.peers.pages import format_percent, format_seconds
+from benchmarks.report_pages import Provenance, format_provenance
 from benchmarks.seeds.claims import markdown_table
 
 
@@ -85,12 +86,18 @@ at least 0. `saga_cmd` 8.5 ignores dates on its command line, and was run by a t
 chain."""
 
 
-def format_tables(results: Results) -> str:
-    """Format all tables with their explanations, in Markdown."""
+def format_report(results: Results) -> str:
+    """Format the report: all tables with their explanations, in Markdown."""
+    provenance = Provenance(
+        "python -m benchmarks.irradiation DATA --python PATH --write", results.date, results.commit, results.where
+    )
     versions = ", ".join(f"{name} {number}" for name, number in results.versions.items())
     paragraphs = [
+        "# Report: irradiation beside truth and other tools",
+        format_provenance(provenance),
+        "`DATA` is the folder of sample rasters; `PATH` is an interpreter that has the package `insolation` and SurtGIS.\n"
         "Errors are shares of the mean of truth over the compared cells: the mean without sign, a percentile, and the bias. "
-        f"{results.where}; load {results.load_before:.1f} before and {results.load_after:.1f} after: under load, seconds are "
+        f"Load {results.load_before:.1f} before and {results.load_after:.1f} after: under load, seconds are "
         f"comparable only with each other. {versions}.",
     ]  # fmt: skip
     sections = [
@@ -99,7 +106,7 @@ def format_tables(results: Results) -> str:
     ]  # fmt: skip
     for title, method, table in sections:
         if table:
-            paragraphs += [f"### {title}", method, "\n".join(table)]
+            paragraphs += [f"## {title}", method, "\n".join(table)]
     if results.left_out:
         paragraphs.append("Left out:\n\n" + "\n".join(f"- {name}: {reason}." for name, reason in results.left_out.items()))
     return "\n\n".join(paragraphs) + "\n"

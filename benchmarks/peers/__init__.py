@@ -1,1 +1,1 @@
-"""Comparison of Skugga's cast shadows with those of other tools: ``python -m benchmarks.peers`` writes docs/peers.md."""
+"""Comparison of Skugga's cast shadows with those of other tools: ``python -m benchmarks.peers`` writes docs/reports/peers.md."""

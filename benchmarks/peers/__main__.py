@@ -12,7 +12,8 @@ depend on the rays' offset from the ground. For the other tools, truth must not 
 ``--python`` is the interpreter of the Python packages (`pip install insolation numba topocalc solweig whitebox-workflows
 rasterio`), which may have an environment of their own. The other tools are in Debian's packages `grass-core`, `saga`, `pktools` and
 `gdal-bin`. Tools that are not installed are reported and skipped. ``--side`` makes smaller rasters, for trials; ``--readme`` prints
-the short table; ``--write-only`` measures nothing and writes the page and its picture again.
+the short table of README.md; ``--write-only`` measures nothing and writes the report, its picture and the summary in docs/peers.md
+again.
 """
 
 from __future__ import annotations
@@ -24,20 +25,23 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.peers.figures import ComparedRaster, PeerComparison, SunShares, ToolRecord, ToolResult
-from benchmarks.peers.pages import format_page, short_table
+from benchmarks.peers.pages import format_page, format_summary, short_table
 from benchmarks.peers.picture import write_plot
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, make_tools, write_dem
+from benchmarks.report_pages import REPORTS, head_commit, write_between_marks
 from benchmarks.sweep_accuracy import GridRays, GridTruth
 from benchmarks.sweep_speed import CELL_M, fractal_heights_m, processor_name
 from skugga.terrain.level.bundled import BUNDLED
 
 HERE = Path(__file__).parent
 DOCS = HERE.parents[1] / "docs"
+PAGE = DOCS / "peers.md"
 
 SUN_ANGLES_DEG = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0), (67.0, 3.0)]
 """Azimuth and altitude, degrees. The first three azimuths are those of the grid's axes and diagonals."""
@@ -166,7 +170,10 @@ def measure_all(python: str, side: int, repeats: int) -> PeerComparison:
     ]
     records = [record for record in records if record.name not in left_out]
     machine = f"{processor_name()}, {os.cpu_count()} cores"
-    return PeerComparison(machine, repeats, MAX_REPEATED_RUN_S, time.perf_counter() - begin, terrains, records, left_out, answers)
+    took_s = time.perf_counter() - begin
+    return PeerComparison(
+        machine, repeats, MAX_REPEATED_RUN_S, took_s, terrains, records, left_out, answers, date.today().isoformat(), head_commit()
+    )
 
 
 def _tool_result(
@@ -193,7 +200,7 @@ def _tool_result(
 
 
 def main() -> None:
-    """Measure, and write figures, page and picture."""
+    """Measure, and write figures, report and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--python", default=sys.executable, metavar="PATH", help="the interpreter that has the packages of the other tools"
@@ -203,7 +210,7 @@ def main() -> None:
         "--side", type=int, default=2048, help="cells a side of the fractal mountains, and maximum of the other raster"
     )
     parser.add_argument("--json", type=Path, default=HERE / "peers.json", metavar="FILE")
-    parser.add_argument("--markdown", type=Path, default=DOCS / "peers.md", metavar="FILE")
+    parser.add_argument("--markdown", type=Path, default=REPORTS / "peers.md", metavar="FILE")
     parser.add_argument("--picture", type=Path, default=DOCS / "images" / "peers.webp", metavar="FILE")
     parser.add_argument("--readme", action="store_true", help="print the short table")
     parser.add_argument("--write-only", action="store_true")
@@ -213,6 +220,7 @@ def main() -> None:
         args.json.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
     comparison = PeerComparison.read(json.loads(args.json.read_text("utf-8")))
     args.markdown.write_text(format_page(comparison, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
+    write_between_marks(PAGE, format_summary(comparison))
     write_plot(comparison, args.picture)
     if args.readme:
         print("\n".join(short_table(comparison)))

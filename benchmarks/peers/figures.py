@@ -154,6 +154,8 @@ class PeerComparison:
         The rasters, the tools that ran, and their results.
     left_out
         Names of skipped tools, with the reason.
+    date, commit
+        Date of the measurement, ISO 8601, and abbreviated hash of its commit.
     """
 
     where: str
@@ -164,6 +166,8 @@ class PeerComparison:
     tools: list[ToolRecord]
     left_out: dict[str, str]
     answers: list[ToolResult]
+    date: str = "unknown"
+    commit: str = "unknown"
 
     @staticmethod
     def read(values: dict[str, Any]) -> PeerComparison:

@@ -15,6 +15,7 @@ from benchmarks.peers.figures import (
     standings_by_case,
     unmatched_results,
 )
+from benchmarks.report_pages import Provenance, format_provenance
 from benchmarks.seeds.claims import markdown_table
 
 
@@ -97,6 +98,11 @@ def short_table(comparison: PeerComparison) -> list[str]:
     return markdown_table(rows)
 
 
+def format_summary(comparison: PeerComparison) -> str:
+    """Format what docs/peers.md has of the figures: the best peers beside Skugga's best rows, and the short table."""
+    return "\n\n".join([_compare_best_peers(comparison), "\n".join(short_table(comparison))])
+
+
 SHORT_TABLE_TOOLS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
@@ -174,10 +180,11 @@ def _join_names(names: list[str]) -> str:
 
 
 def format_page(comparison: PeerComparison, image: str) -> str:
-    """Format the page in Markdown. ``image`` is the picture's address relative to the page."""
+    """Format the report in Markdown. ``image`` is the picture's address relative to the report."""
+    provenance = Provenance("python -m benchmarks.peers --python PATH", comparison.date, comparison.commit, comparison.where)
     parts = [
-        "# Masks of a DEM: Skugga beside other tools",
-        "Made by `benchmarks/peers`, which writes every number and verdict below.",
+        "# Report: masks of a DEM, beside other tools",
+        format_provenance(provenance),
         f"![Time of computing against wrong cells off the axes, each tool a point]({image})",
         "## The verdict",
         "Is there a peer that is both faster and more accurate? The question is put for each of Skugga's rows, in each raster\n"

@@ -1,4 +1,4 @@
-"""The published reports of `skugga compare` (docs/compare), and the page that compares them (docs/comparisons.md).
+"""The published reports of `skugga compare` (docs/compare), and the page that compares them (docs/reports/comparisons.md).
 
     python -m benchmarks.reports DATA [--only NAME ...] [--time-limit S]     twelve minutes on two cores, for all
     python -m benchmarks.reports --write-only                                write the page again from the stored figures
@@ -23,7 +23,7 @@ from benchmarks.selection.page import with_tables
 
 ROOT = Path(__file__).parents[2]
 RECORDS_FILE = Path(__file__).with_name("reports.json")
-PAGE = ROOT / "docs" / "comparisons.md"
+PAGE = ROOT / "docs" / "reports" / "comparisons.md"
 REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
 
 

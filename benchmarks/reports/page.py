@@ -1,4 +1,4 @@
-"""Format the measured part of docs/comparisons.md from the stored figures."""
+"""Format the measured part of docs/reports/comparisons.md from the stored figures."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def omitted_row_commands(record: Figures) -> list[str]:
 
 def _report_link(name: str, record: Figures) -> str:
     """Format a scene's title, with a link to its report."""
-    return f"[{name}](compare/{name}.html): {record['title'][:1].lower()}{record['title'][1:]}"
+    return f"[{name}](../compare/{name}.html): {record['title'][:1].lower()}{record['title'][1:]}"
 
 
 def _scene_cells(record: Figures) -> list[str]:
@@ -114,9 +114,9 @@ def _section(name: str, record: Figures) -> str:
     lines = [
         f"\n## {record['title']}",
         "",
-        f"![Error against time: {name}](images/compare-{name}.svg)",
+        f"![Error against time: {name}](../images/compare-{name}.svg)",
         "",
-        f"[The report](compare/{name}.html), which `{record['command']} --time-limit {record['time_limit_s']:g} -o DIR` makes, "
+        f"[The report](../compare/{name}.html), which `{record['command']} --time-limit {record['time_limit_s']:g} -o DIR` makes, "
         f"too. Data: {record['data']}. Made {record['made']} in {record['took_s']} s; load average before: {record['load']}.",
         "",
         *(f"* {sentence}" for sentence in _sentences_with_code(record)),

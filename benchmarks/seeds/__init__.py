@@ -1,1 +1,4 @@
-"""Replications of the experiments in the texts that Skugga is based on: ``python -m benchmarks.seeds`` writes docs/seeds.md."""
+"""Replications of the experiments in the texts that Skugga is based on.
+
+``python -m benchmarks.seeds`` writes docs/reports/seeds.md.
+"""

@@ -77,7 +77,7 @@ def format_section(section: Section) -> str:
         parts.append("\n".join([f"**{title}**", "", *markdown_table(rows)]))
     if section.claims:
         parts.append("\n".join(format_claims(section.claims)))
-    parts += [f"![{caption}](images/{name})\n\n*{caption}*" for name, caption in section.pictures]
+    parts += [f"![{caption}](../images/{name})\n\n*{caption}*" for name, caption in section.pictures]
     return "\n\n".join(parts) + "\n"
 
 

@@ -6,6 +6,7 @@ The first device in the file of figures is the main device of the page.
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +16,15 @@ from benchmarks.seeds.claims import Claim, Experiment, Figures, Tables, format_c
 from skugga.terrain.gl.device import Device
 
 DeviceFigures = dict[str, Any]
-"""A device's record: ``software`` tells whether it is a software renderer, ``experiments`` holds figures by experiment."""
+"""A device's record: ``software`` tells whether it is a software renderer, ``experiments`` holds figures by experiment, and
+``commits`` the commits of the code that measured them, by experiment, where they are known."""
 
 FiguresByDevice = dict[str, DeviceFigures]
 """Records by the device's OpenGL renderer name."""
 
 NO_GPU_NOTE = """**Nothing on this page was measured on a GPU: there was none.** On a machine with one,
 `python -m benchmarks.seeds` makes all experiments there, and puts their figures beside these; `SKUGGA_EGL_DEVICE` says on which
-device, and `skugga doctor` lists them ([a GPU](operating.md#a-gpu))."""
+device, and `skugga doctor` lists them ([a GPU](../operating.md#a-gpu))."""
 
 GPU_TIMING_NOTE = """\
 On a GPU a pass ends when it has handed over what is to be drawn; the time of drawing falls to the pass that first
@@ -34,10 +36,26 @@ def read_figures(path: Path) -> FiguresByDevice:
     return json.loads(path.read_text("utf-8")) if path.exists() else {}
 
 
-def add_figures(measured: FiguresByDevice, device: Device, name: str, figures: Figures) -> None:
-    """Replace the figures of the experiment ``name`` of a device. The figures of other devices are kept."""
+def add_figures(measured: FiguresByDevice, device: Device, name: str, figures: Figures, commit: str | None = None) -> None:
+    """Replace the figures of the experiment ``name`` of a device. The figures of other devices are kept.
+
+    ``commit`` is the commit of the code that measured them; ``None`` if it is not known.
+    """
     device_figures = measured.setdefault(device.renderer, {"software": device.egl_device.is_software, "experiments": {}})
     device_figures["experiments"][name] = figures
+    if commit is not None:
+        device_figures.setdefault("commits", {})[name] = commit
+    else:
+        device_figures.get("commits", {}).pop(name, None)
+
+
+def current_commit() -> str | None:
+    """Return the short name of the commit that is checked out, with ``-dirty`` after changes; ``None`` without git."""
+    try:
+        command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() or None
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def format_devices(measured: FiguresByDevice) -> str:
@@ -63,6 +81,8 @@ def format_experiment(name: str, experiment: Experiment, measured: FiguresByDevi
         return None
     (first_device, section), *other_sections = sections.items()
     device_note = "" if first_device == next(iter(measured)) else f" (measured on {first_device} alone)"
+    commit = measured[first_device].get("commits", {}).get(name)
+    device_note += "" if commit is None else f" Measured at commit {commit}."
     tables = _merge_tables(section.tables, {device: other.tables for device, other in other_sections})
     page = format_section(replace(section, method=section.method + device_note, tables=tables))
     return "\n".join([page, *(_format_device_claims(device, other.claims) for device, other in other_sections if other.claims)])

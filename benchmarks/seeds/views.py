@@ -96,20 +96,8 @@ class ViewWithTruth:
         return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
 
     def plan(self, overrides: ShadowOverrides) -> Plan:
-        """Return a plan for the view.
-
-        The override ``bias_scale`` is not a key of a level. It changes the resolved settings.
-        """
-        overrides = dict(overrides)
-        scale = overrides.pop("bias_scale", None)
-        plan = make_plan(self.descriptor, self.scene.loaded.level, overrides)
-        if scale is None:
-            return plan
-        scaled = {
-            kind: kind_settings.model_copy(update={"bias_scale": scale})
-            for kind, kind_settings in plan.settings[self.light].items()
-        }
-        return plan.model_copy(update={"settings": {self.light: scaled}})
+        """Return a plan for the view. ``overrides`` are values by field of ``Shadows``."""
+        return make_plan(self.descriptor, self.scene.loaded.level, dict(overrides))
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
         """Return the light's visibility by a plan (rows, cols), with attached shadow; NaN without a surface."""

@@ -1,1 +1,4 @@
-"""Comparison of the selector's choices with the best measured ones: ``python -m benchmarks.selection``, docs/selection.md."""
+"""Comparison of the selector's choices with the best measured ones (docs/reports/selection.md).
+
+python -m benchmarks.selection COMMAND
+"""

@@ -9,7 +9,7 @@
     python -m benchmarks.selection accept                                     changed code has the times and errors of before
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
                                                                               typical_device.json from there
-    python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
+    python -m benchmarks.selection judge [--write]                            print the tables of the report, or write them,
                                                                               and what accuracy costs into README and docs
 
 A row is a measured plan of a view. A probe renders a few choices and compares them with ray-traced truth. Each command resumes
@@ -41,7 +41,7 @@ WORK_STEPS = {"measure": "rows", "time": "anew", "compare": "compared anew", "de
 REPEATED_STEPS = {"time": time_again, "compare": compare_again, "describe": describe_again, "probe": measure_probes}
 """Functions of the steps that change a view's record."""
 
-PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reports" / "selection.md"
 MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
 TYPICAL_DEVICE = MODEL.with_name("typical_device.json")
 

@@ -36,6 +36,7 @@ from skugga.selector.planner.planner import planner_of
 from skugga.selector.portfolio import portfolio
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.plan import Step
+from skugga.shadows.registry import selectable_algorithms
 from skugga.shadows.sweep.sweep import DECIMATED_GROUP
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
@@ -196,7 +197,11 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
         shares = [(interior + INTERIOR_OFFSET) / (wrong_share + INTERIOR_OFFSET) for interior, wrong_share in interior_rows]
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
-    model = model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
+    constants = {"floor": model.floor, "interior": inside, "spread": spread, "interior_spread": inside_spread}
+    unmeasured = _unmeasured_groups(cases)
+    model = model.model_copy(
+        update={key: {name: x for name, x in values.items() if name not in unmeasured} for key, values in constants.items()}
+    )
     errors = _Deviations.from_cases(
         cases,
         lambda case, expected_errors: (log_error(case.error) - log_error(expected_errors.wrong_cast)) / expected_errors.spread,
@@ -359,6 +364,12 @@ class _Terms:
         responses = maximum / (1.0 + powers)
         total = np.bincount(self._case_index, self._share * differs * responses, minlength=self._count)
         return np.minimum(total + self._maps @ floors, 1.0)
+
+
+def _unmeasured_groups(cases: Sequence[FitCase]) -> set[str]:
+    """Return the error groups of algorithms that can be chosen but have no case: no constants say how large their errors are."""
+    measured = set().union(*(case.error_groups for case in cases))
+    return {group for algorithm in selectable_algorithms() for group in algorithm.error_groups} - measured
 
 
 def _model(x: np.ndarray) -> ErrorModel:

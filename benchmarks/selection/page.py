@@ -1,4 +1,4 @@
-"""The measured tables of docs/selection.md, formatted from the table of measurements in the repository."""
+"""The measured tables of docs/reports/selection.md, formatted from the table of measurements in the repository."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Questions about the sun for Skugga and other tools: ``python -m benchmarks.sun_questions`` writes docs/sun-questions.md."""
+"""Questions about the sun for all tools: ``python -m benchmarks.sun_questions`` writes docs/reports/sun-questions.md."""

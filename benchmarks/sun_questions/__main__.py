@@ -20,14 +20,16 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict
+from datetime import date
 from pathlib import Path
 
+from benchmarks.report_pages import REPORTS, head_commit, write_between_marks
 from benchmarks.sun_questions.commands_and_rasters import RASTERS, WHOLE_RASTERS, read_dem, tool_versions
 from benchmarks.sun_questions.day_hours import HOURS_QUESTION, convention_check, hours_tools, measure_hours
 from benchmarks.sun_questions.figures import ConventionCheck, QuestionCase, SunAnswer, SunComparison
 from benchmarks.sun_questions.many_masks import MASKS_QUESTION, measure_masks
 from benchmarks.sun_questions.one_horizon import HORIZON_QUESTION, horizon_tools, measure_horizons, points_by_kind
-from benchmarks.sun_questions.page import format_sun_page
+from benchmarks.sun_questions.page import format_summary, format_sun_page
 from benchmarks.sun_questions.whole_rasters import (
     RASTER_HORIZONS_QUESTION,
     SKY_VIEW_QUESTION,
@@ -41,7 +43,7 @@ from benchmarks.sweep_speed import processor_name
 
 FOLDER = Path(__file__).parent
 FIGURES_FILE = FOLDER / "sun_questions.json"
-PAGE = FOLDER.parents[1] / "docs" / "sun-questions.md"
+REPORT, PAGE = REPORTS / "sun-questions.md", REPORTS.parent / "sun-questions.md"
 
 QUESTION_BY_OPTION = {
     "hours": HOURS_QUESTION,
@@ -201,11 +203,13 @@ def measure_questions(data: Path, python: str, side: int, cells: int, only: list
         checks=measurements.checks or (stored.checks if stored else []),
         cases=[*filter(is_kept, stored.cases if stored else []), *measurements.cases],
         answers=answers,
+        date=date.today().isoformat(),
+        commit=head_commit(),
     )
 
 
 def main() -> None:
-    """Measure the questions of the command line, and write figures and page."""
+    """Measure the questions of the command line, and write figures and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of rasters")
     parser.add_argument(
@@ -224,7 +228,9 @@ def main() -> None:
             parser.error(f"--rasters is invalid. Allowed: {', '.join(WHOLE_RASTERS)}.")
         comparison = measure_questions(args.data, args.python, args.side, args.cells, args.only.split(","), args.rasters.split(","))
         FIGURES_FILE.write_text(json.dumps(asdict(comparison), indent=1) + "\n", "utf-8")
-    PAGE.write_text(format_sun_page(SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))), "utf-8")
+    comparison = SunComparison.read(json.loads(FIGURES_FILE.read_text("utf-8")))
+    REPORT.write_text(format_sun_page(comparison), "utf-8")
+    write_between_marks(PAGE, format_summary(comparison))
 
 
 if __name__ == "__main__":

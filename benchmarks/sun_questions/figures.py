@@ -98,6 +98,8 @@ class SunComparison:
         Names of skipped tools, with the reason.
     checks, cases, answers
         Checks of conventions, data of the questions, and results.
+    date, commit
+        Date of the latest measurement, ISO 8601, and abbreviated hash of its commit.
     """
 
     where: str
@@ -108,6 +110,8 @@ class SunComparison:
     checks: list[ConventionCheck]
     cases: list[QuestionCase]
     answers: list[SunAnswer]
+    date: str = "unknown"
+    commit: str = "unknown"
 
     @staticmethod
     def read(values: dict[str, Any]) -> SunComparison:

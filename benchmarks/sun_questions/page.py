@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks.peers.figures import dominated_rows, unmatched_peers
 from benchmarks.peers.pages import format_percent, format_seconds
+from benchmarks.report_pages import Provenance, format_provenance
 from benchmarks.seeds.claims import markdown_table
 from benchmarks.sun_questions.day_hours import HOURS_QUESTION
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, tool_standings
@@ -220,15 +221,47 @@ and to the west of a long cliff of 300 m those of the closed form.
 The sun's path of each is made again for truth. What is left on the level floor is a tool's own: steps of time or of azimuth."""
 
 
+def format_summary(comparison: SunComparison) -> str:
+    """Format the table of docs/sun-questions.md: Skugga's most accurate row of each case, and the best other tools."""
+    rows = []
+    for question, title in TITLES.items():
+        is_computing = any(answer.compute_s is not None for answer in comparison.answers_to(question))
+        for case in dict.fromkeys(answer.case for answer in comparison.answers_to(question)):
+            answers = [answer for answer in comparison.answers_to(question, case) if answer.wrong is not None]
+            ours = min((answer for answer in answers if answer.ours), key=_error_of)
+            others = [answer for answer in answers if not answer.ours and _seconds_of(answer, is_computing) is not None]
+            fastest = min(others, key=lambda answer: _seconds_of(answer, is_computing) or 0.0)
+            row = {"question, place": f"{title.partition(' ')[2]}, {case}", "error in": UNIT_BY_QUESTION[question]}
+            most_accurate = min(others, key=_error_of)
+            for head, answer in (("Skugga", ours), ("fastest other tool", fastest), ("most accurate other tool", most_accurate)):
+                seconds = _format_seconds(_seconds_of(answer, is_computing), answer)
+                row[head] = f"{answer.tool}: {seconds} s, {format_error(question, answer.wrong)}"
+            rows.append(row)
+    return "\n".join(markdown_table(rows))
+
+
+def _error_of(answer: SunAnswer) -> float:
+    """Return an answer's error, which has to be known."""
+    assert answer.wrong is not None
+    return answer.wrong
+
+
+def _seconds_of(answer: SunAnswer, is_computing: bool) -> float | None:
+    """Return an answer's seconds of computing, or of the whole process."""
+    return answer.compute_s if is_computing else answer.whole_s
+
+
 def format_sun_page(comparison: SunComparison) -> str:
-    """Format the page, in Markdown."""
+    """Format the report, in Markdown."""
+    command = "python -m benchmarks.sun_questions DATA --python PATH"
+    provenance = Provenance(command, comparison.date, comparison.commit, comparison.where)
     versions = ", ".join(f"{name} {number}" for name, number in comparison.versions.items())
     parts = [
-        "# Questions of sun: Skugga beside other tools",
-        "Made by `python -m benchmarks.sun_questions DATA --python PATH` (`DATA`: a folder with the rasters named below; `PATH`:\n"
-        "an interpreter that has the others' packages), which writes every number and verdict. Masks of one sun, by more tools:\n"
-        "[peers.md](peers.md).",
-        f"{versions}. {comparison.where}; {comparison.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
+        "# Report: questions of sun, beside other tools",
+        format_provenance(provenance),
+        "`DATA` is a folder with the rasters named below; `PATH` is an interpreter that has the others' packages. The command\n"
+        "writes every number and verdict. Masks of one sun, by more tools: [peers](peers.md).",
+        f"{versions}. {comparison.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
         f"{comparison.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and "
         "its\nchildren, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
     ]

@@ -11,8 +11,10 @@ This part, ``counted``, grows with the texel from 0 to its limit. A perspective 
 "Perspective shadow maps") has texels that follow the picture's pixels. ``perspective`` of them cover a pixel's side if the map has
 as many texels as the picture has pixels. They are never larger than those of a uniform map.
 
-**Planar** shadows are right on the ground only, so cast shadow on bodies is wrong. **All other algorithms** are exact except for a
-constant error, the floor. It is larger for sweeps in a perspective view whose ground is drawn with fewer triangles.
+**Planar** shadows are right on planes only. Cast shadow on bodies counts as wrong, which is an upper bound.
+
+**All other algorithms** are exact except for a constant error, the floor. It is larger for sweeps in a perspective view whose
+ground is drawn with fewer triangles.
 
 **Dense woods.** Where most pixels show leaves in light and in shadow, ground truth decides few pixels, and the error is that of
 ``coverage``: the share of shadow in blocks of pixels. Wrong pixels of both signs cancel out in a block, so it is a fraction of

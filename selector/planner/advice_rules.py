@@ -2,8 +2,8 @@
 
 Most rules are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The other
 rules cover cases outside of the thesis: maps without perspective, and heightfields, which the line sweep can draw.
-``docs/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source. A perspective
-shadow map is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
+``docs/reports/seeds.md`` compares the advice with measurements of this engine. Each threshold has a note on its source. A
+perspective shadow map is the method of Stamminger and Drettakis 2002, "Perspective shadow maps".
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 TYPICAL_MAP_ERROR = 0.006
 """Mean share of wrong cast shadow of perspective shadow maps in the thesis's five scenes.
 
-Uniform shadow maps have four times this error (``docs/seeds.md``, the grades). Neither can meet a smaller limit of the error.
+Uniform shadow maps have four times this error (``docs/reports/seeds.md``, the grades). Neither can meet a smaller limit of the
+error.
 """
 
 MAX_VOLUME_TRIANGLES = 2000
 """Maximum number of triangles of casters for which shadow volumes count as fast.
 
 In the thesis's scene of a street, with 400 triangles, shadow volumes are fastest. In its other scenes, with 12,000 and more, they
-take 1.7 to 4 times as long as a shadow map (``docs/seeds.md``, the advice). The limit is the geometric mean.
+take 1.7 to 4 times as long as a shadow map (``docs/reports/seeds.md``, the advice). The limit is the geometric mean.
 """
 
 MIN_CLOSED_SHARE = 0.5
@@ -43,20 +44,20 @@ REFERENCE_MAP_TEXELS = 1024
 """Texels per side of the shadow map to which the thesis's advice refers."""
 
 MAX_SHARP_TEXEL_PX = 2.0
-"""If a texel covers at most this many pixels, 95 % of the edges are off by at most one pixel (``docs/seeds.md``, figure 52)."""
+"""If a texel covers at most this many pixels, 95 % of the edges are off by at most one pixel (``docs/reports/seeds.md``)."""
 
 MIN_COARSE_TEXEL_PX = 4.0
 """Pixels per texel above which the camera counts as near to a shadow edge: some edges are off by more than two pixels.
 
-See figure 52 in ``docs/seeds.md``. In the thesis's scenes a texel covers 1.4 to 3 pixels in overviews, and 6 to 30 pixels from a
-near camera.
+See figure 52 in ``docs/reports/seeds.md``. In the thesis's scenes a texel covers 1.4 to 3 pixels in overviews, and 6 to 30 pixels
+from a near camera.
 """
 
 MAX_LAMP_DISTANCE_SHARE = 0.25
 """Maximum distance of a lamp from the eye that counts as near, as a share of the distance of the nearest shadow edge.
 
 All shadow edges are then equally far from the lamp and from the eye to within a quarter. So the shadow map's texels are as even in
-the picture as its pixels.
+the picture as its pixels. The sun is never near: behind the camera it is the worst case for maps.
 """
 
 MIN_COMPLEX_LAYERS = 7.0
@@ -73,7 +74,7 @@ MAX_VISIBLE_LIT_SHARE = 1.0 / 3.0
 """Maximum share of the lit area that a camera sees, for which a perspective shadow map is preferred.
 
 In the thesis's scene of stone circles under the sun the share is 30 %. There a perspective shadow map has half the error of a
-uniform one, in the same time (``docs/seeds.md``, the advice).
+uniform one, in the same time (``docs/reports/seeds.md``, the advice).
 """
 
 MIN_TEXEL_GAIN = 4.0
@@ -305,36 +306,47 @@ RULES: tuple[Rule, ...] = (
         "a heightfield is swept",
         "sweep",
         _heightfield_reason,
-        "docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where perspective views draw fewer triangles",
+        "docs/reports/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: "
+        "0.25 % where perspective views draw fewer triangles",
     ),
-    Rule("perfect shadows", "shadow_volume", _needs_exact_shadows_reason, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
-    Rule("foliage needs a map", "shadow_map", _reason_for_foliage_map, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule(
+        "perfect shadows",
+        "shadow_volume",
+        _needs_exact_shadows_reason,
+        f"{THESIS_SECTION}; docs/reports/seeds.md: 0.01 % wrong at most",
+    ),
+    Rule("foliage needs a map", "shadow_map", _reason_for_foliage_map, "Sindholt 2005, table 1; docs/reports/seeds.md, the advice"),
     Rule(
         "few polygons",
         "shadow_volume",
         _few_polygons_reason,
-        f"{THESIS_SECTION}; docs/seeds.md: 0.9 to 1.3 times the time of a map there",
+        f"{THESIS_SECTION}; docs/reports/seeds.md: 0.9 to 1.3 times the time of a map there",
     ),
-    Rule("narrow light", "shadow_map", _narrow_light_cone_reason, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
+    Rule("narrow light", "shadow_map", _narrow_light_cone_reason, f"{THESIS_SECTION}; docs/reports/seeds.md, figures 52 and 53"),
     Rule(
         "lamp near the camera",
         "shadow_map",
         _lamp_near_camera_reason,
-        f"{THESIS_SECTION}; docs/seeds.md, figure 54: edges are off by half a pixel in the mean",
+        f"{THESIS_SECTION}; docs/reports/seeds.md, figure 54: edges are off by half a pixel in the mean",
     ),
     Rule("map view", "shadow_map", _map_view_reason, "docs/how-it-works.md: a map view has no perspective"),
-    Rule("far from every edge", "shadow_map", _far_edges_reason, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
+    Rule(
+        "far from every edge",
+        "shadow_map",
+        _far_edges_reason,
+        f"{THESIS_SECTION}; docs/reports/seeds.md: no larger errors from afar",
+    ),
     Rule(
         "complex shadows from near",
         "hybrid",
         _complex_near_shadows_reason,
-        f"{THESIS_SECTION}; docs/seeds.md: faster than volumes in some scenes",
+        f"{THESIS_SECTION}; docs/reports/seeds.md: faster than volumes in some scenes",
     ),
     Rule(
         "small part of the lit area seen",
         "perspective_shadow_map",
         _small_visible_lit_area_reason,
-        f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
+        f"{THESIS_SECTION}; docs/reports/seeds.md: half the errors of a map",
     ),
 )
 """The rules in order of precedence: the first one that applies decides, for each light and kind of casters."""

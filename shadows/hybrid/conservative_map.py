@@ -9,7 +9,12 @@ number of layers.
 - A point behind a whole run of one layer or more is in shadow.
 - All other points are masked: shadow volumes decide them.
 
-``docs/conservative-map.md`` defines the terms, proves this and treats rounding.
+``docs/conservative-map.md`` defines the terms and proves this.
+
+**Rounding.** Layers are counted at a probe inside the texel, with a margin. Counting too many masks a point, which is safe. None
+is counted wrongly: a triangle that is not thin covers a part of the square wherever it covers the surroundings of the probe. The
+margin of squares, 1/64 texel, exceeds all rounding of u and v, so that a point's texel is that of its rounded coordinates. The
+caller's ``depth_rounding`` is the rounding of a point's depth. Intervals include their own rounding.
 """
 
 from __future__ import annotations

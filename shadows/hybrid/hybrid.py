@@ -11,6 +11,7 @@ The setting ``mask`` selects the marked pixels:
   are thinner than a texel and lie between texel centres.
 - ``conservative`` marks all pixels except those where ``docs/conservative-map.md`` proves that map and volumes agree. It misses no
   caster, however thin.
+- ``off`` marks all receivers, so that volumes decide them all: the picture of ``conservative`` without its map.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ import numpy as np
 from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.attached_shadow import attached_shadow_mask
-from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
-from skugga.shadows.hybrid.maps import classify_pixels, maps_as_picture
+from skugga.shadows.hybrid.conservative_map import LIT, MASKED, SHADED
+from skugga.shadows.hybrid.layers import keep_conservative_layers
+from skugga.shadows.hybrid.maps import classify_pixels
 from skugga.shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from skugga.shadows.hybrid.work import hybrid_work
 from skugga.shadows.maps.filling import visibility_by_maps
@@ -62,11 +64,16 @@ def fill_visibility(
     with log.record_pass(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_in_frame, kinds, casters, record)
     receiver_mask = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
-    if settings.mask == "original":
+    if settings.mask == "off":
+        for map_pass in passes[1:3]:
+            with log.record_pass(map_pass) as record:
+                record.note = "not drawn: without a mask volumes decide all pixels"
+        classes = np.where(receiver_mask, np.uint8(MASKED), np.uint8(LIT))
+    elif settings.mask == "original":
         classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
     else:
         classes = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, receiver_mask, passes, log)
-        log.keep_layer("shadow-map", light, maps_as_picture, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
+        keep_conservative_layers(log, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
     log.keep_layer("volumes", light, count_faces_in_front, buffer, scene, volumes)
     is_masked = classes == MASKED
     log.keep_layer("silhouettes", light, lambda: np.where(is_masked, np.uint8(255), np.uint8(0)))
@@ -128,7 +135,7 @@ ALGORITHM = Algorithm(
         **VOLUME_REFUSALS,
         "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has no hard edge (shadow_volume serves it)",
     },
-    layers=("shadow-map", "stencil", "silhouettes", "volumes"),
+    layers=("shadow-map", "stencil", "silhouettes", "volumes", "light-frustum", "light-bounds", "light-view"),
     settings_types=(HybridSettings,),
     resolve_settings=resolve_hybrid,
     cache_names=("skugga.shadows.hybrid.maps", *VOLUME_CACHES),

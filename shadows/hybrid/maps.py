@@ -15,7 +15,6 @@ from skugga.shadows.hybrid.conservative_map import (
     clipped_triangles,
     conservative_map,
 )
-from skugga.shadows.layer_collector import tiled_pictures
 from skugga.shadows.maps.windows import CUBE_FACES, POSITION_ERROR
 from skugga.shadows.passes import PassLog
 from skugga.shadows.volumes.volumes import Volumes
@@ -37,7 +36,7 @@ MIN_TEXEL_ROUNDING_ERRORS = 256.0
 
 
 @dataclass(frozen=True, eq=False)
-class _MapWindow:
+class MapWindow:
     """A face of a light's map, and the points in it.
 
     Attributes
@@ -103,10 +102,10 @@ def classify_pixels(
     """
     classes, on_caster = np.full(receiver_mask.shape, LIT, np.uint8), _caster_mask(buffer, scene, light, kinds, receiver_mask)
     with log.record_pass(passes[1]), log.record_pass(passes[2]):
-        windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
+        windows = [*map_windows(buffer, scene, light, map_size, receiver_mask)]
     for window in windows:
         with log.record_pass(passes[1]) as record:
-            window_map, was_cached = _cached_map(window, volumes)
+            window_map, was_cached = cached_map(window, volumes)
             record.kept += was_cached
             record.map_texels += window_map.nearest_depth.size
             record.bytes = max(record.bytes, 3 * window_map.nearest_depth.nbytes)
@@ -136,24 +135,7 @@ def _caster_mask(
     return result
 
 
-def maps_as_picture(
-    buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, receiver_mask: np.ndarray
-) -> np.ndarray:
-    """Return the maps' nearest depths as one picture, the maps side by side: 0 is nearest to the light, 1 has no caster.
-
-    The light's up direction is at the top. ``map_size`` is the number of texels along a side of each map.
-    """
-    arrays = []
-    for window in _windows(buffer, scene, light, map_size, receiver_mask):
-        nearest = _cached_map(window, volumes)[0].nearest_depth
-        has_caster = np.isfinite(nearest)
-        low, high = min(nearest[has_caster].min(initial=np.inf), window.depth.min()), window.depth.max()
-        share = np.where(has_caster, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
-        arrays.append(share if window.is_lamp else share[::-1])
-    return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
-
-
-def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
+def cached_map(window: MapWindow, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """Return the conservative map of a window, and whether it comes from the cache. ``volumes`` hold the casters."""
     conservative = _map_cache.get(window.cache_key, *volumes)
     if not isinstance(conservative, Missing):
@@ -166,7 +148,7 @@ def _cached_map(window: _MapWindow, volumes: list[Volumes]) -> tuple[Conservativ
     return conservative, False
 
 
-def _transform_to_texels(window: _MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+def _transform_to_texels(window: MapWindow, points: np.ndarray, clip: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Transform triangles or edges of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane.
 
     ``points`` (n, k, 4) are their k corners, homogeneous points of the frame. ``clip`` is ``clipped_triangles`` or
@@ -183,7 +165,7 @@ def _project_to_tangents(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
-def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_MapWindow]:
+def map_windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[MapWindow]:
     """Yield the faces of a light's map that contain any points.
 
     ``map_size`` is the number of texels along a side of each face.
@@ -223,7 +205,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
         width, height = (int(n) for n in np.ceil((high - map_origin) / texel) + HYBRID_BORDER_TEXELS)
         _to_texels(u, map_origin[0], texel[0])
         _to_texels(v, map_origin[1], texel[1])
-        yield _MapWindow(
+        yield MapWindow(
             face_pixels, u, v, depth, slack, rotation, translation, light != SUN, near_m, map_origin, texel, (width, height),
         )  # fmt: skip
 
@@ -232,7 +214,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, re
 def _transform_to_light(points, pixels, rotation, translation, is_lamp):
     """Transform the points (m, 3) with the indices ``pixels`` (n,) to a light's axes, with projection for a lamp.
 
-    ``rotation`` (3, 3) and ``translation`` (3,) are those of ``_MapWindow``. Returns x, y and depth (n,), their lower and upper
+    ``rotation`` (3, 3) and ``translation`` (3,) are those of ``MapWindow``. Returns x, y and depth (n,), their lower and upper
     bounds (3,), and the largest absolute coordinate of the points in the frame. ``is_lamp`` is false for the sun, whose map is
     orthographic.
     """
@@ -261,7 +243,7 @@ def _transform_to_light(points, pixels, rotation, translation, is_lamp):
 def _to_texels(coordinates, map_origin, texel_size):
     """Convert coordinates (n,) along one axis of a map to texels, in place.
 
-    ``map_origin`` and ``texel_size`` are those of ``_MapWindow`` along this axis.
+    ``map_origin`` and ``texel_size`` are those of ``MapWindow`` along this axis.
     """
     for k in range(len(coordinates)):
         coordinates[k] = (coordinates[k] - map_origin) / texel_size

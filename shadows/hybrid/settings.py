@@ -7,7 +7,7 @@ from typing import Any, Literal
 from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
-from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
+from skugga.shadows.volumes.settings import StencilSettings, stencil_reasons, stencil_settings
 
 HYBRID_MAP_SIZE = 768
 """Default size of a hybrid's map, texels a side. A small map suffices, since volumes decide at edges."""
@@ -16,11 +16,11 @@ HYBRID_MAP_SIZE = 768
 class HybridSettings(StencilSettings):
     """Settings of the hybrid: those of its map and its volumes, and the ``mask`` of pixels that volumes decide.
 
-    ``original`` is Chan and Durand's comparison of 2 x 2 texels.
+    ``original`` is Chan and Durand's comparison of 2 x 2 texels. Without a mask (``off``) volumes decide all pixels.
     """
 
     map: ShadowMapSettings | LampMapSettings
-    mask: Literal["conservative", "original"] = "conservative"
+    mask: Literal["conservative", "original", "off"] = "conservative"
 
     @property
     def as_overrides(self) -> dict[str, Any]:
@@ -34,7 +34,8 @@ class HybridSettings(StencilSettings):
     @property
     def label_parts(self) -> list[str]:
         """Texels a side, the mask, and the settings that differ from their defaults."""
-        return [str(self.map.map_size), self.mask, *self.changed_values("mask")]
+        mask = "no_mask" if self.mask == "off" else self.mask
+        return [str(self.map.map_size), mask, *self.changed_values("mask")]
 
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
@@ -42,13 +43,17 @@ def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     shadows = request.shadows
     size = HYBRID_MAP_SIZE if shadows.map_size == "auto" else shadows.map_size
     map_shadows = shadows.model_copy(
-        update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"}
-    )
+        update={
+            "map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "bias_scale": "auto", "culling": "none",
+        }
+    )  # fmt: skip
     settings, _ = resolve_uniform_map(SettingsRequest(request.descriptor, request.light, map_shadows))
     mask = "conservative" if shadows.mask == "auto" else shadows.mask
-    reasons = request.ignored_filter_reasons("hybrid")
+    reasons = [*request.ignored_filter_reasons("hybrid"), *stencil_reasons(shadows)]
     if shadows.map_size == "auto":
         reasons.append(NamedReason(name=f"map_size {size}", reason="a small map: shadow volumes decide where it cannot"))
     if shadows.mask == "auto":
         reasons.append(NamedReason(name=f"mask {mask}", reason="the map decides only pixels where it is provably right"))
+    elif shadows.mask == "off":
+        reasons.append(NamedReason(name="mask off", reason="to compare with: volumes decide all pixels, and the map none"))
     return HybridSettings(map=settings, mask=mask, **stencil_settings(shadows)), reasons

@@ -8,7 +8,7 @@ from skugga.shadows.hybrid.settings import HybridSettings
 from skugga.shadows.maps.windows import POSITION_ERROR
 from skugga.shadows.maps.work import shadow_map_work
 from skugga.shadows.volumes.tiles import CULLING_TILE_PX
-from skugga.shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
+from skugga.shadows.volumes.work import silhouette_work, stencil_counts, volume_faces
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.facts.fact_types import TEXEL_SIZES_PX
 
@@ -22,12 +22,12 @@ The share is that of ``MIN_TEXEL_ROUNDING_ERRORS`` rounding errors.
 def hybrid_work(workload: Workload, settings: HybridSettings) -> Work:
     """Return the hybrid's work for a picture, as counts by part."""
     texel_px, size = _texel_px(workload, settings.map.map_size)
-    counting = {
-        workload.part_name_in_view("silhouettes"): silhouette_counts(workload),
-        workload.part_name_in_view("counting"): stencil_counts(
-            workload, settings, _masked_share(workload, texel_px + CULLING_TILE_PX)
-        ),
+    marked_share = 1.0 if settings.mask == "off" else _masked_share(workload, texel_px + CULLING_TILE_PX)
+    counting = silhouette_work(workload) | {
+        workload.part_name_in_view("counting"): stencil_counts(workload, settings, marked_share)
     }
+    if settings.mask == "off":
+        return counting
     if settings.mask == "original":
         return counting | shadow_map_work(workload, settings.map)
     _, caps, ground = volume_faces(workload)
@@ -38,6 +38,8 @@ def hybrid_work(workload: Workload, settings: HybridSettings) -> Work:
         texels * workload.facts.cast_share, "caps": caps, "ground": ground, "facing": workload.facing_pixel_count,
     }  # fmt: skip
     mask = {"blocks": 1.0, "facing": workload.facing_pixel_count, "pixels": workload.pixel_count, "texels": texels}
+    if workload.is_cached("conservative maps"):
+        return counting | {"mask": mask}
     return counting | {workload.part_name_in_view("conservative map"): map_counts, "mask": mask}
 
 

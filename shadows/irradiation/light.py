@@ -230,7 +230,9 @@ def _parts(
 def limit_horizon_band(light: SkyLight, suns: SunIntervals, plane: TiltedPlane) -> SkyLight:
     """Return the light whose band at the horizon takes no more than the sky gives a plane in the open, as in pvlib.
 
-    Only planes that lean far over need it: they see little more of the sky than the band, which weather may leave darker.
+    Only planes that lean over by more than 150 degrees need it, in years of clear skies and in pvlib's two TMY3 files: they see
+    little more of the sky than the band, which weather may leave darker. Without it 0.6 % of the light is missing at 175 degrees.
+    Rasters apply it to planes of one tilt as if under an open sky.
     """
     tilt = np.radians(plane.tilt_deg)
     sky = light.isotropic * (1.0 + np.cos(tilt)) / 2.0 + light.circumsolar * plane.cosine_towards(

@@ -6,7 +6,11 @@ middle of its disc, with refraction, is above the level horizon.
 
 If intervals begin at the same times every day, the sun runs through the same few places for weeks, and a narrow shadow that falls
 between two of them is never seen. So intervals may begin later each day, by the golden section of their length (modulo the length):
-the suns of a month then lie evenly on the sky.
+the suns of a month then lie evenly on the sky. Beam of 2023 beside rays every ten minutes (300 points each) is wrong by 0.06 % in
+the mean in mountains, 0.13 % in a city and 0.26 % in a wood; with hours at the same times every day by 0.16, 1.16 and 2.18 %.
+
+One sun an hour gives open level ground a little too much: beside suns every five minutes of 2023 0.01 % at the equator, 0.06 %
+at 34 degrees north, 0.08 % at 47 and 0.03 % at 65.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from skugga.shadows.maps.relevant_trees import relevant_trees
 from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
@@ -57,7 +56,9 @@ def draw_map(
     block's map is not cached, and lasts until the next map is drawn.
     """
     meshes = caster_meshes(scene, buffer, kinds)
-    trees = _trees_in_map(depth_map, buffer, settings.filter == "sun")
+    trees = depth_map.trees
+    if trees is not None and depth_map.relevant_trees is not None:
+        trees = trees.select(depth_map.relevant_trees)
     # A block's sheets are made for every picture of it, so its pictures are cached instead.
     content = None if isinstance(buffer.view, MapView) else _map_cache_key(depth_map, settings, meshes, trees)
     cached_target = None if content is None else gl.depth_targets.get(content)
@@ -127,6 +128,8 @@ def may_hold_casters(depth_map: DepthMap, buffer: GeometryBuffer, scene: Scene, 
         return True
     rotation, translation, low, high = depth_map.tree_bounds
     trees = depth_map.trees
+    if trees is not None and depth_map.relevant_trees is not None:
+        trees = trees.select(depth_map.relevant_trees)
     if trees is not None and len(trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)):
         return True
     for vertices, _ in caster_meshes(scene, buffer, kinds):
@@ -184,16 +187,6 @@ def _map_cache_key(
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
     tree_digest = None if trees is None or trees is depth_map.trees else sha256(trees.tree_number.tobytes()).digest()
     return settings, depth_map.face_size, len(depth_map.face_rotations), tuple(depth_map.uniforms.items()), geometry, tree_digest
-
-
-def _trees_in_map(depth_map: DepthMap, buffer: GeometryBuffer, samples_sun_disc: bool) -> TreeInstances | None:
-    """Return the trees to draw into a map: those that may shade a visible point.
-
-    ``samples_sun_disc`` is true if the map is looked up for the sun's disc.
-    """
-    if depth_map.trees is None or depth_map.tree_bounds is None:
-        return depth_map.trees
-    return depth_map.trees.select(relevant_trees(depth_map, buffer, samples_sun_disc))
 
 
 def _face_uniforms(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skugga.shadows.maps.drawing import MapSettings, draw_ahead, draw_map, may_hold_casters, read_depths
+from skugga.shadows.maps.light_layers import keep_map_layers
 from skugga.shadows.maps.lookup import look_up
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
@@ -71,8 +72,9 @@ def visibility_by_maps(
         with log.record_pass(draw_pass) as record:
             return draw_map(gl, depth_map, buffer, scene, kinds, casters, settings, record)
 
-    for depth_map, target in draw_ahead(maps, draw):
+    for number, (depth_map, target) in enumerate(draw_ahead(maps, draw)):
         log.keep_layer("shadow-map", light, read_depths, gl, depth_map, target)
+        keep_map_layers(log, gl, number, depth_map, target, buffer, scene, light, kinds, casters)
         with log.record_pass(look_up_pass) as record:
             look_up(gl, depth_map, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility

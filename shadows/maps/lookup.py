@@ -11,6 +11,7 @@ import numpy as np
 from skugga.shadows.maps.drawing import MapSettings
 from skugga.shadows.maps.map_point_lookup import GroundNodes, MapPoints, look_up_map_points
 from skugga.shadows.maps.point_lookup import DepthComparison, LookupPoints, look_up_points, sun_map
+from skugga.shadows.maps.slope_bias import move_by_slope_bias
 from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MAX_HALF_DISC_TEXELS, MIN_DISC_TAPS, disc_samples_before_edges
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
@@ -68,17 +69,26 @@ def look_up(
         if isinstance(view, MapView) and buffer.columns is not None:
             top_crease = np.where(buffer.surface_kind == RELIEF, np.float32(-1.0), buffer.crease)
             normal_and_crease = np.concatenate([buffer.normal_frame, top_crease[..., None]], axis=-1)
-            arrays = [buffer.position_frame_m, normal_and_crease, column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3)]
+            arrays = [
+                _looked_up_positions(depth_map, buffer.position_frame_m, buffer.normal_frame, light_in_frame, settings),
+                normal_and_crease,
+                column_top_corners(buffer).reshape(len(normal_and_crease), -1, 3),
+            ]
             program = _lookup_program(gl, depth_map, settings, settings.filter, {"on_nodes": False, "has_corners": True})
             set_uniforms(program, {"corner_frame_m": 2})
             visibility[:] = _run_lookup(gl, program, arrays, target, depth_map, record)
             return
         facets = facing_normals(buffer, light_in_frame)
+        position = _looked_up_positions(depth_map, buffer.position_frame_m, facets.normal_frame, light_in_frame, settings)
         if isinstance(view, MapView) and window is not None and _has_loop(depth_map, settings):
             depths = _read_map(gl, depth_map, target, record)
             comparison = _depth_comparison(settings, int(settings.filter))
             look_up_map_points(
-                sun_map(depth_map, depths), comparison, _map_points(buffer, facets), _ground_nodes(window, view), visibility
+                sun_map(depth_map, depths),
+                comparison,
+                _map_points(buffer, position, facets),
+                _ground_nodes(window, view),
+                visibility,
             )
             visibility[facets.is_blocked] = 0.0  # a map may miss occluders nearer than a texel
             record.add_loop(MAP_POINT_LOOKUP_LABEL, int(settings.filter))
@@ -103,7 +113,7 @@ def look_up(
             nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
             set_uniforms(program, {**nodes, "corner_frame_m": 3, "place": 3 if corners is None else 4})
             arrays = [
-                buffer.position_frame_m,
+                position,
                 normal_and_crease,
                 *(() if corners is None else (corners.reshape(rows, cols * 3, 3),)),
             ]
@@ -125,7 +135,7 @@ def look_up(
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged anyway
         parts = (depth_map.point_indices[:split], settings.filter), (depth_map.point_indices[split:], sample_filter)
         flat_arrays: list[np.ndarray] = [
-            a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)
+            a.reshape(visibility.size, -1) for a in (position, facets.normal_frame, facets.crease, corners)
         ]
         flat_arrays.append(_kinds_of_triangles(buffer).reshape(-1))
         if _has_loop(depth_map, settings):
@@ -171,11 +181,23 @@ def _read_map(gl: Device, depth_map: DepthMap, target: Framebuffer, record: Pass
     return depths
 
 
-def _map_points(buffer: GeometryBuffer, facets: FacingNormals) -> MapPoints:
-    """Return a map's points with the normals that face the light, in the form that the loop reads."""
+def _looked_up_positions(
+    depth_map: DepthMap, position: np.ndarray, normal: np.ndarray, light_in_frame: LightPosition, settings: MapSettings
+) -> np.ndarray:
+    """Return the points (rows, cols, 3) that are looked up: the buffer's own, but for the bias ``slope_clamped``."""
+    if settings.bias != "slope_clamped":
+        return position
+    return move_by_slope_bias(depth_map, position, normal, light_in_frame, settings.bias_scale)
+
+
+def _map_points(buffer: GeometryBuffer, position: np.ndarray, facets: FacingNormals) -> MapPoints:
+    """Return a map's points with the normals that face the light, in the form that the loop reads.
+
+    ``position`` (rows, cols, 3) are the points that are looked up.
+    """
     size, corners = buffer.valid.size, buffer.corners_frame_m
     return MapPoints(
-        buffer.valid.reshape(size), buffer.position_frame_m.reshape(size, 3), facets.normal_frame.reshape(size, 3),
+        buffer.valid.reshape(size), position.reshape(size, 3), facets.normal_frame.reshape(size, 3),
         facets.crease.reshape(size), np.zeros((0, 9), np.float32) if corners is None else corners.reshape(size, 9),
         np.zeros(0, np.bool_) if buffer.is_lifted is None else buffer.is_lifted.reshape(size),
     )  # fmt: skip
@@ -194,7 +216,11 @@ def _depth_comparison(settings: MapSettings, taps: int) -> DepthComparison:
     # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
     taps_without_triangle = min(taps, 2) if uses_triangles else taps
     return DepthComparison(
-        uses_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, taps_without_triangle
+        uses_triangles,
+        settings.bias in ("receiver_plane", "normal_offset"),
+        np.float32(settings.bias_scale),
+        taps,
+        taps_without_triangle,
     )
 
 

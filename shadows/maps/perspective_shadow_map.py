@@ -8,8 +8,9 @@ fall-back to a uniform map is recorded with its reason.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,18 +19,19 @@ from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, Plot
 from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
 from skugga.shadows.attached_shadow import attached_shadow_mask
+from skugga.shadows.maps.camera import Camera, Light
 from skugga.shadows.maps.filling import visibility_by_maps
+from skugga.shadows.maps.perspective_fit import latest_start_depths, min_map_ranges
 from skugga.shadows.maps.post_perspective import (
-    Camera,
-    Light,
+    PostPerspective,
     fit_to_bounds,
-    horizon_distance,
     is_clear_of_horizon,
     post_perspectives,
-    project_points,
     texel_size_in_picture,
     uniform_matrix,
 )
+from skugga.shadows.maps.post_perspective_view import post_perspective_view
+from skugga.shadows.maps.relevant_trees import with_relevant_trees
 from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_perspective_map
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
@@ -39,11 +41,13 @@ from skugga.shadows.passes import PassLog
 from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_trees, has_casters
 from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
@@ -65,11 +69,14 @@ CLIP_POSITION_ERROR = 2.0 * POSITION_ERROR
 MAX_TEXEL_PX = 4.0
 """Upper bound of a texel's size in pixels (root mean square) for a single map.
 
-Above it the view gets several maps, since some edges are then off by over two pixels (``docs/seeds.md``, figure 52).
+Above it the view gets several maps, since some edges are then off by over two pixels (``docs/reports/seeds.md``, figure 52).
 """
 
 MAX_DISTANCE_RANGES = 4
 """Upper bound of the number of maps, the same as for the cascades of a shadow map."""
+
+MapCandidates = Callable[[Camera, Light, np.ndarray, float, np.ndarray], list[PostPerspective]]
+"""Type of functions that return a map's candidate matrices, as ``post_perspectives`` does."""
 
 FRONT_DEPTH_SHARE = 0.01
 """Share of the map's depth range in front of the nearest receiver."""
@@ -83,23 +90,33 @@ def fill_visibility(
     casters: Casters,
     settings: PerspectiveMapSettings,
     log: PassLog,
+    find_candidates: MapCandidates = post_perspectives,
 ) -> np.ndarray:
     """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols) in [0, 1].
 
-    The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
+    The value has no meaning off the surface and where the surface faces away from the light. ``find_candidates`` returns the
+    matrices among which the map's is chosen. Raises ``GraphicsError``.
     """
+    if settings.slide_back == "off":
+        find_candidates = partial(post_perspectives, slides_back=False)
     if settings.filter == "sun":
-        return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
+        fill = partial(fill_visibility, find_candidates=find_candidates)
+        return mean_visibility_of_area_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     with log.record_pass(depth_pass) as record:  # fitting a map is part of making it
         receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
         shaded = receivers.any() and has_casters(scene, buffer, kinds)
-        fitted_maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
+        fitted_maps = perspective_maps(buffer, receivers, scene, light, settings, trees, find_candidates) if shaded else []
         record.note = next(
             filter(None, [record.note, *(fitted_map.uniform_map_reason for fitted_map in fitted_maps)]), ""
         )  # the first note of any part of a view
-    maps = [fitted_map.depth_map for fitted_map in fitted_maps]
+        maps = [with_relevant_trees(fitted_map.depth_map, buffer, samples_sun_disc=False) for fitted_map in fitted_maps]
+    for depth_map in maps:
+        if depth_map.space_from_frame is not None:
+            log.keep_layer(
+                "post-perspective", light, post_perspective_view, device(), depth_map.space_from_frame, buffer, scene, light
+            )
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
@@ -129,6 +146,7 @@ def perspective_maps(
     light: str,
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
+    find_candidates: MapCandidates = post_perspectives,
 ) -> list[FittedMap]:
     """Return the maps of a light for a perspective view's receivers in a mask (rows, cols), from the nearest to the farthest.
 
@@ -137,7 +155,7 @@ def perspective_maps(
     keeps to this bound. If no number up to ``MAX_DISTANCE_RANGES`` does, it is the split with the smallest coarsest texels.
     """
     assert isinstance(buffer.view, PerspectiveView)
-    best = [perspective_map(buffer, receiver_mask, scene, light, settings, trees)]
+    best = [perspective_map(buffer, receiver_mask, scene, light, settings, trees, find_candidates)]
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
     depth_m = (buffer.position_frame_m[receiver_mask] - eye) @ camera_from_frame[2]
     octaves = np.log2(depth_m / depth_m.min())
@@ -148,7 +166,7 @@ def perspective_maps(
         range_number = np.full(receiver_mask.shape, -1)
         range_number[receiver_mask] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
         ranges = [range_mask for range_mask in (range_number == part for part in range(count)) if range_mask.any()]
-        split_maps = [perspective_map(buffer, range_mask, scene, light, settings, trees) for range_mask in ranges]
+        split_maps = [perspective_map(buffer, range_mask, scene, light, settings, trees, find_candidates) for range_mask in ranges]
         if max(part.texel_px for part in split_maps) < coarsest_px:
             best = split_maps
     return best
@@ -161,6 +179,7 @@ def perspective_map(
     light: str,
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
+    find_candidates: MapCandidates = post_perspectives,
 ) -> FittedMap:
     """Return the map of a light for a perspective view's receivers in a mask (rows, cols), which holds at least one.
 
@@ -180,21 +199,22 @@ def perspective_map(
     nearest = MIN_NEAR_PLANE_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     outer_receivers = sample[:0]
     for _ in range(MAX_FIT_ROUNDS):
-        best, *fallbacks = post_perspectives(camera, source, sample, inner, outer_receivers)
+        best, *fallbacks = _required_candidates(find_candidates(camera, source, sample, inner, outer_receivers))
         low, high, outermost = _bounds_in_map(best.clip_from_frame, uniform, nearest, position, chosen)
         if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= MAX_SAMPLE_OVERSHOOT * inner:
             break
         outer_receivers = np.concatenate([outer_receivers, position[outermost]])
     while not is_clear_of_horizon(np.array([low[3], high[3]])):
-        best, *fallbacks = fallbacks
+        best, *fallbacks = _required_candidates(fallbacks)
         low, high, _ = _bounds_in_map(best.clip_from_frame, uniform, nearest, position, chosen)
+    receiver_box = best.clip_from_frame, low[:3].copy(), high[:3].copy()
     error_m = CLIP_POSITION_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
-    widening = np.maximum(_min_map_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
+    widening = np.maximum(min_map_ranges(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - widening / 2.0, high[:2] + widening / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
     texel_matrix = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     taps = 1 if settings.filter == "sun" else settings.filter
-    low[2] = min(low[2], float(_latest_start_depths(texel_matrix, sample, triangles, error_m, taps / 2.0).min()))
+    low[2] = min(low[2], float(latest_start_depths(texel_matrix, sample, triangles, error_m, taps / 2.0).min()))
     clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, FRONT_DEPTH_SHARE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
@@ -214,54 +234,23 @@ def perspective_map(
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     assert isinstance(buffer.view, PerspectiveView)
     texel_px = texel_size_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel_tangent
-    depth_map = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders)
+    depth_map = DepthMap(
+        uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, tree_bounds, shaders,
+        receiver_boxes=(receiver_box,), space_from_frame=best.space_from_frame,
+    )  # fmt: skip
     return FittedMap(depth_map, texel_px, best.uniform_map_reason)
 
 
-def _min_map_ranges(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
-    """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error of positions.
-
-    ``error_m`` (n,) are the errors of the positions ``points`` (n, 3). The bounds apply to a single receiver, or to a few at one
-    place, where finer texels would resolve rounding only. ``matrix`` (4, 4) maps points of the frame to the map, which has
-    ``map_size`` texels along a side.
+def _required_candidates(candidates: list[PostPerspective]) -> list[PostPerspective]:
+    """Return the candidate maps, of which there must be one. Raises ``UnsupportedError`` otherwise: a uniform map always serves,
+    but only with a slide-back.
     """
-    w = horizon_distance(matrix, points)[:, None]
-    projected_xy = project_points(matrix, points)[:, :2]
-    per_m = np.linalg.norm(matrix[None, :2, :3] - projected_xy[..., None] * matrix[3, :3], axis=-1) / w
-    return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
-
-
-def _latest_start_depths(
-    matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, tap_reach_texels: float
-) -> np.ndarray:
-    """Return the largest depth (n,) at which a map may begin, for each of the points (n, 3) on triangles (n, 3, 3).
-
-    Depths are the z of ``matrix``, which maps to texels in x and y. A map clamps casters in front of its first depth to that depth.
-    Such a caster shades a point under two conditions. The point is deeper by all that the comparison subtracts. The point's
-    triangle begins no earlier than the map at the texels up to ``tap_reach_texels`` beside the point. The result allows for twice
-    the amount that the shader subtracts, except for the shader's share of the whole depth range. ``corners`` (n, 3, 3) are those of
-    the triangles, and ``error_m`` (n,) the errors of the positions.
-    """
-    w = horizon_distance(matrix, points)[:, None]
-    in_map = project_points(matrix, points)
-    per_m = np.linalg.norm(matrix[None, :3, :3] - in_map[..., None] * matrix[3, :3], axis=-1) / w
-    sides = corners - points[:, None]
-    w_offsets = sides @ matrix[3, :3]
-    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - in_map[:, None] * w_offsets[..., None], -1, 0)
-    corner_w = w + w_offsets
-    share, right, up = np.cross(x, y), np.cross(y, corner_w), np.cross(corner_w, x)
-    area = (share * corner_w).sum(axis=1)
-    area = np.where(area == 0.0, np.inf, area)
-    slope = np.abs(np.stack([(z * right).sum(axis=1), (z * up).sum(axis=1)], axis=1) / area[:, None])
-    corner_depths = np.where(
-        (corner_w > 0.0).all(axis=1, keepdims=True), z / np.where(corner_w > 0.0, corner_w, 1.0), [[-np.inf, np.inf, 0.0]]
-    )
-    grid = 1.0 / 128.0 + error_m[:, None] * per_m[:, :2]
-    slack = np.minimum((slope * grid).sum(axis=1), np.ptp(corner_depths, axis=1)) + error_m * per_m[:, 2]
-    depth_ratio = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
-    return (
-        in_map[:, 2] - 2.0 * slack * depth_ratio**2 - np.minimum(tap_reach_texels * slope.sum(axis=1), -corner_depths.min(axis=1))
-    )
+    if not candidates:
+        reason = (
+            "the light's map from a virtual camera at the real one has its horizon among the visible points, or at the view's axis"
+        )
+        raise UnsupportedError("slide_back", "off", f"{reason} (use auto)")
+    return candidates
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
@@ -313,15 +302,18 @@ def _bounds_in_map(matrix, plane, min_distance, position, point_indices):
     return low, high, outermost
 
 
-def _texel_on_ground_m(
-    scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer
-) -> float | np.ndarray:
+def texel_on_ground_m(
+    scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer,
+    find_candidates: MapCandidates = post_perspectives,
+) -> float | np.ndarray:  # fmt: skip
     """Return a texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
     receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
     if not receivers.any():
         return 0.0
     trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.valid.shape)
-    for fitted_map in perspective_maps(buffer, receivers, scene, light, settings, trees):
+    if settings.slide_back == "off":
+        find_candidates = partial(post_perspectives, slides_back=False)
+    for fitted_map in perspective_maps(buffer, receivers, scene, light, settings, trees, find_candidates):
         assert fitted_map.depth_map.point_indices is not None
         pixel_indices, map_rows = (
             np.unravel_index(fitted_map.depth_map.point_indices, texel_m.shape),
@@ -331,7 +323,7 @@ def _texel_on_ground_m(
     return texel_m
 
 
-def _calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
+def calibration_settings(descriptor: Descriptor, light: str, calibration_extent: str) -> Iterator[AlgorithmSettings | None]:
     """Yield the settings that a calibration of this extent measures (``CostInputs``): sizes and taps."""
     map_overrides = calibration_overrides(descriptor, light, calibration_extent)
     for overrides in [
@@ -351,7 +343,7 @@ ALGORITHM = Algorithm(
         "map": "a map view has no perspective",
         "omni": "an omni light does not fit one post-perspective map",
     },
-    layers=("shadow-map",),
+    layers=("shadow-map", "light-frustum", "light-bounds", "light-view", "post-perspective"),
     settings_types=(PerspectiveMapSettings,),
     resolve_settings=resolve_perspective_map,
     cache_names=("skugga.terrain.gl.depth_targets",),
@@ -361,7 +353,7 @@ ALGORITHM = Algorithm(
         exclusion_reason="its texels follow the camera, so edges would crawl while the camera moves; it is for stills",
         resolution_variants=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
     ),
-    cost=CostInputs(perspective_map_work, calibration_settings=_calibration_settings),
-    accuracy=AccuracyInputs(texel_px=perspective_map_texel_px, texel_m=_texel_on_ground_m),
+    cost=CostInputs(perspective_map_work, calibration_settings=calibration_settings),
+    accuracy=AccuracyInputs(texel_px=perspective_map_texel_px, texel_m=texel_on_ground_m),
     marker=PlotMarker("diamond", "sky"),
 )

@@ -5,6 +5,12 @@ the same float32 operations and the same order.
 
 A look-up is little work for each of many points. A software rasteriser spends more time on the transfer of points and results than
 on the look-ups. A graphics card has to transfer sixteen numbers per point over its bus.
+
+With ``receiver_plane``, points of trees get the normal offset. The sun often grazes a tree's upright pictures, so the plane under
+the next texel's centre lies metres up or down the tree, and its leaves say nothing about the point. Half a texel off the picture,
+the only surface is leaves. In five wooded views, maps of 1,024 to 4,096 texels misjudge 0.5 to 0.7 times as many points as with
+the plane (``tests/shadows/maps/test_point_lookup.py`` compares both). Maps see trees from above, where the plane is better (0.46
+against 0.52 % in a hamlet in a wood).
 """
 
 from __future__ import annotations

@@ -10,11 +10,13 @@ kinds. It also shows why no caster is lost, and how the slide-back is chosen. Th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from skugga.shadows.maps.camera import Camera, Light
 from skugga.terrain.compiled import compiled
 
 PostPerspectiveLightKind = Literal["point", "sink", "parallel"]
@@ -49,47 +51,6 @@ OUTLINE_DIRECTIONS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
-    """A camera in a frame.
-
-    Attributes
-    ----------
-    eye_m
-        (3,): position of the eye, metres.
-    camera_from_frame
-        (3, 3): rotation from the local frame to right, down and forward.
-    """
-
-    eye_m: np.ndarray
-    camera_from_frame: np.ndarray
-
-    @property
-    def forward_axis(self) -> np.ndarray:
-        """The unit vector (3,) along which the camera looks, in the frame."""
-        return self.camera_from_frame[2]
-
-    def to_camera(self, points_m: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) of the frame in camera coordinates: metres right, down and forward of the eye."""
-        return (points_m - self.eye_m) @ self.camera_from_frame.T
-
-
-@dataclass(frozen=True, eq=False)
-class Light:
-    """A light in a frame.
-
-    Attributes
-    ----------
-    homogeneous_position
-        (4,): the light as a homogeneous point.
-    lit_point_m
-        (3,): a point that the light certainly shines at: ahead of a spot, anywhere under the sun.
-    """
-
-    homogeneous_position: np.ndarray
-    lit_point_m: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class PostPerspective:
     """The matrix of a map whose depth range is not yet fitted.
 
@@ -100,11 +61,15 @@ class PostPerspective:
     kind
         The kind of the light after the camera's projection; ``None`` for a uniform map.
     slide_back_m
-        The slide-back (distance from the real camera back to the virtual one), metres; infinity for a uniform map.
+        The slide-back (distance from the real camera back to the virtual one), metres; infinity for a uniform map. Of a light-space
+        perspective map, the distance of the warp's centre from the nearest receiver.
     texel_size
         Size in the picture of half the map's width: the root mean square over the sampled receivers, in tangents of angles.
     uniform_map_reason
         The reason for a uniform map; empty otherwise.
+    space_from_frame
+        Matrix (4, 4) from the frame to the space after the perspective, in which the receivers lie within -1 to 1 in all axes
+        (right, down and forward); ``None`` for a uniform map.
     """
 
     clip_from_frame: np.ndarray
@@ -112,6 +77,7 @@ class PostPerspective:
     slide_back_m: float
     texel_size: float
     uniform_map_reason: str = ""
+    space_from_frame: np.ndarray | None = None
 
 
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_back_m: float) -> np.ndarray:
@@ -147,6 +113,10 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Return the light's perspective (4, 4) in the space in which ``light`` is given: a camera's clip space, or a frame.
 
     It maps a light (4,) of any kind to (0, 0, -1, 0), and the point ``middle`` (3,) to (0, 0, 0, 1).
+
+    Kozlov's matrix for a sink has its near plane at -e and its far plane at +e, so that depth is e/z and runs through infinity. For
+    a point it has two positive planes. In both, depth is a sum of w and a positive multiple of the z here. Along a ray the two
+    differ by a shift and a scale, which the fit to the receivers removes. So e need not be chosen.
     """
     to_light = light[:3] - light[3] * middle
     squared_length = to_light @ to_light
@@ -166,36 +136,35 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     ``points`` (n, 3); a lamp's does not depend on them.
     """
     return light_matrix(
-        light.homogeneous_position, light.lit_point_m if light.homogeneous_position[3] else _centre_of_bounds(points)
+        light.homogeneous_position, light.lit_point_m if light.homogeneous_position[3] else centre_of_bounds(points)
     )
 
 
 def post_perspectives(
-    camera: Camera, light: Light, points: np.ndarray, inner_half_width: float, outer_receivers: np.ndarray = NO_POINTS
+    camera: Camera,
+    light: Light,
+    points: np.ndarray,
+    inner_half_width: float,
+    outer_receivers: np.ndarray = NO_POINTS,
+    slides_back: bool = True,
 ) -> list[PostPerspective]:
     """Return the candidate maps for receivers (n, 3) in front of the eye, the best one first.
 
     The last one is the uniform map. Candidates with larger texels than the uniform map are left out. The maps are chosen by
     ``points``, and also hold the points ``outer_receivers`` (m, 3). If another receiver lies beyond the horizon of a map, the
-    caller takes the next candidate. ``inner_half_width`` is the part of the map's half width that receivers may fill.
+    caller takes the next candidate. ``inner_half_width`` is the part of the map's half width that receivers may fill. Unless
+    ``slides_back``, the only candidate is the map of a virtual camera at the real one, if it has all receivers before its horizon.
     """
     uniform = uniform_matrix(light, points)
-    outline = np.concatenate([points[_outline_indices(project_points(uniform, points)[:, :2])], outer_receivers])
     required_points = np.concatenate([points, outer_receivers])
     camera_points, uniform_distance = camera.to_camera(points), horizon_distance(uniform, required_points)
-    ray_axes, picture_derivatives = _ray_axes_and_picture_derivatives(camera, light, points)
 
-    def make_candidate(
-        matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_back_m: float, uniform_map_reason: str = ""
-    ) -> PostPerspective:
-        matrix = _fit_rotation(matrix, outline, inner_half_width)
-        return PostPerspective(
-            matrix, kind, slide_back_m, _rms_texel_size(matrix, points, ray_axes, picture_derivatives), uniform_map_reason
-        )
-
-    off_axis_deg = _off_axis_deg(camera, light, _centre_of_bounds(points))
-    if off_axis_deg <= UNIFORM_MAP_CONE_DEG:
-        reason = f"the light is {off_axis_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
+    make_candidate = candidate_maker(camera, light, points, outer_receivers, inner_half_width)
+    angle_deg = off_axis_deg(camera, light, centre_of_bounds(points))
+    if angle_deg <= UNIFORM_MAP_CONE_DEG and not slides_back:
+        return []
+    if angle_deg <= UNIFORM_MAP_CONE_DEG:
+        reason = f"the light is {angle_deg:.1f} degrees off the view's axis, within the limit of {UNIFORM_MAP_CONE_DEG:g}"
         return [make_candidate(uniform, None, np.inf, f"a uniform map: {reason}")]
     near, far = float(camera_points[:, 2].min()), float(camera_points[:, 2].max())
     far = max(far, near * (1.0 + MIN_EXTENT_SHARE))  # a wall that faces the camera
@@ -203,14 +172,18 @@ def post_perspectives(
     halvings = max(
         SLIDE_BACK_DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1
     )  # a slide-back below half the nearest distance has no effect
-    for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, SLIDE_BACK_DOUBLINGS + 1))):
+    slides_m = far * 2.0 ** np.arange(-halvings, SLIDE_BACK_DOUBLINGS + 1) if slides_back else ()
+    for slide_m in (0.0, *slides_m):
         view = camera_matrix(
             camera, max(float((widest / (camera_points[:, 2] + slide_m)).max()), MIN_EXTENT_SHARE), near, far, slide_m
         )
         clip_light = view @ light.homogeneous_position
-        matrix = light_matrix(clip_light, _centre_of_bounds(project_points(view, points))) @ view
+        matrix = light_matrix(clip_light, centre_of_bounds(project_points(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, required_points) / uniform_distance):
-            candidates.append(make_candidate(matrix, light_kind_in_clip_space(clip_light), float(slide_m)))
+            candidate = make_candidate(matrix, light_kind_in_clip_space(clip_light), float(slide_m), "")
+            candidates.append(replace(candidate, space_from_frame=view))
+    if not slides_back:
+        return candidates
     reason = (
         "a uniform map has smaller texels than the perspective map at every slide-back distance"
         if candidates
@@ -224,6 +197,29 @@ def post_perspectives(
         ),
         uniform_map,
     ]
+
+
+def candidate_maker(
+    camera: Camera, light: Light, points: np.ndarray, outer_receivers: np.ndarray, inner_half_width: float
+) -> Callable[[np.ndarray, PostPerspectiveLightKind | None, float, str], PostPerspective]:
+    """Return a function that makes a candidate map of a matrix (4, 4): it is rotated and scaled to the receivers.
+
+    The function's further arguments are ``kind``, ``slide_back_m`` and ``uniform_map_reason`` of ``PostPerspective``. The sizes of
+    texels are those at ``points`` (n, 3). The other parameters are those of ``post_perspectives``.
+    """
+    image = project_points(uniform_matrix(light, points), points)[:, :2]
+    outline = np.concatenate([points[_outline_indices(image)], outer_receivers])
+    ray_axes, picture_derivatives = _ray_axes_and_picture_derivatives(camera, light, points)
+
+    def make_candidate(
+        matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_back_m: float, uniform_map_reason: str
+    ) -> PostPerspective:
+        matrix = _fit_rotation(matrix, outline, inner_half_width)
+        return PostPerspective(
+            matrix, kind, slide_back_m, _rms_texel_size(matrix, points, ray_axes, picture_derivatives), uniform_map_reason
+        )
+
+    return make_candidate
 
 
 def texel_size_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
@@ -284,12 +280,12 @@ def is_clear_of_horizon(distances: np.ndarray) -> bool:
     return bool(np.isfinite(distances).all() and distances.min() >= HORIZON_MARGIN * distances.max() > 0.0)
 
 
-def _centre_of_bounds(points: np.ndarray) -> np.ndarray:
+def centre_of_bounds(points: np.ndarray) -> np.ndarray:
     """Return the centre (3,) of the bounds of points (n, 3)."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def _off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
+def off_axis_deg(camera: Camera, light: Light, point_m: np.ndarray) -> float:
     """Return the angle, in degrees, between the view's axis and the direction from a point ``point_m`` (3,) to a light.
 
     The axis counts in either direction, so the angle is at most 90.

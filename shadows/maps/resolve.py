@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
-from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.maps.bias_settings import bias_and_culling, bias_fault_reasons, bias_scale_of
+from skugga.shadows.maps.settings import (
+    Cascade,
+    LampMapSettings,
+    MapFilter,
+    PerspectiveMapSettings,
+    ShadowMapSettings,
+)
 from skugga.shadows.maps.taps import sun_taps
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
 from skugga.shadows.penumbra import MAX_LIGHT_POINTS
@@ -159,7 +166,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     if taps == "auto":
         taps, reason = sun_taps(descriptor, cascades)
         reasons.append(NamedReason(name=f"filter {taps}", reason=reason))
-    fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
+    fixed_settings = bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
     if shadows.fit == "auto":
         reason = "texels stay fixed to the ground when the view moves"
         reason += ", and neighbouring blocks match" if descriptor.view_kind == "map" else ""
@@ -170,6 +177,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     if shadows.culling == "auto" and "meshes" in descriptor.casters:
         reason = "depths are not shifted, so front-face culling gains nothing"
         reasons.append(NamedReason(name="culling none", reason=reason))
+    reasons += bias_fault_reasons(shadows)
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
@@ -231,16 +239,17 @@ def lamp_map_settings(
     if shadows.depth_bits == "auto":
         reason = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(NamedReason(name=f"{lamp.name}: depth_bits 32", reason=reason))
-    reasons += taps_reasons
+    reasons += [*taps_reasons, *bias_fault_reasons(shadows, f"{lamp.name}: ")]
     return LampMapSettings(
-        map_size=size, depth_bits=bits, filter=taps, light_points=light_point_count, **_bias_and_culling(shadows)
+        map_size=size, depth_bits=bits, filter=taps, light_points=light_point_count, **bias_and_culling(shadows)
     ), reasons
 
 
-def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
+def resolve_perspective_map(request: SettingsRequest, has_slide_back: bool = True) -> ResolvedSettings:
     """Return the settings of a light's perspective map, and the reasons for automatic values.
 
-    Raises ``UnsupportedError`` for the penumbra of a lamp without a radius.
+    ``has_slide_back`` tells whether the algorithm has a virtual camera that can slide back. Raises ``UnsupportedError`` for the
+    penumbra of a lamp without a radius.
     """
     light, shadows = request.light, request.effective_shadows
     prefix = "" if light == SUN else f"{light}: "
@@ -263,18 +272,18 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
             "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
         )
         reasons.append(NamedReason(name=f"{prefix}depth_bits {bits}", reason=f"{reason}: 16 bits are too coarse far away"))
-    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_point_count), [
-        *reasons,
-        *taps_reasons,
-    ]
-
-
-def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
-    """Return the bias and the culling as fields of map settings, with automatic values replaced."""
-    return {
-        "bias": "receiver_plane" if shadows.bias == "auto" else shadows.bias,
-        "culling": "none" if shadows.culling == "auto" else shadows.culling,
-    }
+    if shadows.slide_back == "off" and has_slide_back:
+        reason = "the virtual camera stays at the real one: larger texels, or a refusal where the map's horizon meets the view"
+        reasons.append(NamedReason(name=f"{prefix}slide_back off", reason=reason))
+    scale_shadows = shadows.model_copy(update={"bias": "auto"})
+    return PerspectiveMapSettings(
+        map_size=size,
+        depth_bits=bits,
+        filter=taps,
+        light_points=request.light_point_count,
+        bias_scale=bias_scale_of(shadows),
+        slide_back=shadows.slide_back if has_slide_back else "auto",
+    ), [*reasons, *taps_reasons, *bias_fault_reasons(scale_shadows, prefix)]
 
 
 def _cascade_extents(

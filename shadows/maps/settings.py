@@ -14,8 +14,14 @@ from skugga.shadows.algorithm_settings import AlgorithmSettings, AreaLightSettin
 MapFit = Literal["stable", "tight"]
 """Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""
 
-MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
+MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset", "slope_clamped"]
 """Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each."""
+
+SLOPE_BIAS, SLOPE_BIAS_LIMIT = 0.0005, 0.005
+"""The bias ``slope_clamped`` on a slope of 45 degrees to the light, and its upper bound, as shares of the map's depth.
+
+The bound is that of shaders of textbooks, in which the factor is tuned for each scene.
+"""
 
 MapFilter = Literal[1, 2, 3, 5, "sun"]
 """Taps along a side of a map's look-up; ``sun``: the penumbra of the light's disc or ball."""
@@ -92,7 +98,7 @@ class PerspectiveMapSettings(AreaLightSettings):
     """Settings of a perspective shadow map: texels along a side, bits of depth, and taps along a side.
 
     The filter ``sun`` shows the penumbra of the light's disc or ball, by a map for each of many points of it. The map always has a
-    tight fit, the bias ``receiver_plane`` and no culling.
+    tight fit, the bias ``receiver_plane`` and no culling. ``slide_back`` ``off`` leaves the virtual camera at the real one.
     """
 
     bias: ClassVar[MapBias] = "receiver_plane"
@@ -102,8 +108,12 @@ class PerspectiveMapSettings(AreaLightSettings):
     depth_bits: Literal[16, 24, 32]
     filter: MapFilter
     bias_scale: float = Field(default=1.0, ge=0)
+    slide_back: Literal["auto", "off"] = "auto"
 
     @property
     def label_parts(self) -> list[str]:
         """Texels and taps along a side, bits, and other values that differ from their defaults."""
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values()]
+        no_slide_back = ["no_slide_back"] if self.slide_back == "off" else []
+        return [
+            str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed_values("slide_back"), *no_slide_back,
+        ]  # fmt: skip

@@ -15,18 +15,21 @@ import numpy as np
 from skugga.shadows.algorithm import AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.algorithm_settings import AlgorithmSettings, SettingsRequest
 from skugga.shadows.area_light import mean_visibility_of_area_light
+from skugga.shadows.maps.edge_samples import maps_for_samples
 from skugga.shadows.maps.filling import visibility_by_maps
+from skugga.shadows.maps.relevant_trees import with_relevant_trees
 from skugga.shadows.maps.resolve import TUNED_MAP_SIZES, calibration_overrides, resolve_shadow_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import nearest_caster_m
 from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
-from skugga.shadows.maps.windows import DepthMap, lamp_map, sun_maps
+from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.maps.work import shadow_map_work
 from skugga.shadows.passes import PassLog
 from skugga.terrain.casters.caster_types import Casters
 from skugga.terrain.casters.casting import caster_trees, has_casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
@@ -45,19 +48,31 @@ def fill_visibility(
 ) -> np.ndarray:
     """Return a light's visibility at a buffer's points where only some kinds of casters block it, float32 (rows, cols) in [0, 1].
 
-    The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
+    The value has no meaning off the surface and where the surface faces away from the light. Samples of a view's pixels are looked
+    up in the sun's maps of these pixels, and are NaN outside of them. Raises ``GraphicsError``.
     """
     if isinstance(settings, LampMapSettings) and settings.filter == "sun":
         return mean_visibility_of_area_light(fill_visibility, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.pass_names(light, kinds, PASSES)
+    if buffer.first_sample_row == 0 and light == SUN and (light, kinds) in log.fitted_maps:
+        with log.record_pass(visibility_pass):
+            maps, unserved = maps_for_samples(log.fitted_maps[light, kinds], buffer, scene)
+        visibility = visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
+        visibility[unserved] = np.nan
+        return visibility
     trees = caster_trees(buffer, kinds)
-    maps: list[DepthMap] = []
+    maps = []
     with log.record_pass(depth_pass):  # fitting a map is part of making it
         if not has_casters(scene, buffer, kinds):
             pass
         elif isinstance(settings, ShadowMapSettings):
             nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
-            maps = sun_maps(buffer, scene, settings, trees, nearest_m)
+            maps = [
+                with_relevant_trees(fitted_map, buffer, settings.filter == "sun")
+                for fitted_map in sun_maps(buffer, scene, settings, trees, nearest_m)
+            ]
+            if not isinstance(buffer.view, MapView):
+                log.fitted_maps[light, kinds] = maps
         elif (lamp_depth_map := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
             maps = [lamp_depth_map]
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
@@ -102,7 +117,7 @@ ALGORITHM = Algorithm(
     plural_name="shadow maps",
     fill_visibility=fill_visibility,
     passes=PASSES,
-    layers=("shadow-map",),
+    layers=("shadow-map", "light-frustum", "light-bounds", "light-view"),
     settings_types=(ShadowMapSettings, LampMapSettings),
     resolve_settings=resolve_shadow_map,
     cache_names=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.disc_samples_before_edges"),

@@ -2,7 +2,7 @@
 
 One tap shows a penumbra of width P as a hard edge. Its mean error is P / 4, and a little more for the texels' edges. Three taps
 along a side show it as a ramp of two texels. The ramp is more accurate where texels are clearly narrower than P; elsewhere it blurs
-sharp edges. Leaves have no edges wider than the gaps between them, so three taps blur them. ``docs/accuracy.md`` has the
+sharp edges. Leaves have no edges wider than the gaps between them, so three taps blur them. ``docs/reports/accuracy.md`` has the
 measurements.
 """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,16 @@ class DepthMap:
         takes them. ``None``: all trees matter.
     shader_parts
         Names of two shader parts: the light's clip space, and the comparison of points with the map.
+    relevant_trees
+        Indices of the trees to draw, in the order of drawing; ``None``: all.
+    eye_distances_m
+        Distances from the eye of a perspective view between which the map serves points: more than the first, at most the second.
+    receiver_boxes
+        The boxes of the receivers that the map is fitted to, one for each face: a matrix (4, 4) from the frame to the box's space,
+        and the bounds (3,) there.
+    space_from_frame
+        Matrix (4, 4) from the frame to the post-perspective space of a perspective map, whose view lies within -1 to 1 in all axes
+        (right, down and forward); ``None`` for a uniform map.
     """
 
     uniforms: dict[str, Any]
@@ -74,6 +84,10 @@ class DepthMap:
     point_indices: np.ndarray | None
     tree_bounds: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
     shader_parts: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
+    relevant_trees: np.ndarray | None = None
+    eye_distances_m: tuple[float, float] = (-1.0, np.inf)
+    receiver_boxes: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
+    space_from_frame: np.ndarray | None = None
 
     @property
     def texture_size(self) -> tuple[int, int]:
@@ -119,7 +133,8 @@ def sun_maps(
         far_m = np.inf if cascade.far_m is None else cascade.far_m
         cascade_receivers = receivers & (distance_m > near_m) & (distance_m <= far_m)
         if cascade_receivers.any():
-            maps.append(_sun_map(buffer, cascade_receivers, scene, cascade, settings, trees, nearest_caster_m))
+            depth_map = _sun_map(buffer, cascade_receivers, scene, cascade, settings, trees, nearest_caster_m)
+            maps.append(replace(depth_map, eye_distances_m=(near_m, far_m)))
         near_m = far_m
     return maps
 
@@ -140,6 +155,9 @@ def _sun_map(
     assert scene.light_space is not None
     rotation, translation = scene.light_space.transform_from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, receiver_mask, rotation, translation)
+    light_matrix = np.eye(4)
+    light_matrix[:3] = np.column_stack([rotation, translation])
+    receiver_box = light_matrix, low.copy(), high.copy()
     error_m = POSITION_ERROR * (_max_coordinate_m(buffer, receiver_mask) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than the float32 error of positions
@@ -178,7 +196,10 @@ def _sun_map(
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(receiver_mask)
     tree_bounds = rotation, offset_m, np.zeros(3), window_m
-    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, tree_bounds)
+    return DepthMap(
+        uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, tree_bounds,
+        receiver_boxes=(receiver_box,),
+    )  # fmt: skip
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
@@ -203,7 +224,22 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "depth_step": 1.0 / depth_step_count(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.valid)
-    return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
+    receiver_boxes = tuple(
+        (_lamp_matrix(face, position, half, nearest_m, farthest_m), np.full(3, -1.0), np.ones(3)) for face in face_from_frame
+    )
+    return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels, receiver_boxes=receiver_boxes)
+
+
+def _lamp_matrix(rotation: np.ndarray, position: np.ndarray, tangent: float, near_m: float, far_m: float) -> np.ndarray:
+    """Return the perspective (4, 4) of a lamp's face, which takes its space between two depths to -1 to 1.
+
+    ``rotation`` (3, 3) leads from the frame to the face's right, up and forward axes. ``position`` (3,) is that of the lamp,
+    ``tangent`` half the face's width at distance 1, ``near_m`` and ``far_m`` are the depths.
+    """
+    axes = np.column_stack([rotation, -rotation @ position])
+    far_m = max(far_m, near_m * (1.0 + 1e-6))
+    depth = axes[2] * (far_m + near_m) / (far_m - near_m) - np.array([0.0, 0.0, 0.0, 2.0 * far_m * near_m / (far_m - near_m)])
+    return np.stack([axes[0] / tangent, axes[1] / tangent, depth, axes[2]])
 
 
 @compiled

@@ -14,7 +14,13 @@ from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, MAP_SIZE_STEP
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gl.depth_targets import depth_bytes
 from skugga.terrain.level.level import SUN
+
+DRAWING_COUNTS = frozenset({
+    "texels", "texels of ground", "texels of leaves", "texels in shadow", "triangles", "trees", "ground", "trees drawn",
+})  # fmt: skip
+"""Names of the counts of drawing a map. The others are those of fitting it and of looking points up."""
 
 MapWindows = list[tuple[float, float]]
 """Number of texels of each of a light's maps, and its area across the light in square metres."""
@@ -34,20 +40,19 @@ def shadow_map_work(workload: Workload, settings: ShadowMapSettings | LampMapSet
     return {f"shadow_map, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.visible_pixel_count)}
 
 
-def perspective_map_work(workload: Workload, settings: PerspectiveMapSettings) -> Work:
-    """Return the work of a perspective map."""
+def perspective_map_work(
+    workload: Workload, settings: PerspectiveMapSettings, algorithm: str = "perspective_shadow_map"
+) -> Work:  # fmt: skip
+    """Return the work of a perspective map, for the rates of an algorithm."""
     if settings.filter == "sun":
-        return scale_work(perspective_map_work(workload, settings.model_copy(update={"filter": 1})), settings.light_points)
+        work = perspective_map_work(workload, settings.model_copy(update={"filter": 1}), algorithm)
+        return scale_work(work, settings.light_points)
     windows = [(float(settings.map_size**2), workload.visible_ground_projected_m2)]
-    return {
-        f"perspective_shadow_map, {workload.light_kind}": _map_counts(
-            workload, windows, settings.filter, workload.facing_pixel_count
-        )
-    }
+    return {f"{algorithm}, {workload.light_kind}": _map_counts(workload, windows, settings.filter, workload.facing_pixel_count)}
 
 
 def _map_counts(workload: Workload, windows: MapWindows, filter: int | str, lookup_count: float) -> Counts:
-    """Return the counts of drawing depth maps and looking ``lookup_count`` points up in them.
+    """Return the counts of drawing depth maps and looking ``lookup_count`` points up in them. Cached maps are not drawn.
 
     ``windows`` are the maps' sizes. ``filter`` is the number of taps along a side, or ``sun``. Drawing and look-ups are counted
     together, since a device may defer the drawing until the look-up needs it.
@@ -71,7 +76,20 @@ def _map_counts(workload: Workload, windows: MapWindows, filter: int | str, look
         ground |= {"pixels": workload.pixel_count, "nodes": workload.node_count}
     else:
         ground["trees drawn"] = trees
-    return counts | ground
+    counts |= ground
+    if workload.is_cached("depth maps"):
+        return {name: count for name, count in counts.items() if name not in DRAWING_COUNTS}
+    return counts
+
+
+def depth_map_sizes(work: Work, depth_bits: int) -> tuple[int, int]:
+    """Return the number of depth maps that a step's work draws, and the bytes of their texels.
+
+    ``work`` is that of a frame made anew. Maps have ``depth_bits`` bits a texel.
+    """
+    parts = [counts for counts in work.values() if "maps" in counts]
+    texels = sum(counts["texels"] for counts in parts)
+    return round(sum(counts["maps"] for counts in parts)), depth_bytes(1, round(texels), depth_bits)
 
 
 def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> MapWindows:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skugga.shadows.block_normals import up_and_pixels
 from skugga.shadows.horizons.azimuths import evenly_spaced_azimuths_deg
 from skugga.shadows.horizons.block_ground import block_grid, block_plane, horizon_blocks
 from skugga.shadows.horizons.object_ground import has_objects, object_grids
@@ -117,14 +118,8 @@ def block_sky_light(block: ShadingBlock) -> np.ndarray:
     """Return ``sky_light_factor`` at the points of a map's block, float32 (rows, cols); undefined where there is no surface."""
     buffer, view = block.buffer, block.view
     assert isinstance(view, MapView)
-    up = buffer.position_frame_m - block.scene.world.up_origin(buffer.frame)
-    up /= np.linalg.norm(up, axis=-1, keepdims=True)
-    pixels = None
-    if len(buffer.valid) > view.rows:
-        row, col = np.indices(buffer.valid.shape).reshape(2, -1)
-        row, col = block.pixels_of_points(row, col)
-        pixels = row.reshape(buffer.valid.shape), col.reshape(buffer.valid.shape)
-    return sky_light_factor(block.scene, view, buffer.frame, buffer.shading_normal_frame, up.astype(np.float32), pixels)
+    up, pixels = up_and_pixels(block)
+    return sky_light_factor(block.scene, view, buffer.frame, buffer.shading_normal_frame, up, pixels)
 
 
 def _cache_key(scene: Scene, view: MapView) -> tuple[object, ...]:

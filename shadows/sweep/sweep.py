@@ -325,6 +325,8 @@ def _work(workload: Workload, settings: SweepSettings) -> Work:
         "points": workload.visible_pixel_count,
         "answers": workload.visible_pixel_count, "decimated": rasterised, "outside": workload.outside_triangle_count / 2.0,
     }  # fmt: skip
+    if workload.is_cached("sun-aligned ground") and settings.filter != "sun":  # the cache holds the ground for one sun
+        del counts["decimated"]
     work = {workload.part_name_in_view("sweep"): counts}
     return scale_work(work, settings.light_points) if settings.filter == "sun" else work
 

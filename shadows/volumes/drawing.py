@@ -22,7 +22,7 @@ import numpy as np
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.layers import may_shade_near_plane
 from skugga.shadows.volumes.settings import StencilSettings
-from skugga.shadows.volumes.tiles import covering_rectangles, cull_faces, depth_bounds, marked_tiles
+from skugga.shadows.volumes.tiles import all_faces, covering_rectangles, cull_faces, depth_bounds, marked_tiles
 from skugga.shadows.volumes.views import (
     VisiblePoints,
     near_plane_distance_m,
@@ -32,6 +32,7 @@ from skugga.shadows.volumes.views import (
     sample_points,
 )
 from skugga.shadows.volumes.volumes import Volumes
+from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import Device, device
@@ -178,7 +179,7 @@ def _count_points(
     gl, size = device(), points.size
     from_above = points.near_plane_frame_m is None
     clamped, offset_steps = from_above and light[3] != 0.0, MAP_OFFSET_STEPS if from_above else 0.0
-    max_faces = max((len(volume_set.faces) for volume_set in volumes), default=0)
+    max_faces = max((len(volume_set.faces) for volume_set in volumes if not volume_set.draws_all_faces), default=0)
     parts = covering_rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.buffer_indices), np.uint8)
@@ -190,7 +191,11 @@ def _count_points(
             clip = points.to_clip(volume_set.vertices.astype(np.float64))
             added = np.full(len(parts), _layers_around_viewer(volume_set, points, light) if clamped else 0)
             for counting, faces in _counting_methods(volume_set, points, light, settings):
-                visible_faces = cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
+                visible_faces = (
+                    all_faces(len(faces), len(parts))
+                    if volume_set.draws_all_faces
+                    else cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
+                )
                 added += visible_faces.added_layers
                 if not len(visible_faces.face_numbers):
                     continue
@@ -237,10 +242,31 @@ def _counting_methods(
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
         return [("z_fail", volumes.faces)]
-    uses_z_fail = may_shade_near_plane(volumes.caster_low_m, volumes.caster_high_m, points.near_plane_frame_m, light)[
-        volumes.caster_of_face
-    ]
+    reaches_near_plane = may_shade_near_plane(volumes.caster_low_m, volumes.caster_high_m, points.near_plane_frame_m, light)
+    if settings.counting == "z_pass":
+        _check_z_pass(volumes, reaches_near_plane, points.near_plane_frame_m, light)
+        return [("z_pass", volumes.faces)]
+    uses_z_fail = reaches_near_plane[volumes.caster_of_face]
     return [("z_pass", volumes.faces[~uses_z_fail]), ("z_fail", volumes.faces[uses_z_fail])]
+
+
+def _check_z_pass(volumes: Volumes, reaches_near_plane: np.ndarray, near_plane_frame_m: np.ndarray, light: np.ndarray) -> None:
+    """Raise ``UnsupportedError`` if a shadow volume may reach the near plane, where z-pass counts wrongly.
+
+    ``reaches_near_plane`` (casters,) tells which casters' bounds may cast on the near plane's rectangle (4, 3). Of these, the
+    bounds of each casting triangle are tested. Volumes without marked caps cast from all faces that do not reach infinity.
+    """
+    if volumes.cap_count:
+        suspects = volumes.caps[reaches_near_plane[volumes.caster_of_face[volumes.first_cap :][: volumes.cap_count]]]
+    else:
+        faces = volumes.faces[reaches_near_plane[volumes.caster_of_face]]
+        suspects = faces[(volumes.vertices[faces, 3] > 0.0).all(axis=1)]
+    corners = volumes.vertices[suspects, :3].astype(np.float64)
+    count = int(may_shade_near_plane(corners.min(axis=1), corners.max(axis=1), near_plane_frame_m, light).sum())
+    if count:
+        triangles = "a casting triangle may shade" if count == 1 else f"{count} casting triangles may shade"
+        reason = f"{triangles} the near plane, so the eye may be inside a shadow volume, where z-pass counts too few (use z_fail)"
+        raise UnsupportedError("counting", "z_pass", reason)
 
 
 def _render_in_rectangles(

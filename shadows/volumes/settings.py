@@ -12,11 +12,12 @@ class StencilSettings(AlgorithmSettings):
     """The method by which volumes are counted.
 
     ``stencil`` draws both sides of volumes in one pass, or each in its own. ``counting`` ``auto`` uses z-pass for casters whose
-    volume provably misses the near plane and z-fail for the others.
+    volume provably misses the near plane and z-fail for the others. ``z_pass`` uses z-pass for all, and is refused where a volume
+    may reach the near plane.
     """
 
     stencil: Literal["one_pass", "two_pass"] = "one_pass"
-    counting: Literal["auto", "z_fail"] = "auto"
+    counting: Literal["auto", "z_fail", "z_pass"] = "auto"
 
 
 class VolumeSettings(StencilSettings, AreaLightSettings):
@@ -37,15 +38,23 @@ class VolumeSettings(StencilSettings, AreaLightSettings):
 
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of shadow volumes, and the reason for a penumbra or for a filter without effect."""
-    settings = stencil_settings(request.shadows)
+    settings, reasons = stencil_settings(request.shadows), stencil_reasons(request.shadows)
     if not request.is_area_light:
-        return VolumeSettings(**settings), request.ignored_filter_reasons("shadow_volume")
+        return VolumeSettings(**settings), [*request.ignored_filter_reasons("shadow_volume"), *reasons]
     reason = f"the mean of the volumes of {request.light_point_count} points of the light"
     return VolumeSettings(**settings, filter="sun", light_points=request.light_point_count), [
-        NamedReason(name="filter sun", reason=reason)
-    ]
+        NamedReason(name="filter sun", reason=reason), *reasons,
+    ]  # fmt: skip
 
 
 def stencil_settings(shadows: Shadows) -> dict[str, Any]:
     """Return the requested counting method as fields of ``StencilSettings``."""
     return {"stencil": "one_pass" if shadows.stencil == "auto" else shadows.stencil, "counting": shadows.counting}
+
+
+def stencil_reasons(shadows: Shadows) -> list[NamedReason]:
+    """Return the condition under which z-pass alone is right, if it is requested."""
+    if shadows.counting != "z_pass":
+        return []
+    reason = "faces before the point are counted, for all casters; refused where a shadow volume may hold the eye"
+    return [NamedReason(name="counting z_pass", reason=reason)]

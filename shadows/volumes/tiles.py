@@ -114,6 +114,15 @@ def cull_faces(
     return CulledFaces(*_cull_triangles(points, faces, counts_behind, rectangles.astype(np.float64), depth_ranges, near_plane))
 
 
+def all_faces(face_count: int, rectangle_count: int) -> CulledFaces:
+    """Return all faces for each of some rectangles, none of them culled."""
+    return CulledFaces(
+        np.tile(np.arange(face_count, dtype=np.int32), rectangle_count),
+        np.arange(rectangle_count + 1) * face_count,
+        np.zeros(rectangle_count, np.int64),
+    )
+
+
 @compiled
 def _cover_tiles(tiles, cost):
     """Return rectangles (k, 4) int64 that contain all marked tiles, in tiles (``covering_rectangles``).

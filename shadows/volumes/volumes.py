@@ -69,6 +69,8 @@ class Volumes:
         int32 (e, 2): vertex numbers of the silhouette's edges.
     first_cap, cap_count
         Index of the first face that is a near cap (a casting triangle), and number of near caps.
+    draws_all_faces
+        Whether all faces are drawn everywhere. To cull faces of about a pixel takes longer than to draw them.
     """
 
     vertices: np.ndarray
@@ -79,6 +81,7 @@ class Volumes:
     silhouette_edges: np.ndarray
     first_cap: int
     cap_count: int
+    draws_all_faces: bool = False
 
     @property
     def caps(self) -> np.ndarray:

@@ -37,18 +37,19 @@ TRIANGLES_PER_PATCH = 2 * PATCH_QUADS**2
 
 def volume_work(workload: Workload, settings: VolumeSettings) -> Work:
     """Return the work of shadow volumes over the whole picture."""
-    counts = {
-        workload.part_name_in_view("silhouettes"): silhouette_counts(workload),
-        workload.part_name_in_view("counting"): stencil_counts(workload, settings),
-    }
+    counts = silhouette_work(workload) | {workload.part_name_in_view("counting"): stencil_counts(workload, settings)}
     return scale_work(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
-def silhouette_counts(workload: Workload) -> Counts:
-    """Return the counts of finding silhouettes: the edges between faces towards the light and others."""
+def silhouette_work(workload: Workload) -> Work:
+    """Return the work of finding silhouettes: the edges between faces towards the light and others. Cached volumes have none."""
+    if workload.is_cached("volumes"):
+        return {}
     return {
-        "blocks": 1.0, "triangles": workload.triangle_count("meshes"), "edges": float(_mesh_edges(workload)),
-        "ground": workload.ground_triangle_count,
+        workload.part_name_in_view("silhouettes"): {
+            "blocks": 1.0, "triangles": workload.triangle_count("meshes"), "edges": float(_mesh_edges(workload)),
+            "ground": workload.ground_triangle_count,
+        }
     }  # fmt: skip
 
 

@@ -21,7 +21,9 @@ from skugga.terrain.scene import Scene
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed without foliage, if all trees are too small to draw, or if no shadow of foliage can be visible.
+    Needed: the shadow of foliage can fall on a visible surface, or a lamp shines.
+
+    Left out: there is no foliage, all its trees are too small to be drawn, or none of its shadow can be visible.
     """
     if "forest" not in descriptor.casters:
         return Verdict(False, "there is no foliage")

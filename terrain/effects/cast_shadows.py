@@ -60,8 +60,11 @@ normal (-a, -b, 1) multiplies it by the length of this normal, for a slope as st
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed without possible occluders, or if no direct light reaches the view: without lamps, and with no sun, at night or
-    under an overcast sky.
+    Needed: direct light reaches the level, and something can stand in its way: a facet of the ground hides a part of the sun's
+    disc, or meshes or trees throw their shadow on visible surfaces.
+
+    Left out: no light; night, or a fully clouded sky, without lamps; ground from which the sun's whole disc is visible everywhere,
+    or which faces away from it everywhere; bare ground at one height.
     """
     sun = sun_verdict(descriptor)
     if sun.is_needed:

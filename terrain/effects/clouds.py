@@ -1,64 +1,47 @@
-"""Cloud shadows: clouds drift with time and block a part of the direct sunlight.
+"""Clouds: they drift with time, block a part of the direct sunlight, and are seen in the sky of perspective views.
 
-The clouds are a layer without thickness at a constant height. A point's ray to the sun meets the layer at one place. The density of
-the clouds there determines how much sunlight they block. The density is fractal noise over metres east and north of the level's
-anchor, so every tile, view and frame has the same cloud above the same ground. Clouds are not shadow casters: they change the
-colours of a picture, but not the visibility of the sun that shadow algorithms compute.
+A point's ray to the sun meets the layer (``cloud_layer``) at one place. The density of the clouds there determines how much
+sunlight they block. Every tile, view and frame has the same cloud above the same ground. Clouds are not shadow casters: they change
+the colours of a picture, but not the visibility of the sun that shadow algorithms compute. ``sky_clouds`` draws the sky.
 """
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled
+from skugga.terrain.effects.cloud_layer import (
+    CLOUD_EDGE_WIDTH,
+    CLOUD_OCTAVES,
+    COARSEST_CLOUD_WAVELENGTH_M,
+    MAX_NOISE,
+    MAX_NOISE_SLOPE,
+    MIN_SUN_ALTITUDE_SINE,
+    CloudLayer,
+    cloud_layer_of,
+    cloud_noise,
+    density_at,
+    density_of_noise,
+    fade_share,
+    layer_position,
+)
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from skugga.terrain.effects.haze import farthest_mesh_m
+from skugga.terrain.effects.sky_clouds import sky_colors_with_clouds
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact, numeric_fact
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.noise import OCTAVE_GAIN, noise_at
+from skugga.terrain.ground.noise import OCTAVE_GAIN
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
-from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, night_sky_share
 from skugga.terrain.shading_loops import twilight_sky_share
-
-CLOUD_HEIGHT_M, CLOUD_CLEARANCE_M = 1500.0, 500.0
-"""Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
-
-CLOUD_DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
-"""East and north components of the clouds' velocity: 10 m/s towards the east-north-east."""
-
-MIN_SUN_ALTITUDE_SINE = np.sin(np.radians(5.0))
-"""Lower bound of the sine of the sun's altitude in the projection of points to the layer. Without it shadows would move ever faster
-towards sunset.
-"""
-
-COARSEST_CLOUD_WAVELENGTH_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
-"""Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
-
-CLOUD_EDGE_WIDTH = 0.26
-"""Difference of the noise between the edge of a cloud and its densest part."""
-
-CLOUD_TRANSMITTANCE = 0.25
-"""Transmittance of the densest cloud under a broken sky."""
-
-MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
-"""Upper bounds of the value and of the slope of ``skugga.terrain.ground.noise.noise_at``, over all its gradients."""
-
-MAX_OCTAVE_SUM = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
-"""Upper bound of the sum of all octaves."""
-
-FADE_WAVELENGTH_SHARES = 1 / 16, 1 / 2
-"""Pixel sizes, as shares of ``COARSEST_CLOUD_WAVELENGTH_M``, between which clouds fade into their mean density."""
 
 MAX_INVISIBLE_LIGHT_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
@@ -77,152 +60,6 @@ An upright face receives half of the sky. An overhanging face receives less, but
 
 MAX_DENSITY_EVALUATIONS = 2**17
 """Maximum number of evaluations in the search for the densest cloud. An undecided search counts as full density."""
-
-
-class CloudLayer(NamedTuple):
-    """The clouds of a scene.
-
-    Attributes
-    ----------
-    cloud_cover
-        Share of the sky that clouds cover.
-    noise_threshold
-        Value of the noise in the middle of a cloud's edge.
-    max_opacity
-        Share of the direct sunlight that the densest cloud blocks.
-    height_m
-        Height of the layer, metres.
-    to_sun_anchor
-        Unit vector to the sun (3,), in the anchor's axes.
-    up_origin_anchor_m
-        Point (3,) from which "up" points away, in the anchor's axes, metres.
-    drift_m
-        Drift east and north (2,), metres.
-    """
-
-    cloud_cover: float
-    noise_threshold: float
-    max_opacity: float
-    height_m: float
-    to_sun_anchor: np.ndarray
-    up_origin_anchor_m: np.ndarray
-    drift_m: np.ndarray
-
-
-def cloud_layer_of(scene: Scene) -> CloudLayer:
-    """Return the clouds of a scene, which must have a sun.
-
-    The transmittance of the densest cloud falls to 0 as the cover approaches 1, so that the transition to an overcast sky is
-    continuous.
-    """
-    world, cover = scene.world, scene.loaded.level.weather.cloud_cover
-    anchor_from_earth = world.earth_from_anchor.T
-    assert scene.sun is not None
-    centre = np.array([0.0, 0.0, -1e12]) if world.is_flat else -anchor_from_earth @ world.anchor_earth_m
-    return CloudLayer(
-        cover, noise_threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
-        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLOUD_CLEARANCE_M),
-        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.clock_seconds * np.array(CLOUD_DRIFT_M_PER_S),
-    )  # fmt: skip
-
-
-@cached("scene", MIB)
-def _mean_height_m(elevation: Elevation) -> float:
-    """Return the mean height of the level's ground, metres."""
-    return float(np.nanmean(elevation.overview.mean_heights_m))
-
-
-def noise_threshold_of(cloud_cover: float) -> float:
-    """Return the value that the noise exceeds on the share ``cloud_cover`` of a plane. For 0 and 1 it lies beyond all values."""
-    limit = MAX_OCTAVE_SUM + CLOUD_EDGE_WIDTH / 2.0
-    shares, values = _noise_distribution()
-    return float(np.interp(cloud_cover, [0.0, *shares, 1.0], [limit, *values, -limit]))
-
-
-@cached("process", 16 * MIB)
-def _noise_distribution() -> tuple[np.ndarray, np.ndarray]:
-    """Return shares of a plane (n,), and for each the noise value (n,) that is exceeded on that share of the plane.
-
-    They are measured on a square whose side is 195 of the coarsest wavelengths.
-    """
-    # Steps of the golden ratio have no common period with the lattice.
-    values = np.sort(_noise_on_grid(np.arange(256) * 0.76393202250021))[::-1]
-    return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
-
-
-@compiled
-def _noise_on_grid(x):
-    """Return the noise (n * n,) at all pairs of the coordinates ``x`` (n,), in units of ``COARSEST_CLOUD_WAVELENGTH_M``."""
-    out = np.empty(x.size * x.size)
-    for i in range(x.size):
-        for j in range(x.size):
-            out[i * x.size + j] = _cloud_noise(
-                x[j] * COARSEST_CLOUD_WAVELENGTH_M, x[i] * COARSEST_CLOUD_WAVELENGTH_M, -np.inf, np.inf
-            )
-    return out
-
-
-@compiled
-def _cloud_noise(x_m, y_m, low, high):
-    """Return the sum of the noise's octaves at the place (``x_m``, ``y_m``) in the layer.
-
-    The sum stops early once the remaining octaves cannot change whether it is below ``low`` or above ``high``.
-    """
-    # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
-    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_CLOUD_WAVELENGTH_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_CLOUD_WAVELENGTH_M
-    total, amplitude = 0.0, 1.0
-    for k in range(CLOUD_OCTAVES):
-        total += amplitude * noise_at(x, y, CLOUD_SEED + k)
-        amplitude *= OCTAVE_GAIN
-        remaining = MAX_OCTAVE_SUM - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
-        if total + remaining < low or total - remaining > high:
-            break
-        x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
-    return total
-
-
-@compiled
-def density_at(x_m, y_m, noise_threshold):
-    """Return the relative cloud density at the place (``x_m``, ``y_m``) in the layer: 0 in gaps, 1 inside clouds.
-
-    ``noise_threshold`` is that of the ``CloudLayer``.
-    """
-    return _density_of_noise(
-        _cloud_noise(x_m, y_m, noise_threshold - CLOUD_EDGE_WIDTH / 2.0, noise_threshold + CLOUD_EDGE_WIDTH / 2.0), noise_threshold
-    )
-
-
-@compiled
-def _density_of_noise(noise, noise_threshold):
-    """Return the relative cloud density, in [0, 1], for a value of the noise. It is 0.5 at ``noise_threshold``."""
-    return smoothstep_value((noise - noise_threshold) / CLOUD_EDGE_WIDTH + 0.5)
-
-
-@internal
-def _layer_position(x, y, z, height, layer_height_m, to_sun, up_origin, drift_m):
-    """Return the intersection (x, y) of a point's ray to the sun with the layer, in metres of the noise.
-
-    These are metres east and north of the anchor, minus the clouds' drift. ``height`` is the point's height, ``layer_height_m``
-    that of the layer. ``to_sun``, ``up_origin`` and ``drift_m`` are fields of the ``CloudLayer``. All coordinates are in the
-    anchor's axes.
-    """
-    ux, uy, uz = x - up_origin[0], y - up_origin[1], z - up_origin[2]
-    sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
-    distance_m = (layer_height_m - height) / max(sine, MIN_SUN_ALTITUDE_SINE)
-    return x + distance_m * to_sun[0] - drift_m[0], y + distance_m * to_sun[1] - drift_m[1]
-
-
-@compiled
-def _fade_share(pixel_m):
-    """Return the share, in [0, 1], of the mean density in the density that pixels ``pixel_m`` metres wide show."""
-    return min(
-        max(
-            (pixel_m / COARSEST_CLOUD_WAVELENGTH_M - FADE_WAVELENGTH_SHARES[0])
-            / (FADE_WAVELENGTH_SHARES[1] - FADE_WAVELENGTH_SHARES[0]),
-            0.0,
-        ),
-        1.0,
-    )
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -246,7 +83,7 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
     eye, tangent, pixel_m = size
-    fade = _fade_share(pixel_m)
+    fade = fade_share(pixel_m)
     for i in range(valid.shape[0]):
         for j in range(valid.shape[1]):
             if not valid[i, j] or sunlight[i, j] == 0.0:
@@ -254,13 +91,13 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
             p = position[i, j]
             if tangent > 0.0:
                 x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-                fade = _fade_share(tangent * np.sqrt(x * x + y * y + z * z))
+                fade = fade_share(tangent * np.sqrt(x * x + y * y + z * z))
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
             density = cover * fade
             if fade < 1.0:
-                x, y = _layer_position(x, y, z, height[i, j], layer_m, to_sun, centre, drift)
+                x, y = layer_position(x, y, z, height[i, j], layer_m, to_sun, centre, drift, MIN_SUN_ALTITUDE_SINE)
                 density += (1.0 - fade) * density_at(x, y, threshold)
             sunlight[i, j] *= 1.0 - max_opacity * density
 
@@ -268,7 +105,10 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed under a clear or overcast sky, without a sun, at night, and if clouds block no visible share of the light.
+    Needed: ``cloud_cover`` between 0 and 1, the sun is up, and the densest cloud over visible surfaces takes more than 0.8 % of its
+    light, or a perspective view shows sky.
+
+    Left out: a clear or a covered sky; night; no cloud near, and no sky in view.
     """
     facts = descriptor.facts["clouds"]
     cover = facts["cover"]
@@ -284,6 +124,8 @@ def judge(descriptor: Descriptor) -> Verdict:
     if blocked_share is None:
         return Verdict(True, f"cloud cover {cover:.3g}")
     if blocked_share <= MAX_INVISIBLE_LIGHT_SHARE:
+        if facts.get("in_sky"):
+            return Verdict(True, f"cloud cover {cover:.3g}: clouds are seen in the sky")
         return Verdict(
             False, f"cloud cover {cover:.3g}: clouds block at most {blocked_share:.1%} of the light on any visible surface"
         )
@@ -296,24 +138,26 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     - ``cover``: share of the sky that clouds cover.
     - ``taken``: upper bound of the share of a point's light that clouds block, over all visible points. In a map all visible ground
       counts, lit or not.
+    - ``in_sky``: whether a perspective view shows clouds in the sky.
     """
     cover = scene.loaded.level.weather.cloud_cover
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
-        return {"cover": cover, "taken": 0.0}
+        return {"cover": cover, "taken": 0.0, "in_sky": False}
     layer, direct = cloud_layer_of(scene), _direct_share(scene)
     if coarse_view is None:
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
-        nearest = farthest = _fade_share(map_pixel_m(scene.world, view))
+        nearest = farthest = fade_share(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
         distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
         boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
-        nearest, farthest = (_fade_share(view.pixel_tangent * float(m)) for m in (distance_m.min(), distance_m.max()))
+        nearest, farthest = (fade_share(view.pixel_tangent * float(m)) for m in (distance_m.min(), distance_m.max()))
     densest = max((_max_density(*box, layer.noise_threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
-    return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
+    in_sky = coarse_view is not None and not coarse_view.buffer.valid.all()
+    return {"cover": cover, "taken": float(direct * layer.max_opacity * density), "in_sky": in_sky}
 
 
 def _direct_share(scene: Scene) -> float:
@@ -393,7 +237,7 @@ def _position_bounds(positions: np.ndarray, margin_m: float) -> CloudBounds:
 
 
 def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
-    """Return the places (n, 2), metres, where rays from points (n, 3) to the sun meet the cloud layer (``_layer_position``)."""
+    """Return the places (n, 2), metres, where rays from points (n, 3) to the sun meet the cloud layer (``layer_position``)."""
     return _positions_of_points(
         points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.up_origin_anchor_m, layer.drift_m
     )
@@ -403,12 +247,14 @@ def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: C
 def _positions_of_points(points, height, layer_height_m, to_sun, up_origin, drift_m):
     """Return the places (n, 2), metres, where rays from ``points`` (n, 3) to the sun meet the cloud layer.
 
-    The parameters are those of ``_layer_position``; ``height`` is (n,).
+    The parameters are those of ``layer_position``; ``height`` is (n,).
     """
     out = np.empty((len(points), 2))
     for n in range(len(points)):
         p = points[n]
-        out[n, 0], out[n, 1] = _layer_position(p[0], p[1], p[2], height[n], layer_height_m, to_sun, up_origin, drift_m)
+        out[n, 0], out[n, 1] = layer_position(
+            p[0], p[1], p[2], height[n], layer_height_m, to_sun, up_origin, drift_m, MIN_SUN_ALTITUDE_SINE
+        )
     return out
 
 
@@ -416,7 +262,7 @@ def _positions_of_points(points, height, layer_height_m, to_sun, up_origin, drif
 def _max_density(west: float, east: float, south: float, north: float, noise_threshold: float) -> float:
     """Return an upper bound of the cloud density in a box."""
     return float(
-        _density_of_noise(
+        density_of_noise(
             _max_noise(
                 west, east, south, north, noise_threshold - CLOUD_EDGE_WIDTH / 2.0, noise_threshold + CLOUD_EDGE_WIDTH / 2.0
             ),
@@ -448,7 +294,7 @@ def _max_noise(west, east, south, north, low, high):
             while count > 0:
                 count -= 1
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
-                value = _cloud_noise(x, y, -np.inf, np.inf)
+                value = cloud_noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
                 max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_CLOUD_WAVELENGTH_M
                 for _ in range(CLOUD_OCTAVES):
@@ -470,4 +316,11 @@ def _max_noise(west, east, south, north, low, high):
     return best
 
 
-EFFECT = Effect("drifting clouds that shade the ground", judge, facts, stage="sunlight", apply=apply_clouds)
+EFFECT = Effect(
+    "drifting clouds that shade the ground, and are seen in the sky",
+    judge,
+    facts,
+    stage="sunlight",
+    apply=apply_clouds,
+    sky_colors=sky_colors_with_clouds,
+)

@@ -6,8 +6,8 @@ through and around the leaves from all directions. Most light passes one layer o
 light and scatters as much, and much light passes through the gaps.
 
 Therefore foliage passes the share ``LEAF_TRANSMITTANCE`` of the sunlight to foliage behind it. Ground and meshes block all
-sunlight; rays to the sun detect them. The visible shape of a crown comes from its normals (``skugga.terrain.gbuffer.resolve``), its
-grain from the textures.
+sunlight. Rays to the sun find the height up to which ground shades a column of leaves, and the cells that meshes shade. The visible
+shape of a crown comes from its normals (``skugga.terrain.gbuffer.resolve``), its grain from the textures.
 
 The effect changes the colours of a picture only, and not the visibility of the sun, shadow masks or measured values. Maps show the
 horizontal quad of each tree from above, where no cross is visible.
@@ -29,6 +29,7 @@ from skugga.terrain.facts.relief_rays import is_hidden_by_relief
 from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
 
@@ -36,19 +37,31 @@ LEAF_TRANSMITTANCE = 0.65
 """Share of the sunlight that reaches leaves behind other leaves."""
 
 MIN_LEAF_CELL_M = 2.0
-"""Minimum side, metres, of the cubic cells in which leaves share one ray to the sun. The ray tests for shadows of ground and
-meshes.
-"""
+"""Minimum side, metres, of the cubic cells in which leaves share one ray to the sun. The ray tests for shadows of meshes."""
 
 MIN_LEAF_CELL_TANGENT = 0.004
 """Minimum angle of a cell as seen from the eye, as a tangent. Sides of distant cells are doubled until they reach it."""
+
+COLUMN_BITS = 2
+"""Binary logarithm of the cells of a column, in which leaves share the upper edge of the ground's shadow."""
+
+COLUMN_HALVINGS = 4
+"""Number of rays by which the edge in a column is found, to a quarter of a cell; two more tell whether a column has one."""
+
+EDGE_CELLS = 0.5
+"""Width of that edge, in sides of a cell. It hides the steps between columns, and the sun's disc makes real edges as wide."""
 
 CELL_INDEX_BITS = 18
 """Number of bits of a cell's index along each axis. Indices wrap around beyond that."""
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed in maps, without trees in view, and without direct sunlight."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: a perspective view with trees in it, and direct sunlight.
+
+    Left out: maps; no tree in view; night, a covered sky.
+    """
     facts = descriptor.facts["crowns"]
     if descriptor.view_kind == "map":
         return Verdict(False, "a map shows crowns from above")
@@ -81,19 +94,53 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     pixels = np.flatnonzero((buffer.surface_kind == FOREST) & (sunlight < 1.0))
     if not len(pixels):
         return
-    points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
+    points, to_sun = buffer.position_frame_m.reshape(-1, 3), scene.sun.in_frame(buffer.frame)
+    key = np.empty(len(pixels), np.int64)
     run_in_chunks(len(pixels), _write_cell_keys, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
-    # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
-    cell_side_m = MIN_LEAF_CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
-    start, to_sun = (np.floor(points[pixels[first]] / cell_side_m) + 0.5) * cell_side_m, scene.sun.in_frame(buffer.frame)
-    is_shaded = is_hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
+    # Cells are fixed to the frame, so that the result does not depend on the origin of the picture.
+    side_m = MIN_LEAF_CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)
+    cell_number, is_lit = np.floor(points[pixels[first]] / side_m[:, None]), np.ones(len(keys), np.bool_)
     if scene.objects.solids is not None:
+        start = (cell_number + 0.5) * side_m[:, None]
         distance_m, _ = first_mesh_hits(
             scene.objects, buffer.frame, start, np.broadcast_to(to_sun, start.shape), np.full(len(start), np.inf)
         )  # fmt: skip
-        is_shaded |= np.isfinite(distance_m)
-    run_in_chunks(len(pixels), _transmit, sunlight, pixels, is_shaded, cell.reshape(-1), np.float32(LEAF_TRANSMITTANCE))
+        is_lit = ~np.isfinite(distance_m)
+    # The index along the vertical axis has the lowest bits of a key.
+    _, first, column = np.unique(keys >> COLUMN_BITS, return_index=True, return_inverse=True)
+    half_height_m = 0.5 * 2**COLUMN_BITS * side_m[first]
+    middle = (cell_number[first] + 0.5) * side_m[first, None]
+    middle[:, 2] = (2.0 * np.floor(cell_number[first, 2] / 2**COLUMN_BITS) + 1.0) * half_height_m
+    edge_m = _shadow_edges(scene, buffer.frame, middle, half_height_m, to_sun)[column.reshape(-1)]
+    run_in_chunks(
+        len(pixels), _transmit, sunlight, pixels, points, cell.reshape(-1), is_lit, edge_m, EDGE_CELLS * side_m,
+        np.float32(LEAF_TRANSMITTANCE),
+    )  # fmt: skip
+
+
+def _shadow_edges(scene: Scene, frame: LocalFrame, middle: np.ndarray, half_height_m: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
+    """Return the height (k,) in a frame below which ground hides the sun in vertical columns.
+
+    It is infinite where ground hides all of a column, minus infinity where it hides nothing. ``middle`` (k, 3) are the columns'
+    middles, ``half_height_m`` (k,) is half their height, and ``to_sun`` (3,) is the direction to the sun.
+    """
+
+    def is_hidden(columns: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+        start = np.column_stack([middle[columns, :2], height_m])
+        return is_hidden_by_relief(scene.world, scene.elevation, frame, start, to_sun)
+
+    every = np.arange(len(middle))
+    edge_m = np.where(is_hidden(every, middle[:, 2] + half_height_m), np.inf, -np.inf)
+    below = np.flatnonzero(edge_m < 0.0)
+    cut = below[is_hidden(below, (middle[:, 2] - half_height_m)[below])]
+    ends_m = np.stack([(middle[:, 2] - half_height_m)[cut], (middle[:, 2] + half_height_m)[cut]])
+    for _ in range(COLUMN_HALVINGS):
+        centre_m = ends_m.mean(axis=0)
+        hidden = is_hidden(cut, centre_m)
+        ends_m = np.where([hidden, ~hidden], centre_m, ends_m)
+    edge_m[cut] = ends_m.mean(axis=0)
+    return edge_m
 
 
 @compiled
@@ -116,18 +163,21 @@ def _write_cell_keys(first, last, points, pixels, eye, key):
 
 
 @compiled
-def _transmit(first, last, sunlight, pixels, is_shaded, cell, share):
+def _transmit(first, last, sunlight, pixels, points, cell, is_lit, edge_m, width_m, share):
     """Add the transmitted sunlight to the leaves from ``first`` to ``last`` (exclusive), in place.
 
     ``sunlight`` (rows, cols) is the share of the direct sunlight in each pixel, ``pixels`` (n,) the flat index of each leaf's
-    pixel. ``cell`` (n,) is the index of each leaf's cell, and ``is_shaded`` (cells,) whether ground or meshes shade the cell. A
-    leaf gets ``share`` of the sunlight that it lacks.
+    pixel, also in ``points`` (m, 3). ``cell`` (n,) is the index of each leaf's cell, and ``is_lit`` (cells,) is false where meshes
+    shade the cell. Above the height ``edge_m`` (cells,) the sun is seen, below it ground hides it; the edge is ``width_m`` (cells,)
+    wide. A leaf gets ``share`` of the sunlight that other leaves take.
     """
     for n in range(first, last):
-        if not is_shaded[cell[n]]:
+        k = cell[n]
+        if is_lit[k]:
             row, col = divmod(pixels[n], sunlight.shape[1])
             received = sunlight[row, col]
-            sunlight[row, col] = received + (np.float32(1.0) - received) * share
+            visible = np.float32(min(max((points[pixels[n], 2] - edge_m[k]) / width_m[k] + 0.5, 0.0), 1.0))
+            sunlight[row, col] = received + max(visible - received, np.float32(0.0)) * share
 
 
 EFFECT = Effect("light through foliage", judge, facts, "sunlight", apply_crowns, required_effects=("cast_shadows",))

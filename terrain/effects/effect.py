@@ -24,19 +24,22 @@ from skugga.terrain.scene import Scene
 SRGB_CHANNEL_STEP = 1.0 / 255.0
 """Largest invisible change: one step of an 8-bit channel. An effect that changes no pixel by more than that is not needed."""
 
-Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
+Stage = Literal["normal", "albedo", "sunlight", "skylight", "lamplight", "gloss", "color"]
 """Name of the array that an effect changes. Stages run in this order. Rows and columns are those of the geometry buffer:
 
+- ``normal``: shading normals (rows, cols, 3), which all later stages use;
 - ``albedo``: linear albedo of the visible surfaces (rows, cols, 3);
 - ``sunlight``: share of the direct sunlight that reaches each pixel (rows, cols), shadows included;
 - ``skylight``: visible share of the sky (rows, cols);
 - ``lamplight``: light other than that of sun and sky (rows, cols, 3), in the units of ``skugga.terrain.shading``;
+- ``gloss``: the share of the sun's light at normal incidence that the surface mirrors into the eye, in three channels, and the
+  share that its direct diffuse light lacks (rows, cols, 4);
 - ``color``: linear display colour (rows, cols, 3), with the sky of a perspective view.
 
 All arrays are float32 and changed in place.
 """
 
-STAGES_BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lamplight")
+STAGES_BEFORE_SHADING: tuple[Stage, ...] = ("normal", "albedo", "sunlight", "skylight", "lamplight", "gloss")
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,9 @@ class Effect:
     apply
         Function that changes this array in place. ``None`` if the effect switches a behaviour of other code instead
         (``skugga.terrain.effects.SWITCHES``).
+    sky_colors
+        Function that returns the linear colour (n, 3) of the sky of a scene in the pixels ``rows`` and ``cols`` (n,) of a
+        perspective view, in place of ``skugga.terrain.sky.sky_pixel_colors``. ``None`` if the effect leaves the sky alone.
     required_effects
         Names of the effects that this effect depends on.
     verdict_without_facts
@@ -145,6 +151,7 @@ class Effect:
     facts: Callable[[Scene, MapView | PerspectiveView, CoarseView | None], dict[str, Fact]] | None = None
     stage: Stage | None = None
     apply: Callable[[np.ndarray, ShadingBlock], None] | None = None
+    sky_colors: Callable[[Scene, PerspectiveView, np.ndarray, np.ndarray], np.ndarray] | None = None
     required_effects: tuple[str, ...] = ()
     verdict_without_facts: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
 

@@ -1,12 +1,14 @@
 """Ground detail: procedural texture of the ground near the eye, from patches of a meadow down to tufts.
 
 Gradient noise of several wavelengths varies the ground's albedo between lighter and darker, and between drier and greener. The
-noise is a function of the position in metres from the level's anchor, so it stays fixed when the camera moves.
+noise is a function of the position in metres from the level's anchor, so it stays fixed when the camera moves. Its slopes are those
+of tufts and clods: the sides that face the sun are lighter, less so in cast shadow.
 
 **Antialiasing.** The amplitude of a wave depends on the size of the pixels. It is full if the wavelength spans four pixels, and
-zero if it spans two (the Nyquist limit). The size of a pixel is its width at the ground's distance, divided by the cosine between
-the line of sight and the ground's normal. Distant ground therefore keeps its plain tint. Maps have no detail, since most are
-coarser than all wavelengths.
+zero if it spans two (the Nyquist limit). A pixel is long along the line of sight, by the cosine between it and the ground's normal.
+Where that would hide waves that the pixel's width shows, ``TAP_COUNT`` samples along the pixel are averaged, as anisotropic filters
+of textures do, and the third of its length counts. Distant ground therefore keeps its plain tint. Maps have no detail, since most
+are coarser than all wavelengths.
 
 **Visibility.** If a linear colour c is multiplied by 1 + s, its sRGB code k changes by s c / (dc/dk). The change is largest on
 white. Below a relative change s of ``MAX_INVISIBLE_ALBEDO_CHANGE`` no code changes by more than a step. Darker ground changes
@@ -30,14 +32,14 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from skugga.terrain.ground.noise import noise_along
+from skugga.terrain.ground.noise import noise_along, noise_slopes_along
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import WATER_HEIGHT_TOLERANCE_M, daylight_of, max_slope_sky_factor, night_sky_share
 from skugga.terrain.shading_loops import tone_curve, twilight_sky_share
 from skugga.terrain.srgb import srgb_of_linear
 
 GROUND_WAVES = (
-    (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
+    (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.13), (0.43, 0.15), (0.17, 0.16), (0.067, 0.16),
 )  # fmt: skip
 """Wavelengths in metres, each with its amplitude as a share of the albedo."""
 
@@ -53,6 +55,18 @@ DETAIL_SEED = 71
 
 MAX_GRADIENT_NOISE = 0.9
 """Upper bound of gradient noise."""
+
+RELIEF_AMPLITUDES = (0.0, 0.0, 0.015, 0.035, 0.07, 0.09, 0.10, 0.10)
+"""Change of the albedo by a slope of 1 of each wave, where the sun is 45 degrees above the ground."""
+
+MAX_RELIEF_CHANGE, MAX_SUN_TANGENT, SHADED_RELIEF_SHARE = 0.6, 1.6, 0.3
+"""Limits of that change in total and of the tangent of the angle between the sun and the ground's normal; its share in shadow."""
+
+MAX_NOISE_SLOPE = 2.5
+"""Upper bound of the slope of gradient noise: 2.32 in two million samples."""
+
+TAP_COUNT, SINGLE_TAP_WAVE = 3, 6.0
+"""Samples along a pixel, and the shortest wave, in lengths of a pixel, that needs only one: two more would change it by 2 %."""
 
 LATTICE_ROTATION = (0.8, 0.6)
 """Cosine and sine of the rotation between the lattices of successive waves, so that their rows never coincide."""
@@ -72,7 +86,10 @@ _WAVES = np.array(GROUND_WAVES)
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed in maps, without natural ground, and if all ground is too far away or too dark for visible detail.
+    Needed: a perspective view in which natural ground is so near that pixels show any of it.
+
+    Left out: maps; floors (ground without relief), draped imagery, and the styles ``urban``, ``grey`` and ``analysis``, which show
+    no natural ground; ground that is all too far away or too dark.
     """
     facts = descriptor.facts["ground_detail"]
     if descriptor.view_kind == "map":
@@ -116,8 +133,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing_tangent, MIN_VIEW_COSINE, 1.0)
-    pixel_width_m = view.pixel_tangent * distance_m * np.maximum(facing, MIN_VIEW_COSINE) / steeper**2
-    share = max_albedo_change(float(pixel_width_m.min()))
+    across_m = view.pixel_tangent * distance_m * np.maximum(facing, MIN_VIEW_COSINE) / steeper
+    share = max_albedo_change(float(np.maximum(across_m, across_m / (TAP_COUNT * steeper)).min()))
     steps = max_code_steps(max_ground_color(scene), share)
     return {**nothing, "nearest_m": float(distance_m.min()), "share": share, "steps": steps}
 
@@ -148,10 +165,11 @@ def max_code_steps(max_color: float, share: float) -> float:
 
 def max_albedo_change(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo where pixels are ``pixel_m`` metres wide."""
-    visible_amplitudes = [amplitude * _resolved_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(
-        MAX_GRADIENT_NOISE * (sum(visible_amplitudes) + max(map(abs, HUE_SHIFT_RGB)) * sum(visible_amplitudes[:HUE_WAVE_COUNT]))
-    )
+    shares = [_resolved_share(wave, pixel_m) for wave, _ in GROUND_WAVES]
+    amplitudes = [share * amplitude for share, (_, amplitude) in zip(shares, GROUND_WAVES, strict=True)]
+    relief = MAX_NOISE_SLOPE * MAX_SUN_TANGENT * sum(np.multiply(shares, RELIEF_AMPLITUDES))
+    color = MAX_GRADIENT_NOISE * (sum(amplitudes) + max(map(abs, HUE_SHIFT_RGB)) * sum(amplitudes[:HUE_WAVE_COUNT]))
+    return float((1.0 + color) * (1.0 + min(relief, MAX_RELIEF_CHANGE)) - 1.0)
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -159,7 +177,11 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene, view = block.buffer, block.scene, block.view
     if isinstance(view, MapView) or not has_natural_ground(scene):
         return
-    run_in_chunks(len(albedo), _apply_detail, albedo, _albedo_changes(buffer, scene, view), np.array(HUE_SHIFT_RGB))
+    to_sun = scene.sun.in_frame(buffer.frame) if scene.sun is not None and scene.sun_is_up else np.zeros(3)
+    run_in_chunks(
+        len(albedo), _apply_detail, albedo, _albedo_changes(buffer, scene, view), np.array(HUE_SHIFT_RGB),
+        buffer.shading_normal_frame, scene.world.anchor_from_frame(buffer.frame)[0], to_sun, block.visibilities.get("sun"),
+    )  # fmt: skip
 
 
 def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
@@ -169,11 +191,11 @@ def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> t
 
 @cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
 def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
-    """Return how much lighter and drier the ground is, as relative changes of its albedo, float64 (rows, cols, 2).
+    """Return how much lighter and drier the ground is, as relative changes of its albedo, and the slopes of its tufts.
 
-    They do not depend on the sun.
+    They are float32 (rows, cols, 4) and do not depend on the sun. Slopes are along the anchor's axes east and north.
     """
-    out = np.zeros((*buffer.valid.shape, 2))
+    out = np.zeros((*buffer.valid.shape, 4), np.float32)
     run_in_chunks(
         len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
         scene.elevation.water_m + WATER_HEIGHT_TOLERANCE_M,
@@ -183,17 +205,36 @@ def _albedo_changes(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView)
 
 
 @compiled
-def _apply_detail(first, last, albedo, detail, hue_shift):
+def _apply_detail(first, last, albedo, detail, hue_shift, normal, rotation, to_sun, sunlight):
     """Multiply the albedo (rows, cols, 3) of the rows from ``first`` to ``last`` (exclusive) by the detail, in place.
 
-    ``detail`` (rows, cols, 2) is the result of ``_albedo_changes``, and ``hue_shift`` (3,) is ``HUE_SHIFT_RGB``.
+    ``detail`` (rows, cols, 4) is the result of ``_albedo_changes``, and ``hue_shift`` (3,) is ``HUE_SHIFT_RGB``. ``normal`` (rows,
+    cols, 3) and ``to_sun`` (3,), the direction to the sun or 0, are in the frame. ``rotation`` (3, 3) leads to the anchor's axes.
+    ``sunlight`` (rows, cols) is the visible share of the sun; ``None`` counts as 1.
     """
+    has_sun = to_sun[0] != 0.0 or to_sun[1] != 0.0 or to_sun[2] != 0.0
     for i in range(first, last):
         for j in range(albedo.shape[1]):
             lighter, drier = detail[i, j, 0], detail[i, j, 1]
-            if lighter != 0.0 or drier != 0.0:
-                for k in range(3):
-                    albedo[i, j, k] *= 1.0 + lighter + hue_shift[k] * drier
+            if lighter == 0.0 and drier == 0.0:
+                continue
+            relief = 0.0
+            if has_sun:
+                # The brightness of a bump changes by minus the product of its slope with the sun's direction along the ground.
+                lit = normal[i, j, 0] * to_sun[0] + normal[i, j, 1] * to_sun[1] + normal[i, j, 2] * to_sun[2]
+                if lit > 0.0:
+                    x = to_sun[0] - lit * normal[i, j, 0]
+                    y = to_sun[1] - lit * normal[i, j, 1]
+                    z = to_sun[2] - lit * normal[i, j, 2]
+                    scale = 1.0 / max(lit, np.sqrt(x * x + y * y + z * z) / MAX_SUN_TANGENT)
+                    east = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+                    north = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+                    relief = -scale * (detail[i, j, 2] * east + detail[i, j, 3] * north)
+                    if sunlight is not None:
+                        relief *= SHADED_RELIEF_SHARE + (1.0 - SHADED_RELIEF_SHARE) * sunlight[i, j]
+                    relief = min(max(relief, -MAX_RELIEF_CHANGE), MAX_RELIEF_CHANGE)
+            for k in range(3):
+                albedo[i, j, k] *= (1.0 + lighter + hue_shift[k] * drier) * (1.0 + relief)
 
 
 @compiled
@@ -204,7 +245,7 @@ def _resolved_share(wavelength_m, pixel_m):
 
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """Write the detail of the rows from ``first`` to ``last`` (exclusive) to ``out`` (rows, cols, 2), which must hold zeros.
+    """Write the detail of the rows from ``first`` to ``last`` (exclusive) to ``out`` (rows, cols, 4), which must hold zeros.
 
     Up to ``MAX_BATCH_PIXELS`` pixels are computed together. Ground below ``water_m`` metres has no detail. ``anchor_from_frame`` is
     the rotation (3, 3) and the translation (3,) to the anchor's axes. ``eye`` (3,) is the eye in the frame, and ``pixel`` the side
@@ -212,53 +253,83 @@ def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye,
     """
     valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
-    x, y, pixel_width_m = np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS), np.empty(MAX_BATCH_PIXELS)
+    points = np.empty((6, MAX_BATCH_PIXELS))
     column = np.empty(MAX_BATCH_PIXELS, np.int64)
     cols = valid.shape[1]
     for i in range(first, last):
         count = 0
         for j in range(cols):
             if valid[i, j] and kind[i, j] == RELIEF and height[i, j] > water_m:
-                p, n = position[i, j], normal[i, j]
-                dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+                px, py, pz = position[i, j, 0], position[i, j, 1], position[i, j, 2]
+                dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-                facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(distance, 1e-9)
-                pixel_width_m[count] = pixel * distance / max(facing, MIN_VIEW_COSINE)
-                if waves[0, 0] > 2.0 * pixel_width_m[count]:
-                    x[count] = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
-                    y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
+                facing = abs(normal[i, j, 0] * dx + normal[i, j, 1] * dy + normal[i, j, 2] * dz) / max(distance, 1e-9)
+                across = pixel * distance
+                along = across / max(facing, MIN_VIEW_COSINE)
+                width = max(across, along / TAP_COUNT)
+                if waves[0, 0] > 2.0 * width:
+                    east = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
+                    north = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
+                    step = along / (TAP_COUNT * max(np.sqrt(east * east + north * north), 1e-9))
+                    points[0, count] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + origin[0]
+                    points[1, count] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + origin[1]
+                    points[2, count], points[3, count] = step * east, step * north
+                    points[4, count], points[5, count] = width, along
                     column[count] = j
                     count += 1
             if count == MAX_BATCH_PIXELS or (count > 0 and j == cols - 1):
-                _add_waves(x[:count], y[:count], pixel_width_m[:count], waves, column, out[i])
+                _add_waves(
+                    points[0, :count], points[1, :count], points[2, :count], points[3, :count], points[4, :count],
+                    points[5, :count], waves, column, out[i],
+                )  # fmt: skip
                 count = 0
 
 
 @internal
-def _add_waves(x, y, pixel_width_m, waves, column, out):
-    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 2).
+def _add_waves(x, y, step_x, step_y, width_m, length_m, waves, column, out):
+    """Add the waves at positions (n,) to the elements ``column`` (n,) of a row ``out`` (cols, 4).
 
-    ``x`` and ``y`` (n,) are metres east and north of the anchor, and are overwritten. ``pixel_width_m`` (n,) are the pixels' widths
-    on the ground.
+    ``x`` and ``y`` (n,) are metres east and north of the anchor, and (``step_x``, ``step_y``) the steps between samples along a
+    pixel. All four are overwritten. ``width_m`` (n,) is the width of pixels that counts, and ``length_m`` their length.
     """
-    wave_x, wave_y, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
-    finest = pixel_width_m.min()
+    count = x.size
+    wave_x, wave_y, noise, slope_x, slope_y = (np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count))
+    finest, longest, cosine, sine = width_m.min(), length_m.max(), 1.0, 0.0
     for k in range(len(waves)):
         wave = waves[k, 0]
         if _resolved_share(wave, finest) <= 0.0:
             break
-        for n in range(x.size):
+        for n in range(count):
             x[n], y[n] = (
                 LATTICE_ROTATION[0] * x[n] - LATTICE_ROTATION[1] * y[n],
                 LATTICE_ROTATION[1] * x[n] + LATTICE_ROTATION[0] * y[n],
             )
-            wave_x[n], wave_y[n] = x[n] / wave, y[n] / wave
-        noise_along(wave_x, wave_y, DETAIL_SEED + k, noise)
-        for n in range(x.size):
-            value = _resolved_share(wave, pixel_width_m[n]) * waves[k, 1] * noise[n]
-            out[column[n], 0] += value
-            if k < HUE_WAVE_COUNT:
-                out[column[n], 1] += value
+            step_x[n], step_y[n] = (
+                LATTICE_ROTATION[0] * step_x[n] - LATTICE_ROTATION[1] * step_y[n],
+                LATTICE_ROTATION[1] * step_x[n] + LATTICE_ROTATION[0] * step_y[n],
+            )
+        cosine, sine = (
+            LATTICE_ROTATION[0] * cosine - LATTICE_ROTATION[1] * sine, LATTICE_ROTATION[1] * cosine + LATTICE_ROTATION[0] * sine,
+        )  # fmt: skip
+        relief = RELIEF_AMPLITUDES[k]
+        taps = 1 if wave >= SINGLE_TAP_WAVE * longest else TAP_COUNT
+        for tap in range(taps):
+            offset = tap - 0.5 * (taps - 1)
+            for n in range(count):
+                wave_x[n], wave_y[n] = (x[n] + offset * step_x[n]) / wave, (y[n] + offset * step_y[n]) / wave
+            if relief > 0.0:
+                noise_slopes_along(wave_x, wave_y, DETAIL_SEED + k, noise, slope_x, slope_y)
+            else:
+                noise_along(wave_x, wave_y, DETAIL_SEED + k, noise)
+            for n in range(count):
+                share = _resolved_share(wave, width_m[n]) / taps
+                value = share * waves[k, 1] * noise[n]
+                out[column[n], 0] += value
+                if k < HUE_WAVE_COUNT:
+                    out[column[n], 1] += value
+                if relief > 0.0:
+                    out[column[n], 2] += share * relief * (cosine * slope_x[n] + sine * slope_y[n])
+                    out[column[n], 3] += share * relief * (cosine * slope_y[n] - sine * slope_x[n])
 
 
 EFFECT = Effect("detail of the ground near the eye", judge, facts, "albedo", apply_ground_detail)

@@ -58,14 +58,16 @@ from skugga.terrain.geo.world import LocalFrame, geodetic
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, encode_srgb, shade
 from skugga.terrain.shading_loops import tone_curve
-from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
+from skugga.terrain.sky import (
+    CLEAR_AIR_VISIBILITY_M,
+    VISIBILITY_CONTRAST,
+    horizon_colors,
+    horizontal_sun_direction,
+    sky_colors,
+    sky_of,
+    transmittances,
+)
 from skugga.terrain.srgb import srgb_of_linear
-
-VISIBILITY_CONTRAST = 0.02
-"""Contrast of a black object with the horizon at the distance that defines the visibility."""
-
-CLEAR_AIR_VISIBILITY_M = 100_000.0
-"""Default visibility: clear weather, without the dust of a dry summer."""
 
 AIR_SCALE_HEIGHT_M = 8000.0
 """Height difference over which the density of air falls to 1/e."""
@@ -91,7 +93,13 @@ MAX_CHANGED_SAMPLE_SHARE, MAX_CHANGED_PIXEL_SHARE = 0.0075, 0.01
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed in maps, and if all visible surfaces are too near for visible haze."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: a perspective view, and something in view is far enough away for the air to show.
+
+    Left out: maps, which have no viewing distance; all visible surfaces are near, as in a room: at most 1 % of the pixels change by
+    more than a step of 255, and none by more than 5; data (masks, visibilities), which do not depend on the air.
+    """
     if descriptor.view_kind == "map":
         return Verdict(False, "a map view has no viewing distance, so no haze")
     facts = descriptor.facts["haze"]
@@ -173,7 +181,14 @@ def _changed_share(scene: Scene, coarse_view: CoarseView, visibility_m: float) -
 
 
 def visibility_m_of(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """Return the meteorological visibility in a view, metres."""
+    """Return the meteorological visibility in a view, metres. Precipitation reduces it."""
+    falling = scene.loaded.level.weather.precipitation_extinction_per_m
+    visibility_m = _air_visibility_m(scene, view)
+    return visibility_m if falling == 0.0 else 1.0 / (1.0 / visibility_m - falling / float(np.log(VISIBILITY_CONTRAST)))
+
+
+def _air_visibility_m(scene: Scene, view: MapView | PerspectiveView) -> float:
+    """Return the meteorological visibility of the air alone in a view, metres."""
     visibility_m = scene.loaded.level.weather.visibility
     if visibility_m is not None:
         return visibility_m

@@ -30,7 +30,13 @@ MAX_NAMED_LAMPS = 8
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without lamps, and if the light of none of them is visible."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: the light of lamps changes white ground in the picture by three quarters of a step of 255: the dimmest are left out as
+    long as what they come to together does not.
+
+    Left out: no lamps; all too far away, too weak, or turned away.
+    """
     if not descriptor.lamps:
         return Verdict(False, "the level has no lamps")
     reaching_lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]

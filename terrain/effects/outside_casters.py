@@ -23,7 +23,9 @@ from skugga.terrain.scene import Scene
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed in perspective, if the view shows all ground, or if no ground outside of the view can cast shadows into it.
+    Needed: a map, and ground outside of it that can cast.
+
+    Left out: perspective views, which hold all ground; a picture that shows all the ground there is, in one block.
     """
     if descriptor.view_kind == "perspective":
         return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")

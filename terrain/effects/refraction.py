@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.casters.reach import longest_shadow_m
-from skugga.terrain.effects import clouds
+from skugga.terrain.effects import cloud_layer, clouds
 from skugga.terrain.effects.effect import SRGB_CHANNEL_STEP, Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
@@ -26,7 +26,13 @@ MAX_SRGB_SLOPE = 3.5
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed if the level sets the sun's apparent angles, and under a high sun."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: the sun is given by a time, and the lift moves the end of the longest shadow by more than a pixel, changes the light on
+    slopes by more than a step of 255, or moves the shadows of clouds by more than a pixel.
+
+    Left out: no sun; apparent angles; a high sun.
+    """
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     facts = descriptor.facts["refraction"]
@@ -40,8 +46,8 @@ def judge(descriptor: Descriptor) -> Verdict:
     steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * MAX_SRGB_SLOPE / SRGB_CHANNEL_STEP
     text = f"refraction lifts the sun by {lift_deg:.2g} degrees"
     if clouds.EFFECT.verdict("clouds", descriptor).is_needed:
-        sine = max(np.sin(np.radians(descriptor.sun_altitude_deg or 0.0)), clouds.MIN_SUN_ALTITUDE_SINE)
-        height_m = clouds.CLOUD_HEIGHT_M + clouds.CLOUD_CLEARANCE_M + descriptor.relief_m
+        sine = max(np.sin(np.radians(descriptor.sun_altitude_deg or 0.0)), cloud_layer.MIN_SUN_ALTITUDE_SINE)
+        height_m = cloud_layer.CLOUD_HEIGHT_M + cloud_layer.CLOUD_CLEARANCE_M + descriptor.relief_m
         clouds_px = height_m * np.radians(lift_deg) / sine**2 / pixel_m
         if clouds_px > 1.0:
             return Verdict(True, f"{text}, which moves the shadows of clouds by {clouds_px:.2g} pixels")

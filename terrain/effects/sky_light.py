@@ -23,7 +23,12 @@ from skugga.terrain.style import has_directional_sky
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed, with the reason."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: a map in a style with ``sky: clear`` or ``overcast``, as ``swiss``; it takes the place of ``sky_view``.
+
+    Left out: an even sky; perspective views; level ground without objects.
+    """
     if descriptor.view_kind != "map":
         return Verdict(False, "a perspective view, not a map")
     facts = descriptor.facts["sky_light"]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.climate import ColorRamp
+from skugga.terrain.color_ramp import ColorRamp
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from skugga.terrain.facts.coarse_view import CoarseView
@@ -52,7 +52,10 @@ INTERPOLATION_MARGIN_NODES = 4
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed if the hidden part of the sky changes no 8-bit channel by more than a step.
+    Needed: ground hides so much of the sky from visible surfaces that the brightest ground in shadow gets darker by more than a
+    step of 255.
+
+    Left out: level ground, shallow valleys, a dark night.
     """
     facts = descriptor.facts["sky_view"]
     if facts.get("is_in_sky_light"):

@@ -127,7 +127,12 @@ def _fading_noise(x_m, y_m, wavelength_m, pixel_m):
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without snow, and without a visible surface for it."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: ``weather: {snow: true}``.
+
+    Left out: no snow; nothing but water or sky that it could lie on.
+    """
     facts = descriptor.facts["snow"]
     if not facts["lies"]:
         return Verdict(False, "the level sets no snow")

@@ -21,7 +21,14 @@ It is the width of a penumbra, perpendicular to the light, divided by the distan
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed if every penumbra is narrower than a pixel."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: the widest penumbra of the level (its longest shadow under the sun's disc of 0.53 degrees) is a pixel wide or more; or a
+    ``filter`` other than 1 is requested.
+
+    Left out: narrower penumbrae; no sun; ``filter: 1``. Where they are called for but the chosen algorithms have hard edges,
+    ``left_out`` says so, and which algorithms these are.
+    """
     if descriptor.sun_altitude_deg is None:
         return Verdict(False, "the level has no sun")
     wide_m = max_penumbra_width_m(descriptor)

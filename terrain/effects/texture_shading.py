@@ -37,7 +37,13 @@ GAIN = 5.0
 
 
 def judge(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed, with the reason."""
+    """Return whether the effect is needed, with the reason.
+
+    Needed: a map in the styles ``natural``, ``swiss`` and ``grey``, unless the steepest slope is so gentle that the change is at
+    most a step of 255.
+
+    Left out: perspective views; other styles; plains.
+    """
     if descriptor.view_kind != "map":
         return Verdict(False, "a perspective view, not a map")
     strength, exaggeration, brightest = (

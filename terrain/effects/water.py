@@ -90,7 +90,9 @@ from a tested one.
 def judge(descriptor: Descriptor) -> Verdict:
     """Return whether the effect is needed, with the reason.
 
-    It is not needed without water in view, and if the reflections change no colour of the water by more than a step of 1/255.
+    Needed: ``water`` covers ground that is in view, and the mirrored sky changes its colour by more than a step.
+
+    Left out: no water, none in view, a sky as dark as the water.
     """
     facts = descriptor.facts["water"]
     level_m, change = numeric_fact(facts["level_m"]), numeric_fact(facts["change_steps"])

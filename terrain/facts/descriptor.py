@@ -45,7 +45,7 @@ class Descriptor(Facts):
     """The facts of a scene and a view. For a map view they are a function of (level, zoom, sun).
 
     - ``view``, ``view_kind``: the name of the view and its kind.
-    - ``flat_world``: whether the world is flat.
+    - ``flat_world``: whether the world is flat: an engineering CRS, or generated ground.
     - ``radius_m``: mean radius of the earth, or of the level's celestial body, metres; without effect in a flat world.
     - ``pixel_m``: side of a pixel on the ground, metres; in perspective at the median distance of the visible surfaces.
     - ``pixel``: side of a pixel as a tangent; perspective views only.
@@ -57,25 +57,32 @@ class Descriptor(Facts):
     - ``pieces``: supersampling factor of a side of a coarse map's pixel, which shows the mean visibility of its sub-pixels
       (``skugga.terrain.gbuffer.supersampling``). If it is over 1, ``pixel_m``, ``node_m`` and the other fields describe sub-pixels,
       and ``pixels`` counts those of a block that show ground.
-    - ``casters``: the kinds of casters in the scene.
+    - ``casters``: the kinds of casters in the scene: ``relief``, ``meshes`` and ``forest``.
     - ``stands``: the facts of each kind of casters.
     - ``lamps``: the lights other than the sun.
-    - ``lights``: the facts of each light by name.
+    - ``lights``: the facts of each light by name: of ``sun``, and of each lamp that reaches the view.
     - ``relief_m``, ``block_relief_m``: range of the ground's heights, metres, in the level and in a block or in the visible part.
     - ``mean_slope_deg``, ``p95_slope_deg``, ``highest_slope_deg``: slopes of the raster's overview, degrees.
     - ``sun_azimuth_deg``, ``sun_altitude_deg``: angles of the sun at the anchor, degrees; ``None`` without a sun.
-    - ``highest_sun_deg``: maximum altitude of the sun anywhere in the level, degrees; ``None`` without a sun.
+    - ``highest_sun_deg``: maximum altitude of the sun anywhere in the level, degrees; ``None`` without a sun. Give all three angles
+      of the sun, or none.
     - ``receivers_light_m``: maximum extent of a block's receivers in light space: right, up and along the light, metres; ``None``
       without a sun.
     - ``bands``: the surfaces that a perspective view shows under the sun, by distance.
     - ``bend_px``: maximum deviation of a map from the affine cameras that draw it, pixels (``skugga.terrain.casters.clip_space``).
     - ``row_width_ratio``: largest ratio of the widths, across the sun's rays, of two rows of nodes that are drawn at once
       (``skugga.terrain.facts.row_widths``). It is large near a pole of a map in degrees.
+    - ``receiver_planes``: number of planes in which the visible ground and meshes lie, curved bodies left out
+      (``skugga.terrain.facts.plane_facts``); of a map: in the whole level. 256 stands for more than 255. ``None`` if it is unknown,
+      or if visible ground is not one plane.
+    - ``plane_share``: share of the visible surfaces that lie in planes: neither leaves, nor curved bodies, nor other ground. A body
+      of more than 64 planes is curved, apart from planes that have 5 % of its area.
     - ``tallest_m``: maximum height of any object above its ground, metres.
     - ``moves``: whether casters, lamps or clouds move with time.
     - ``camera_moves``: whether the view is a frame of a film whose camera moves.
     - ``weather``: visibility, cloud cover and snow.
-    - ``facts``: further facts of effects, by effect. JSON has no infinity, so an infinite number is written as text there.
+    - ``facts``: further facts of effects, by effect. JSON has no infinity, so an infinite number is written there as the text
+      ``"Infinity"``.
     """
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
@@ -109,6 +116,8 @@ class Descriptor(Facts):
     bands: tuple[Band, ...] = ()
     bend_px: AtLeastZero = 0.0
     row_width_ratio: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.0
+    receiver_planes: Annotated[int, Field(ge=0)] | None = None
+    plane_share: Share = 1.0
     tallest_m: AtLeastZero = 0.0
     moves: bool = False
     camera_moves: bool = False

@@ -85,14 +85,16 @@ class CasterFacts(Facts):
 
     - ``kind``: the kind of casters.
     - ``count``: number of bodies, or of trees as the view draws them; 1 for the relief.
-    - ``triangles``: number of triangles that cast shadows; for the relief of a map those of a block.
-    - ``outside_triangles``: estimated number of ground triangles beyond a map's block that are drawn to cast into it.
+    - ``triangles``: number of triangles that cast shadows: of the ground that the view draws (of a map: of a block), of the meshes,
+      or of all trees.
+    - ``outside_triangles``: number of ground triangles beyond a map's block that are drawn to cast into it, estimated from the
+      sun's altitude and the relief.
     - ``nodes``: number of nodes of the level's ground; only for the relief in perspective. Decimation of large levels draws far
       fewer.
     - ``closed_share``: share of the triangles that belong to closed bodies.
     - ``alpha_share``: share of the triangles that are alpha-tested.
     - ``height_m``, ``width_m``: median size of a body, metres; ``height_m`` of the relief is the range of its heights.
-    - ``leaf_gap_m``: mean width of leaves and of the gaps between them, metres.
+    - ``leaf_gap_m``: mean width of leaves and of the gaps between them, at the size of the median tree, metres.
     """
 
     kind: CasterKind
@@ -115,9 +117,10 @@ class CastBand(Facts):
     - ``cast``: share of the band that lies in these shadows.
     - ``pixel_m``: side of a pixel in the band, metres.
     - ``light_m``: distance of the lamp, metres; ``None`` for the sun.
-    - ``differs``: for each texel size of ``TEXEL_SIZES_PX`` the share of the band whose visibility differs from that of a point
-      beside it. This point lies anywhere in a texel-sized square perpendicular to the light. The share is the error of a
-      nearest-neighbour look-up in a shadow map with such texels.
+    - ``differs``: for each texel size of ``TEXEL_SIZES_PX`` (0.25, 0.5, 1, 2, 4, 8, 16 and 32 pixels) the share of the band whose
+      visibility differs from that of a point beside it. This point is drawn evenly from a texel-sized square perpendicular to the
+      light, and compared on the plane of the visible surface. The share is the error of a nearest-neighbour look-up in a shadow map
+      with such texels. Along a straight shadow edge it is a strip a quarter of a texel wide.
     """
 
     near_m: AtLeastZero
@@ -136,12 +139,12 @@ class CastBand(Facts):
 
 
 class Casting(Facts):
-    """The cast shadows of one kind of casters.
+    """The cast shadows of one kind of casters on the visible surfaces, as if the other kinds were absent.
 
     - ``share``: share of all visible surfaces that lies in these shadows.
     - ``on_bodies``: share of all visible surfaces that lies in these shadows and is not ground; ``None`` if unknown.
     - ``bands``: the shadows by distance from the eye, nearest first.
-    - ``thrown_m``: median distance from a point in shadow to its occluder, metres; ``None`` if unknown.
+    - ``thrown_m``: median distance from a point in shadow to its occluder, metres; ``None`` if unknown, as of relief.
     """
 
     share: Share
@@ -158,7 +161,8 @@ class Casting(Facts):
 class LightFacts(Facts):
     """The effect of one light on the visible surfaces.
 
-    - ``to_view_deg``: angle between the direction to the light and the view axis, degrees; ``None`` without a single direction.
+    - ``to_view_deg``: angle between the direction to the light and the view axis, degrees; ``None`` without a single direction,
+      as in maps and for omni lights.
     - ``eye_to_lamp_m``: distance from the eye to the lamp, metres; ``None`` for the sun and in a map view.
     - ``facing_share``: share of the visible surfaces that faces the light and lies in its cone.
     - ``cast_share``: share of the visible surfaces that lies in cast shadow.
@@ -169,7 +173,8 @@ class LightFacts(Facts):
     - ``silhouette_px``: total length of these edges in the picture, hidden ones included, pixels.
     - ``ground_casting_share``: share of the triangles of a perspective view's ground that make shadow volumes: those that face away
       from the light, or all if the ground has gaps; ``None`` if unknown.
-    - ``volume_layers``: mean number of sides of shadow volumes between the eye and the visible surface.
+    - ``volume_layers``: mean number of sides of the meshes' shadow volumes between the eye and the visible surface; perspective
+      views only.
     - ``casts``: the cast shadows of each kind of casters.
     """
 

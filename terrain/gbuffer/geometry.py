@@ -82,6 +82,9 @@ class GeometryBuffer:
         float32 (rows, cols, 9), the triangle's three corners, metres; 0 for a map's ground. A point that ``is_lifted`` in
         perspective lies on no triangle: its corners are those of the triangle from which it was moved. ``None`` in maps of ground
         without objects.
+    mesh_triangle
+        int32 (rows, cols), in perspective: number of the meshes' triangle, from 0; negative where the pixel shows no mesh. ``None``
+        in maps, and without buildings and models with a ``Surface``.
     albedo
         float32, linear; NaN where the ground has its tint. ``None`` if the ground has its tint everywhere.
     first_sample_row
@@ -121,6 +124,7 @@ class GeometryBuffer:
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
     lift_m: np.ndarray | None = None
     is_lifted: np.ndarray | None = None
+    mesh_triangle: np.ndarray | None = None
 
     @property
     def shading_inputs(self) -> ShadingInputs:

@@ -28,6 +28,13 @@ CROWN_CENTRE_SHARE, CROWN_HALF_HEIGHT_SHARE = 0.55, 0.47
 CROWN_NORMAL_UP_BIAS = 0.25
 """Value that is added to the upward component of a crown's unit normals, since leaves lean upwards."""
 
+TREE_BRIGHTNESS_VARIATION, TREE_HUE_VARIATION = 0.1, 0.1
+"""Largest deviation of a tree's albedo from that of its picture: in brightness, and of red and blue relative to green.
+
+Neighbouring trees of one species differ by as much (the crowns of a stand in aerial photographs; the painted leaves of one crown
+differ by 18 % and 4 %, ``skugga.terrain.trees.foliage_paint``).
+"""
+
 NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """The kinds of surface that a pixel shows."""
 
@@ -65,7 +72,7 @@ def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, 
     tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
-    tree_base, tree_height, tree_shape, tree_yaw, curvature = trees
+    tree_base, tree_height, tree_shape, tree_yaw, curvature, tree_number = trees
     valid, point, surface_height, normal, shading_normal, crease, kind, albedo, corners, cells, lift = points
     cols = triangle_number.shape[1]
     ground_count, solid_count = len(ground_triangles), len(solid_triangles)
@@ -164,6 +171,10 @@ def _resolve(first, last, triangle_number, camera, ground_nodes, solids, trees, 
                 _write_leaf_shading(
                     point[i, j], ray, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading_normal[i, j], albedo[i, j]
                 )
+                red_factor, green_factor, blue_factor = tree_tint(tree_number[tree])
+                albedo[i, j, 0] *= red_factor
+                albedo[i, j, 1] *= green_factor
+                albedo[i, j, 2] *= blue_factor
                 surface_height[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
             _normalise(shading_normal[i, j])
 
@@ -324,6 +335,22 @@ def _write_leaf_shading(point, ray, base, quad_sizes, sqrt_albedo, shading_norma
     shading_normal[0], shading_normal[1], shading_normal[2] = x / length, y / length, z / length + CROWN_NORMAL_UP_BIAS
     for k in range(3):
         albedo[k] = (sqrt_albedo[k] / 255.0) ** 2
+
+
+@compiled
+def tree_tint(tree_number):
+    """Return the factors of a tree's red, green and blue albedo, by a hash of its number in the level.
+
+    No two neighbours look alike, and a tree keeps its colour from frame to frame. The hash is the finaliser of SplitMix64
+    (G. Steele, D. Lea and C. Flood 2014, "Fast splittable pseudorandom number generators").
+    """
+    bits = (np.uint64(tree_number) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    bits = bits ^ (bits >> np.uint64(31))
+    brightness = 1.0 + TREE_BRIGHTNESS_VARIATION * (2.0 * np.float64(bits >> np.uint64(32)) / 2.0**32 - 1.0)
+    warmth = TREE_HUE_VARIATION * (2.0 * np.float64(bits & np.uint64(0xFFFFFFFF)) / 2.0**32 - 1.0)
+    return brightness * (1.0 + warmth), brightness, brightness * (1.0 - warmth)
 
 
 @internal

@@ -131,6 +131,7 @@ class TreesInPerspective(NamedTuple):
     quad_sizes_m: np.ndarray
     yaw_cos_sin: np.ndarray
     curvature: float
+    tree_number: np.ndarray
 
 
 class TreesInMap(NamedTuple):

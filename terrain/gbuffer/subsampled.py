@@ -29,7 +29,7 @@ def subsampled_view(view: MapView | PerspectiveView, stride: int) -> MapView | P
 def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:
     """Return a buffer with the points of every ``stride``-th pixel, counted from the pixel ``first`` (row, column) on.
 
-    The points do not change. The buffer serves shadow queries only: its ``albedo`` and ``columns`` are ``None``.
+    The points do not change. The buffer serves shadow queries only: its ``albedo``, ``columns`` and ``mesh_triangle`` are ``None``.
     """
     row, col = first
     view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), stride)
@@ -37,4 +37,4 @@ def subsampled_points(buffer: GeometryBuffer, stride: int, first: tuple[int, int
     subsampled: dict[str, Any] = {
         name: None if array is None else np.ascontiguousarray(array[row::stride, col::stride]) for name, array in arrays.items()
     }
-    return replace(buffer, view=view, columns=None, albedo=None, **subsampled)
+    return replace(buffer, view=view, columns=None, albedo=None, mesh_triangle=None, **subsampled)

@@ -14,7 +14,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geomet
 from skugga.terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
 from skugga.terrain.gbuffer.id_buffer import IdBuffer, ObjectPixels, object_pixels, rasterise_map, rasterise_perspective
 from skugga.terrain.gbuffer.map_columns import column_geometry
-from skugga.terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
+from skugga.terrain.gbuffer.resolve import MESHES, RELIEF, resolve_map, resolve_perspective
 from skugga.terrain.gbuffer.resolve_types import (
     Faces,
     GroundInPerspective,
@@ -194,10 +194,10 @@ def resolve_buffer(
         else SolidsInPerspective(
             rasterised.solids, scene.objects.solids_in_crs(scene.map_crs)[:, 2], _solid_faces(scene.objects, rasterised.frame)
         ),
-        TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_YAW, scene.world.curvature)
+        TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_YAW, scene.world.curvature, np.zeros(0, np.int64))
         if trees is None
         else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.quad_sizes_m, trees.yaw_cos_sin,
-        scene.world.curvature),
+        scene.world.curvature, trees.tree_number),
         sqrt_albedo,
     )  # fmt: skip
     albedo = points.albedo
@@ -210,8 +210,18 @@ def resolve_buffer(
         points.surface_kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=rasterised.solids,
         first_sample_row=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
-        lift_m=points.lift_m,
+        lift_m=points.lift_m, mesh_triangle=_mesh_triangles(scene, number, points.surface_kind, len(ground.triangles)),
     )  # fmt: skip
+
+
+def _mesh_triangles(scene: Scene, number: np.ndarray, surface_kind: np.ndarray, ground_count: int) -> np.ndarray | None:
+    """Return ``GeometryBuffer.mesh_triangle`` from the numbers (rows, cols) of triangles, the ground's ``ground_count`` first."""
+    placement = scene.objects.placement
+    if placement is None:
+        return None
+    if placement.surface is None and not any(placed.footprint is not None for placed in placement.visible_bodies):
+        return None
+    return np.where(surface_kind == MESHES, number.astype(np.int32) - np.int32(ground_count + 1), np.int32(-1))
 
 
 def _map_buffer(

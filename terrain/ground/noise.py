@@ -15,7 +15,7 @@ OCTAVE_GAIN = 0.5
 
 
 @internal
-def _hash_lattice_point(i, j, seed):
+def hash_lattice_point(i, j, seed):
     """Return the 32-bit hash of a lattice point: two rounds of MurmurHash3's finaliser (Appleby, public domain).
 
     Products are of 64 bits.
@@ -50,10 +50,10 @@ def noise_at(x, y, seed):
     x, y = x - west, y - low
     u = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
     v = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
-    south = _gradient_dot(_hash_lattice_point(i, j, seed), x, y)
-    south += u * (_gradient_dot(_hash_lattice_point(i + one, j, seed), x - 1.0, y) - south)
-    north = _gradient_dot(_hash_lattice_point(i, j + one, seed), x, y - 1.0)
-    north += u * (_gradient_dot(_hash_lattice_point(i + one, j + one, seed), x - 1.0, y - 1.0) - north)
+    south = _gradient_dot(hash_lattice_point(i, j, seed), x, y)
+    south += u * (_gradient_dot(hash_lattice_point(i + one, j, seed), x - 1.0, y) - south)
+    north = _gradient_dot(hash_lattice_point(i, j + one, seed), x, y - 1.0)
+    north += u * (_gradient_dot(hash_lattice_point(i + one, j + one, seed), x - 1.0, y - 1.0) - north)
     return south + v * (north - south)
 
 
@@ -70,11 +70,74 @@ def noise_along(x, y, seed, out):
         a, b = x[n] - west, y[n] - low
         u = a * a * a * (a * (a * 6.0 - 15.0) + 10.0)
         v = b * b * b * (b * (b * 6.0 - 15.0) + 10.0)
-        south = _gradient_dot(_hash_lattice_point(i, j, seed), a, b)
-        south += u * (_gradient_dot(_hash_lattice_point(i + one, j, seed), a - 1.0, b) - south)
-        north = _gradient_dot(_hash_lattice_point(i, j + one, seed), a, b - 1.0)
-        north += u * (_gradient_dot(_hash_lattice_point(i + one, j + one, seed), a - 1.0, b - 1.0) - north)
+        south = _gradient_dot(hash_lattice_point(i, j, seed), a, b)
+        south += u * (_gradient_dot(hash_lattice_point(i + one, j, seed), a - 1.0, b) - south)
+        north = _gradient_dot(hash_lattice_point(i, j + one, seed), a, b - 1.0)
+        north += u * (_gradient_dot(hash_lattice_point(i + one, j + one, seed), a - 1.0, b - 1.0) - north)
         out[n] = south + v * (north - south)
+
+
+@internal
+def _gradient(h):
+    """Return the gradient of a lattice point with a hash, whose dot product is ``_gradient_dot``."""
+    long = 1.0 if h & np.uint32(2) else -1.0
+    short = 0.5 if h & np.uint32(4) else -0.5
+    return (long, short) if h & np.uint32(1) else (short, long)
+
+
+@internal
+def noise_slopes_at(x, y, seed):
+    """Return ``noise_at`` and its derivatives with respect to ``x`` and ``y``, which are continuous and at most 2.5 or so."""
+    west, low, one = np.floor(x), np.floor(y), np.int32(1)
+    i, j = np.int32(west), np.int32(low)
+    x, y = x - west, y - low
+    u, u_slope = x * x * x * (x * (x * 6.0 - 15.0) + 10.0), 30.0 * x * x * (x - 1.0) * (x - 1.0)
+    v, v_slope = y * y * y * (y * (y * 6.0 - 15.0) + 10.0), 30.0 * y * y * (y - 1.0) * (y - 1.0)
+    ax, ay = _gradient(hash_lattice_point(i, j, seed))
+    bx, by = _gradient(hash_lattice_point(i + one, j, seed))
+    cx, cy = _gradient(hash_lattice_point(i, j + one, seed))
+    dx, dy = _gradient(hash_lattice_point(i + one, j + one, seed))
+    a, b = ax * x + ay * y, bx * (x - 1.0) + by * y
+    c, d = cx * x + cy * (y - 1.0), dx * (x - 1.0) + dy * (y - 1.0)
+    south, north = a + u * (b - a), c + u * (d - c)
+    south_x, north_x = ax + u * (bx - ax) + u_slope * (b - a), cx + u * (dx - cx) + u_slope * (d - c)
+    south_y, north_y = ay + u * (by - ay), cy + u * (dy - cy)
+    return (
+        south + v * (north - south),
+        south_x + v * (north_x - south_x),
+        south_y + v * (north_y - south_y) + v_slope * (north - south),
+    )
+
+
+@internal
+def noise_slopes_along(x, y, seed, out, out_x, out_y):
+    """Fill ``out``, ``out_x`` and ``out_y`` (n,) with ``noise_slopes_at`` of the positions ``x``, ``y`` (n,).
+
+    The code repeats ``noise_slopes_at``: a loop that calls it does not compile to vector instructions.
+    """
+    one = np.int32(1)
+    for n in range(out.size):
+        west, low = np.floor(x[n]), np.floor(y[n])
+        i, j = np.int32(west), np.int32(low)
+        p, q = x[n] - west, y[n] - low
+        u, u_slope = p * p * p * (p * (p * 6.0 - 15.0) + 10.0), 30.0 * p * p * (p - 1.0) * (p - 1.0)
+        v, v_slope = q * q * q * (q * (q * 6.0 - 15.0) + 10.0), 30.0 * q * q * (q - 1.0) * (q - 1.0)
+        h = hash_lattice_point(i, j, seed)
+        ax, ay = _gradient_dot(h, 1.0, 0.0), _gradient_dot(h, 0.0, 1.0)
+        h = hash_lattice_point(i + one, j, seed)
+        bx, by = _gradient_dot(h, 1.0, 0.0), _gradient_dot(h, 0.0, 1.0)
+        h = hash_lattice_point(i, j + one, seed)
+        cx, cy = _gradient_dot(h, 1.0, 0.0), _gradient_dot(h, 0.0, 1.0)
+        h = hash_lattice_point(i + one, j + one, seed)
+        dx, dy = _gradient_dot(h, 1.0, 0.0), _gradient_dot(h, 0.0, 1.0)
+        a, b = ax * p + ay * q, bx * (p - 1.0) + by * q
+        c, d = cx * p + cy * (q - 1.0), dx * (p - 1.0) + dy * (q - 1.0)
+        south, north = a + u * (b - a), c + u * (d - c)
+        south_x, north_x = ax + u * (bx - ax) + u_slope * (b - a), cx + u * (dx - cx) + u_slope * (d - c)
+        south_y, north_y = ay + u * (by - ay), cy + u * (dy - cy)
+        out[n] = south + v * (north - south)
+        out_x[n] = south_x + v * (north_x - south_x)
+        out_y[n] = south_y + v * (north_y - south_y) + v_slope * (north - south)
 
 
 @internal

@@ -10,7 +10,10 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
-ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
+ALGORITHM_NAMES = [
+    "shadow_map", "perspective_shadow_map", "light_space_perspective_map", "shadow_volume", "hybrid",
+    "reconstructed_volume", "planar", "sweep", "truth", "none",
+]  # fmt: skip
 """Names of all algorithms. ``skugga.shadows.registry.register_algorithm`` adds to this list in place, so do not copy it."""
 
 

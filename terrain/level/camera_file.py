@@ -12,15 +12,12 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
-from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import LevelError, Problem
-from skugga.terrain.level.data_files import special_file_kind
 from skugga.terrain.level.durations import parse_duration
 from skugga.terrain.level.level_errors import level_error
-from skugga.terrain.level.level_text import parse_level_text
 from skugga.terrain.level.model import Model, Position
 from skugga.terrain.level.parts import PixelCount, parse_time
+from skugga.terrain.level.yaml_file import load_mapping
 
 MAX_KEYS = 1000
 """Maximum number of keys of a camera path."""
@@ -30,8 +27,6 @@ MAX_FILE_CHARACTERS = 2**20
 
 ALLOWED_KEY_TIMES = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
 """The allowed times of a key, for messages."""
-
-_READABLE_REMEDY = "Use a readable YAML file of camera keys"
 
 
 def _validate_time(value: Any) -> Any:
@@ -134,27 +129,7 @@ class CameraPathSpec(Model):
 
 def load_camera_path(path: Path) -> CameraPathSpec:
     """Read and validate a camera file. Raises ``LevelError``, whose message has one line for each wrong key."""
-    if (kind := special_file_kind(path)) is not None:
-        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE_REMEDY)
-    try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MAX_FILE_CHARACTERS + 1)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), Problem(reason), _READABLE_REMEDY) from None
-    if len(text) > MAX_FILE_CHARACTERS:
-        raise LevelError(str(path), Problem(f"more than {MAX_FILE_CHARACTERS} characters"), "Use a shorter file")
-    try:
-        data = parse_level_text(text)
-    except YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        location = f"{path}: line {mark.line + 1}" if mark else str(path)
-        problem = Problem(getattr(error, "problem", None) or "malformed YAML")
-        raise LevelError(location, problem, "Use well-formed YAML 1.2") from None
-    except (ValueError, RecursionError) as error:  # an impossible date, or too deeply nested brackets
-        raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
-    if not isinstance(data, dict):
-        raise LevelError(str(path), data, "a mapping with the key 'keys'")
+    data = load_mapping(path, "camera keys", "the key 'keys'", MAX_FILE_CHARACTERS)
     try:
         return CameraPathSpec.model_validate(data)
     except ValidationError as error:

@@ -28,7 +28,9 @@ from skugga.terrain.level.motion import ClockSeconds
 from skugga.terrain.level.parts import (
     ALLOWED_TIMES,
     ForestSpec,
+    LandCoverSpec,
     LightSpec,
+    LineSpec,
     MapSpec,
     MeshSpec,
     StyleSpec,
@@ -45,7 +47,8 @@ from skugga.terrain.level.setting import RequestOptions
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
-    "ground_detail", "snow", "crowns", "clouds", "sky_view", "sky_light", "texture_shading", "lamps", "water", "haze",
+    "normal_maps", "ground_materials", "ground_detail", "roads", "facades", "textures", "snow", "crowns", "clouds", "sky_view",
+    "ambient_occlusion", "sky_light", "texture_shading", "lamps", "highlights", "water", "haze", "precipitation",
 ]  # fmt: skip
 """Names of the rendering effects, each a module of ``skugga.terrain.effects``.
 
@@ -92,8 +95,15 @@ class ShadowSettings(Model):
     fit: Annotated[Literal["auto", "stable", "tight"], RequestOptions(front_ends=("render", "select"))] = Field(
         default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight around the view."
     )
-    bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
+    bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset", "slope_clamped"] = Field(
         default="auto", description="Bias of a shadow map, which keeps a surface from shading itself."
+    )
+    bias_scale: Annotated[
+        Literal["auto"] | Annotated[float, Field(ge=0, le=100)], RequestOptions(front_ends=("render", "select", "plans"))
+    ] = Field(
+        default="auto",
+        description="Factor of a shadow map's bias: 1 is right, 0 shows acne, much more shows peter-panning.",
+        examples=[0],
     )
     culling: Literal["auto", "none", "front"] = Field(
         default="auto", description="Culling: faces of closed bodies that a shadow map omits."
@@ -101,12 +111,15 @@ class ShadowSettings(Model):
     stencil: Literal["auto", "one_pass", "two_pass"] = Field(
         default="auto", description="Stencil passes of shadow volumes: both sides at once, or one after the other."
     )
-    counting: Annotated[Literal["auto", "z_fail"], RequestOptions(allows_auto=True)] = Field(
+    counting: Annotated[Literal["auto", "z_fail", "z_pass"], RequestOptions(allows_auto=True)] = Field(
         default="auto",
-        description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or z-fail for all.",
+        description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or one of them for all.",
     )
-    mask: Literal["auto", "conservative", "original"] = Field(
-        default="auto", description="Mask of the hybrid: how it finds the pixels for shadow volumes."
+    mask: Literal["auto", "conservative", "original", "off"] = Field(
+        default="auto", description="Mask of the hybrid: how it finds the pixels for shadow volumes; `off`: all pixels."
+    )
+    slide_back: Annotated[Literal["auto", "off"], RequestOptions(front_ends=("render", "select", "plans"))] = Field(
+        default="auto", description="Slide-back of a perspective shadow map: its virtual camera behind the real one, or at it."
     )
 
     @field_validator("algorithm")
@@ -186,6 +199,9 @@ class Level(Model):
     attribution: str = ""
     terrain: Terrain
     water: Water | None = None
+    roads: tuple[LineSpec, ...] = ()
+    rivers: tuple[LineSpec, ...] = ()
+    land_cover: tuple[LandCoverSpec, ...] = ()
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
     sun: SunSpec | Literal["none"] | None = None  # default: a low sun at the level's place, ``skugga.terrain.default_sun``
@@ -262,10 +278,12 @@ class Level(Model):
 
     @property
     def moving_keys(self) -> tuple[str, ...]:
-        """Keys of the parts that move with the level's clock: meshes, lamps, and clouds that cover a part of the sky."""
+        """Keys of the parts that move with the level's clock: meshes, lamps, drifting clouds and precipitation."""
         meshes = [f"meshes.{number}" for number, mesh in enumerate(self.meshes) if mesh.moves]
         lamps = [f"lights.{name}" for name, light in self.lights.items() if light.moves]
-        return (*meshes, *lamps, *(("weather.cloud_cover",) if self.weather.has_drifting_clouds else ()))
+        clouds = ["weather.cloud_cover"] if self.weather.has_drifting_clouds else []
+        falling = [] if self.weather.precipitation == "none" else ["weather.precipitation"]
+        return (*meshes, *lamps, *clouds, *falling)
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -305,7 +323,10 @@ class LoadedLevel(BaseModel):
         from skugga.terrain.level.bundled import BUNDLED
 
         level = self.level
-        names = [level.terrain.source, level.terrain.imagery, *(forest_spec.source for forest_spec in level.forest)]
+        names = [level.terrain.source, level.terrain.imagery]
+        names += [spec.source for spec in (*level.roads, *level.rivers)]
+        names += [spec.source for spec in level.land_cover]
+        names += [stand.source for stand in level.forest]
         for mesh in level.meshes:
             names += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
         return tuple(self.resolve(name) for name in names if name is not None and name not in BUNDLED)

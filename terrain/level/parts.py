@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from skugga.terrain.color_ramp import MAX_RAMP_HEIGHT_M, MIN_RAMP_HEIGHT_M
 from skugga.terrain.level.model import MapPosition, Model, Position
 from skugga.terrain.level.motion import LampMotion, MeshMotion, nested_values_error
 
@@ -142,12 +143,27 @@ class Weather(Model):
     """The weather.
 
     ``visibility`` is the meteorological range in metres: the distance at which a dark object has 2 % contrast to the horizon;
-    ``None`` for clear air. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies.
+    ``None`` for clear air. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies. ``precipitation`` is
+    what falls, and ``precipitation_rate`` how much of it, in millimetres of water per hour.
     """
 
     visibility: float | None = Field(default=None, ge=10, le=1e7)
     cloud_cover: float = Field(default=0.0, ge=0, le=1)
     snow: bool = False
+    precipitation: Literal["none", "rain", "snowfall"] = "none"
+    precipitation_rate: float = Field(default=4.0, ge=0.1, le=100)
+
+    @property
+    def precipitation_extinction_per_m(self) -> float:
+        """The extinction of light by what falls, per metre.
+
+        ITU-R P.1814 (2007) gives the attenuation in dB/km at a rate R: 1.076 R^0.67 of rain, and 3.84 R^0.72 of wet snow in green
+        light.
+        """
+        if self.precipitation == "none":
+            return 0.0
+        factor, exponent = (1.076, 0.67) if self.precipitation == "rain" else (3.84, 0.72)
+        return float(factor * self.precipitation_rate**exponent / 4343.0)
 
     @property
     def has_drifting_clouds(self) -> bool:
@@ -168,6 +184,9 @@ SkyName = Literal["even", "clear", "overcast"]
 
 SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
 
+LocalLightDeg = Annotated[float, Field(ge=0, le=45)]
+Generalisation = Annotated[float, Field(ge=0, le=1)]
+
 ALLOWED_RAMPS = "pairs of a height in metres and a colour such as '#b3c2a2', with increasing heights"
 
 
@@ -177,13 +196,16 @@ class StyleSpec(Model):
     The name ``auto`` chooses a style by the kind of ground. ``ramp`` replaces the style's colours by pairs of a height in metres
     and an sRGB colour. ``slope_exaggeration`` multiplies slopes in shading; it does not change cast shadows.
     ``sky`` replaces the style's sky, which lights the ground of maps: ``even``, or ``clear`` or ``overcast`` with shadows of its
-    own.
+    own. ``local_light`` is the largest turn, in degrees, of the light that shades relief along it, in maps; ``generalisation`` is
+    the share of large landforms in the slopes of maps of small scale. Both replace the style's own, and leave shadows alone.
     """
 
     name: Literal["auto"] | StyleName = "auto"
-    ramp: tuple[tuple[Annotated[float, Field(ge=-12000, le=10000)], str], ...] | None = None
+    ramp: tuple[tuple[Annotated[float, Field(ge=MIN_RAMP_HEIGHT_M, le=MAX_RAMP_HEIGHT_M)], str], ...] | None = None
     slope_exaggeration: SlopeExaggeration = 1.0
     sky: SkyName | None = None
+    local_light: LocalLightDeg | None = None
+    generalisation: Generalisation | None = None
 
     @field_validator("ramp")
     @classmethod
@@ -224,6 +246,31 @@ class ForestSpec(Model):
         return value
 
 
+class LineSpec(Model):
+    """Roads or rivers from a vector file of lines, draped over the ground.
+
+    ``width`` is in metres, or the name of an attribute. By default it follows from OpenStreetMap's tags ``highway`` and
+    ``waterway``. ``layer`` names the layer of the lines in a file of several layers.
+    """
+
+    source: FileName
+    layer: str | None = None
+    width: str | Annotated[float, Field(gt=0, le=1000)] | None = None
+
+
+class LandCoverSpec(Model):
+    """Polygons of land cover from a vector file, which colour natural ground in perspective views.
+
+    ``attribute`` names the class of a polygon: a value of OpenStreetMap's tags ``landuse`` and ``natural``, or a code of ESA
+    WorldCover. By default it is one with a usual name, such as ``class`` or ``landuse``. ``layer`` names the layer of the polygons
+    in a file of several layers.
+    """
+
+    source: FileName
+    layer: str | None = None
+    attribute: str | None = None
+
+
 EXCLUDED_BY_PATH = "no value together with a path in motion, which sets it"
 
 
@@ -232,7 +279,8 @@ class MeshSpec(Model):
 
     ``height`` of buildings is the name of an attribute, or one height in metres for all. Alternatively, a building's height is the
     difference of the rasters ``surface`` and ``ground``. ``layer`` names the layer of the footprints in a file of several layers.
-    ``roof`` is the form of roofs over nearly rectangular footprints; all other roofs are flat.
+    ``roof`` is the form of roofs. Pitched and hipped roofs over footprints that are not nearly rectangular follow the straight
+    skeleton of the outline; ``auto`` makes these flat. ``eaves_m`` is the overhang of sloped roofs beyond the walls, in metres.
 
     ``at`` is the position of a model, or a list of positions, in degrees (on flat or generated ground in metres). The model's
     lowest point stands on the ground. A path in ``motion`` replaces ``at``. ``turn`` is in degrees counter-clockwise. ``color`` is
@@ -246,6 +294,7 @@ class MeshSpec(Model):
     surface: FileName | None = None
     ground: FileName | None = None
     roof: RoofForm = "flat"
+    eaves_m: float = Field(default=0.0, ge=0, le=2)
     at: MapPosition | list[MapPosition] | None = None
     scale: float = Field(default=1.0, gt=0, le=1e6)
     turn: float = Field(default=0.0, ge=-1e6, le=1e6)
@@ -266,6 +315,8 @@ class MeshSpec(Model):
             raise PydanticCustomError("mesh", "either source or generate")
         if (self.surface is None) != (self.ground is None):
             raise PydanticCustomError("mesh", "surface and ground together, because heights are surface minus ground")
+        if self.eaves_m > 0.0 and self.roof == "flat":
+            raise PydanticCustomError("mesh", "eaves_m together with roof: auto, pitched or hipped; flat roofs have no eaves")
         if self.at is not None and self.motion is not None and self.motion.path is not None:
             raise nested_values_error("mesh", [(("at",), self.at, EXCLUDED_BY_PATH)])
         return self

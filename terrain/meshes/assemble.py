@@ -19,11 +19,12 @@ from skugga.terrain.meshes.body import Body, BodyMotion, PlacedBody, rotation_ab
 from skugga.terrain.meshes.buildings import buildings
 from skugga.terrain.meshes.models import is_model, read_model
 from skugga.terrain.meshes.solids import Solids
+from skugga.terrain.meshes.surface import Surface, concatenate_surfaces
 
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
 """Keys of a mesh that do not apply to footprints, whose file holds their positions."""
 
-FOOTPRINT_KEYS = ("height", "surface", "ground", "roof", "layer")
+FOOTPRINT_KEYS = ("height", "surface", "ground", "roof", "eaves_m", "layer")
 """Keys of a mesh that apply to footprints only."""
 
 
@@ -42,7 +43,9 @@ class Placement:
     notes
         Sentences on the data that was read from the files of footprints.
     warnings
-        Sentences on data of the files of footprints that was ignored.
+        Sentences on data of the files of footprints and models that was ignored.
+    surface
+        Textures and materials of the triangles of all visible bodies, in order; ``None`` if all have one colour.
     """
 
     visible_bodies: tuple[PlacedBody, ...]
@@ -50,6 +53,7 @@ class Placement:
     is_casting_body_building: tuple[bool, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    surface: Surface | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +93,9 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
             _reject_keys(spec, FOOTPRINT_KEYS, key_path, "applies to footprints only")
             motion = _motion(spec, key_path, geolocator)
             poses = _poses(spec, motion, key_path, geolocator)
-            placed = stand_ins = _place_bodies(_bodies(spec, loaded), spec, poses, motion)
+            bodies = _bodies(spec, loaded)
+            warnings += [f"{spec.source}: {warning}" for body in bodies for warning in body.warnings]
+            placed = stand_ins = _place_bodies(bodies, spec, poses, motion)
             if spec.caster is not None:
                 stand_ins = _place_bodies([read_model(loaded.resolve(spec.caster))], spec, poses, motion)
         visible += placed
@@ -97,7 +103,10 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
         are_buildings += [from_footprints] * len(stand_ins)
     visible_bodies = tuple(visible)
     casting_bodies = visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting)
-    return Placement(visible_bodies, casting_bodies, tuple(are_buildings), tuple(notes), tuple(warnings))
+    surface = concatenate_surfaces(
+        [placed.body.surface for placed in visible_bodies], [len(placed.body.triangles) for placed in visible_bodies]
+    )
+    return Placement(visible_bodies, casting_bodies, tuple(are_buildings), tuple(notes), tuple(warnings), surface)
 
 
 def solids(placement: Placement, seconds: float) -> Solids:
@@ -120,6 +129,18 @@ def solids(placement: Placement, seconds: float) -> Solids:
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
     )
+
+
+def spheres_with_surfaces(placement: Placement, seconds: float) -> list[tuple[Body, np.ndarray, float]]:
+    """Return the visible bodies that have a ``Surface``, each with the centre (3,) of a sphere around it and its radius, metres."""
+    pose_cache: dict[int, _Pose] = {}
+    out = []
+    for placed in placement.visible_bodies:
+        if placed.body.surface_bounds and len(placed.body.triangles):
+            body, pose = _pose(placed, seconds, pose_cache)
+            centre, radius = body.bounding_sphere
+            out.append((body, pose.point_earth_m + pose.earth_from_enu @ centre, radius))
+    return out
 
 
 def _concatenate(bodies: Sequence[tuple[Body, _Pose]]) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +183,7 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
         bodies = GENERATORS[spec.generate]()
     if spec.color is None:
         return bodies
-    return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color)) for body in bodies]
+    return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color), warnings=body.warnings) for body in bodies]
 
 
 def _place_bodies(bodies: list[Body], spec: MeshSpec, poses: list[_Pose], motion: BodyMotion | None) -> list[PlacedBody]:

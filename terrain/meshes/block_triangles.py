@@ -18,7 +18,7 @@ def block_triangles(polygon_triangles: np.ndarray, ring_ends: np.ndarray) -> tup
     left.
     """
     count = int(ring_ends[-1])
-    corner, next_corner = np.arange(count), _next_corners(ring_ends)
+    corner, next_corner = np.arange(count), next_corners(ring_ends)
     walls = np.concatenate([
         np.column_stack([corner + count, next_corner + count, next_corner]), np.column_stack([corner + count, next_corner, corner])
     ])  # fmt: skip
@@ -56,7 +56,7 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
     """
     from scipy.spatial import cKDTree
 
-    rings = set(zip(range(len(xy)), _next_corners(ring_ends).tolist(), strict=True))
+    rings = set(zip(range(len(xy)), next_corners(ring_ends).tolist(), strict=True))
     corners, tree = triangles.tolist(), cKDTree(xy)
     edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
     queue = deque(edges)
@@ -91,7 +91,7 @@ def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np
     return np.array(corners, np.int32)
 
 
-def _next_corners(ring_ends: np.ndarray) -> np.ndarray:
+def next_corners(ring_ends: np.ndarray) -> np.ndarray:
     """Return for each corner the index (n,) of the next corner in its ring."""
     next_corner = np.arange(1, int(ring_ends[-1]) + 1)
     next_corner[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])

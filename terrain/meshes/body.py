@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ import trimesh
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
 from skugga.terrain.ground.ground_path import GroundPath
+from skugga.terrain.meshes.surface import Surface, SurfaceBounds
 from skugga.terrain.srgb import linear_of_srgb
 
 NEUTRAL_GRAY = (0.6, 0.6, 0.6)
@@ -51,11 +52,21 @@ class Body:
         int32 (m, 3), counter-clockwise from outside.
     albedo
         float32 (m, 3), linear, in [0, 1]; one colour (3,) is broadcast to all triangles.
+    surface
+        Textures and materials of the triangles; ``None`` for triangles of one colour each.
+    warnings
+        Sentences on what a file asks for that is ignored.
+    crease_deg
+        float64 (m,): for each triangle the largest angle to a face that is shaded with it as one curved surface, degrees; ``None``
+        for ``MIN_CREASE_DEG``.
     """
 
     vertices_m: np.ndarray
     triangles: np.ndarray
     albedo: np.ndarray
+    surface: Surface | None = None
+    warnings: tuple[str, ...] = ()
+    crease_deg: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices_m, np.float64).reshape(-1, 3)
@@ -65,6 +76,10 @@ class Body:
         object.__setattr__(self, "vertices_m", vertices)
         object.__setattr__(self, "triangles", triangles[has_area])
         object.__setattr__(self, "albedo", albedo[has_area])
+        if self.surface is not None and not has_area.all():
+            object.__setattr__(self, "surface", self.surface.select(has_area))
+        if self.crease_deg is not None:
+            object.__setattr__(self, "crease_deg", np.asarray(self.crease_deg, np.float64)[has_area])
 
     @cached_property
     def merged_triangles(self) -> np.ndarray:
@@ -86,20 +101,40 @@ class Body:
         forward, reverse = np.sort(start * span + end), np.sort(end * span + start)
         return bool((forward == reverse).all() and (np.diff(forward) > 0).all())
 
+    @cached_property
+    def surface_bounds(self) -> list[SurfaceBounds]:
+        """Bounds of what the body's materials show; empty without a ``surface``."""
+        return [] if self.surface is None else self.surface.bounds(self.vertices_m[self.triangles], self.albedo)
+
+    @cached_property
+    def bounding_sphere(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and radius of a sphere around the triangles, metres."""
+        corners = self.vertices_m[self.triangles].reshape(-1, 3)
+        centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        return centre, float(np.linalg.norm(corners - centre, axis=1).max())
+
     @property
     def volume_m3(self) -> float:
         """Signed volume: positive if the triangles of a closed body face outwards."""
         a, b, c = np.moveaxis((self.vertices_m - self.vertices_m[:1])[self.triangles], 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
-    def corner_normals(self, crease_deg: float = MIN_CREASE_DEG) -> np.ndarray:
+    def corner_normals(self, crease_deg: float | None = None) -> np.ndarray:
         """Return unit shading normals (m, 3, 3) float32 at the triangles' corners.
 
         A corner's normal is the mean of the normals of the faces around its vertex that lie within ``crease_deg`` of the triangle's
-        own normal. Weights are the faces' angles at the vertex, so the result does not depend on the triangulation (Thuermer and
-        Wuethrich 1998, "Computing vertex normals from polygonal facets", J. Graphics Tools 3(1):43-46).
+        own normal; ``None`` stands for the angles of the body. Weights are the faces' angles at the vertex, so the result does not
+        depend on the triangulation (Thuermer and Wuethrich 1998, "Computing vertex normals from polygonal facets", J. Graphics
+        Tools 3(1):43-46).
         """
-        return _corner_normals(self, float(crease_deg))
+        if crease_deg is not None or self.crease_deg is None:
+            return _corner_normals(self, MIN_CREASE_DEG if crease_deg is None else float(crease_deg))
+        angles = np.unique(self.crease_deg)
+        normals = _corner_normals(self, float(angles[0])).copy()
+        for angle in angles[1:]:
+            has_angle = self.crease_deg == angle
+            normals[has_angle] = _corner_normals(self, float(angle))[has_angle]
+        return normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +162,30 @@ class BodyMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class Footprint:
+    """The footprint that a building was extruded from. Its façades follow from it (``skugga.terrain.meshes.facades``).
+
+    Attributes
+    ----------
+    hash_bits
+        32 bits that choose the building's materials. All polygons of a feature have the same.
+    ground_floor_m
+        Height of the ground floor above the body's lowest vertices: the mean ground along the outline; 0 if the building begins
+        above the ground. Metres.
+    eaves_m
+        Height of the tops of the walls above the ground floor, metres. A sloped roof begins at them.
+    corner_ground_m
+        float32 (n,), height of the ground at the n corners above the ground floor, metres; NaN where unknown. Vertices [0, n) of
+        the body are the corners at the tops of the walls, [n, 2 n) those at the floor. Those of a sloped roof follow.
+    """
+
+    hash_bits: int
+    ground_floor_m: float
+    eaves_m: float
+    corner_ground_m: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class PlacedBody:
     """A body on the earth, before its motion: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``.
 
@@ -140,12 +199,15 @@ class PlacedBody:
         Rotation (3, 3) float64 from the body's to earth-fixed axes.
     motion
         Motion by the level's clock; ``None`` for a body at rest.
+    footprint
+        The footprint of a building; ``None`` for other bodies.
     """
 
     body: Body
     origin_earth_m: np.ndarray
     earth_from_body: np.ndarray
     motion: BodyMotion | None = None
+    footprint: Footprint | None = None
 
 
 def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: VectorLike | None = None) -> Body:
@@ -156,7 +218,7 @@ def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: Vect
 def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), yaw_deg: float = 0.0, scale: float = 1.0) -> Body:
     """Return a body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
     vertices = scale * body.vertices_m @ rotation_about_up(yaw_deg).T + np.asarray(offset_m, np.float64)
-    return Body(vertices, body.triangles, body.albedo)
+    return replace(body, vertices_m=vertices)
 
 
 def rotation_about_up(yaw_deg: float) -> np.ndarray:

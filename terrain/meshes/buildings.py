@@ -1,8 +1,8 @@
-"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones.
+"""Buildings: footprints extruded to closed blocks, with flat or sloped roofs.
 
-- The height of a flat roof, or of the ridge (``skugga.terrain.meshes.roofs``), is the mean ground height along the footprint's
-  outline plus the building's height. Heights measured in a surface raster count from the same mean, so the roof lies at the
-  surface.
+- The height of a flat roof, or of the ridge (``skugga.terrain.meshes.sloped_blocks``), is the mean ground height along the
+  footprint's outline plus the building's height. Heights measured in a surface raster count from the same mean, so the roof lies
+  at the surface.
 - Walls extend to ``WALL_DEPTH_BELOW_GROUND_M`` below the lowest ground of the outline, which avoids gaps on slopes. A floor closes
   the block.
 - A building that begins above the ground, such as a bridge or the storeys over a passage, has its floor at the mean ground plus
@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,11 +29,10 @@ from skugga.terrain.ground.geolocate import bounds_text
 from skugga.terrain.ground.length_attributes import matching_attribute
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import LoadedLevel
-from skugga.terrain.level.parts import MeshSpec, RoofForm
-from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_block_triangles
-from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
+from skugga.terrain.level.parts import MeshSpec
+from skugga.terrain.meshes.body import PlacedBody
+from skugga.terrain.meshes.extrusion import Blocks, extrude
 from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes
-from skugga.terrain.meshes.roofs import roof_over
 
 WALL_DEPTH_BELOW_GROUND_M = 0.5
 """Depth of walls below the lowest ground of their outline."""
@@ -80,38 +78,6 @@ Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 _POLYGON_TYPE_ID = 3  # shapely's type id
 
 _POLYGON_DIMENSIONS = 2  # dimensions
-
-WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58, 0.40, 0.32), (0.64, 0.63, 0.60))
-"""sRGB: plaster, whitewash, ochre, brick, concrete."""
-
-ROOF_COLORS = ((0.57, 0.35, 0.27), (0.48, 0.36, 0.30), (0.38, 0.40, 0.43), (0.44, 0.43, 0.42), (0.56, 0.57, 0.57))
-"""sRGB: red and brown tile, slate, felt, zinc."""
-
-ALBEDO_FACTOR_RANGE = (0.92, 1.06)
-"""Range of factors that make a building darker or lighter than its material."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Blocks (extruded footprints), one row per polygon.
-
-    Attributes
-    ----------
-    polygons
-        Outlines in the terrain's CRS.
-    color_key
-        Centroid (n, 2) of the feature that the polygon belongs to. The colours derive from it.
-    roof_m, base_m
-        Heights (n,) of roof and floor above the elevation's datum, metres.
-    height_m
-        Height (n,) of the roof above the floor, or above the mean ground if the block stands on it, metres.
-    """
-
-    polygons: np.ndarray
-    color_key: np.ndarray
-    roof_m: np.ndarray
-    base_m: np.ndarray
-    height_m: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +144,11 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
         raise SourceError(source, f"footprints within {spans[0]}", f"Use footprints on the terrain: within {spans[1]}")
     floor_m = np.where(base[selected] > 0.0, mean_m + base[selected], lowest_m - WALL_DEPTH_BELOW_GROUND_M)
-    blocks = _Blocks(
+    blocks = Blocks(
         polygons[selected][on_terrain], key[on_terrain], (mean_m + height[selected])[on_terrain], floor_m[on_terrain],
         (height - base)[selected][on_terrain],
     )  # fmt: skip
-    bodies = _extrude(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
+    extruded = extrude(blocks, world, elevation, spec)
     omitted_counts = {
         "without a height": np.count_nonzero(~has_height), "off the terrain": np.count_nonzero(~on_terrain),
         "without a geometry": features.omitted_count,
@@ -192,7 +158,7 @@ def buildings(spec: MeshSpec, key_path: str, loaded: LoadedLevel, world: World, 
         *attribute_heights.notes,
         *(f"{count} footprints left out: {reason}" for reason, count in omitted_counts.items() if count),
     ]
-    return Buildings(bodies, tuple(notes), (*attribute_heights.warnings, *floor_warnings))
+    return Buildings(extruded.bodies, tuple(notes), (*attribute_heights.warnings, *floor_warnings, *extruded.warnings))
 
 
 def _floor_heights(
@@ -353,54 +319,3 @@ def _ground_heights_along(polygons: np.ndarray, elevation: Elevation) -> tuple[n
         ):
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
-
-
-def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
-    """Return the blocks as placed bodies.
-
-    ``crs`` is the CRS of their outlines. ``albedo`` (3,) is the linear albedo of all blocks; ``None`` derives a block's albedo from
-    its ``color_key``.
-    """
-    rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
-    xy, ring = shapely.get_coordinates(rings, return_index=True)
-    is_corner = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
-    xy, ring = xy[is_corner], ring[is_corner]
-    ground, up = world.points_at_zero_height(crs, xy[:, 0], xy[:, 1])
-    ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
-    start, first_ring, placed = 0, 0, []
-    for i, (roof_m, base_m) in enumerate(zip(blocks.roof_m, blocks.base_m, strict=True)):
-        last_ring = int(np.searchsorted(polygon, i, side="right"))
-        ends = ring_ends[first_ring:last_ring]
-        corner_slice = slice(start, int(ends[-1]))
-        origin = ground[start] + base_m * up[start]
-        sloped = (
-            roof_over(ground[corner_slice] + base_m * up[corner_slice], blocks.height_m[i], form)
-            if last_ring - first_ring == 1
-            else None
-        )
-        if sloped is None:
-            roof = roof_triangles(xy[corner_slice] - xy[start], ends - start)
-            triangles, is_roof = block_triangles(roof, ends - start)
-            vertices = np.concatenate([ground[corner_slice] + height * up[corner_slice] for height in (roof_m, base_m)]) - origin
-        else:
-            order = start + (sloped.first_corner + np.arange(4)) % 4
-            ridge, ridge_up = world.points_at_zero_height(crs, *(sloped.ridge_weights @ xy[order]).T)
-            eaves_m = roof_m - sloped.rise_m
-            corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
-            triangles, is_roof = sloped_block_triangles(sloped)
-            vertices = np.concatenate(corners) - origin
-        wall_albedo, roof_albedo = _wall_and_roof_albedo(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
-        placed.append(
-            PlacedBody(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3))
-        )
-        start, first_ring = corner_slice.stop, last_ring
-    return placed
-
-
-def _wall_and_roof_albedo(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear albedo (3,) of wall and roof of a building, a deterministic choice by its centre."""
-    step = 1e-6 if crs.is_geographic else 0.1
-    bits = zlib.crc32(np.rint(centre / step).astype("<i8").tobytes())
-    wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]
-    shade = ALBEDO_FACTOR_RANGE[0] + (ALBEDO_FACTOR_RANGE[1] - ALBEDO_FACTOR_RANGE[0]) * (bits >> 16) / 0xFFFF
-    return srgb_albedo(np.array(wall) * shade), srgb_albedo(np.array(roof) * shade)

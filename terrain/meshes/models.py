@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.level.data_files import check_file
 from skugga.terrain.level.linked_files import gltf_array
 from skugga.terrain.meshes.body import MAX_SMOOTHED_CORNERS, NEUTRAL_GRAY, Body, srgb_albedo
+from skugga.terrain.meshes.model_surface import describe_materials, read_surface
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 
@@ -67,11 +69,18 @@ def read_model(source: str) -> Body:
         raise SourceError(source, "vertices that are not finite", "Use finite coordinates")
     if y_up:
         points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
-    body = _without_duplicates(Body(points, np.concatenate(triangles), np.concatenate(albedo)))
+    try:
+        surface, notes = read_surface(parts)
+    except (OSError, SyntaxError, TypeError, ValueError) as error:  # Pillow's errors of broken pictures, and wrong types in glTF
+        raise SourceError(source, f"materials cannot be read ({str(error)[:80]})", "Use PNG or JPEG textures") from None
+    colors = np.concatenate(albedo)
+    if surface is not None:
+        colors = np.where(surface.material[:, None] >= 0, surface.mean_albedo(), colors)
+    body = _without_duplicates(Body(points, np.concatenate(triangles), colors, surface, notes))
     if not len(body.triangles):
         raise SourceError(source, "no triangle with an area", _REMEDY)
     lowest = body.vertices_m[body.triangles][..., 2].min()
-    return Body(body.vertices_m - (0.0, 0.0, lowest), body.triangles, body.albedo)
+    return replace(body, vertices_m=body.vertices_m - (0.0, 0.0, lowest))
 
 
 def _without_duplicates(body: Body) -> Body:
@@ -86,11 +95,10 @@ def _without_duplicates(body: Body) -> Body:
     rotated_triangles = np.take_along_axis(merged_triangles, (first + np.arange(3)) % 3, axis=1)
     _, unique_rows = np.unique(rotated_triangles, axis=0, return_index=True)
     unique_rows.sort()
-    return (
-        body
-        if len(unique_rows) == len(merged_triangles)
-        else Body(body.vertices_m, body.triangles[unique_rows], body.albedo[unique_rows])
-    )
+    if len(unique_rows) == len(merged_triangles):
+        return body
+    surface = None if body.surface is None else body.surface.select(unique_rows)
+    return replace(body, triangles=body.triangles[unique_rows], albedo=body.albedo[unique_rows], surface=surface)
 
 
 def _load_parts(source: str) -> list[trimesh.Trimesh]:
@@ -105,6 +113,7 @@ def _load_parts(source: str) -> list[trimesh.Trimesh]:
             copies = sum(len(scene.geometry[name].faces) for name in _instance_names(scene))
             if copies > MAX_MODEL_TRIANGLES:
                 raise _too_many_triangles(source, copies)
+            describe_materials(source, scene)
             parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     except SourceError:
         raise

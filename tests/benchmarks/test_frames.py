@@ -99,7 +99,7 @@ def test_writing_tables_between_marks_is_idempotent():
     assert replace_between_marks(written_page, "| new |") == written_page
     with pytest.raises(ValueError, match="no marks"):
         replace_between_marks("a page without any", "table")
-    assert replace_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
+    assert replace_between_marks((ROOT / "docs" / "reports" / "frames.md").read_text(encoding="utf-8"), "table")
 
 
 @pytest.mark.long

@@ -9,12 +9,12 @@ from datetime import date
 import numpy as np
 import pytest
 
-from benchmarks.irradiation.__main__ import PAGE, stored_results
+from benchmarks.irradiation.__main__ import REPORT, stored_results
 from benchmarks.irradiation.constant_light import BEAM_W_M2
 from benchmarks.irradiation.figures import HillRow, RayRow, Results, ToolRow
 from benchmarks.irradiation.hill_raster import HillRaster, open_hills
 from benchmarks.irradiation.hills import sun_irradiation
-from benchmarks.irradiation.page import format_tables
+from benchmarks.irradiation.page import format_report
 from benchmarks.irradiation.rays import BeamErrors, SampledCells, beam_errors, sample_cells
 from skugga.shadows.irradiation.suns import sun_intervals
 from skugga.terrain.geo.clock import SOLAR
@@ -69,11 +69,11 @@ def test_figures_are_read_as_written_and_shown():
         [ToolRow("Essen", "21 March", "Skugga, 60 min", True, 1.0, 4.0, 5.0, 300.0, 4.2, errors)],
     )  # fmt: skip
     assert Results.read(json.loads(json.dumps(asdict(results)))) == results
-    text = format_tables(results)
+    text = format_report(results)
     assert "| `total` | 1000 | 0.01 % | 0.03 % | -0.002 % |" in text
     assert "| Essen | 1,000,000 | 4,810 | 500 | 0.12 % | 1.00 % | -0.03 % |" in text
-    assert "**Skugga, 60 min**" in text and "- SEBE: is missing." in text and "load 0.5 before and 1.5 after" in text
+    assert "**Skugga, 60 min**" in text and "- SEBE: is missing." in text and "Load 0.5 before and 1.5 after" in text
 
 
-def test_the_page_has_the_tables_of_the_stored_figures():
-    assert format_tables(stored_results()) in PAGE.read_text("utf-8")
+def test_the_report_is_up_to_date():
+    assert format_report(stored_results()) == REPORT.read_text("utf-8")

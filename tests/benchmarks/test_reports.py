@@ -52,8 +52,8 @@ def test_the_comparison_page_is_up_to_date() -> None:
 def test_the_page_links_exactly_the_existing_reports() -> None:
     report_names = {path.name for path in reports.REPORTS.iterdir()}
     assert report_names == {f"{name}.html" for name in SCENES} and set(reports.stored_records()) == set(SCENES)
-    assert set(re.findall(r"\]\(compare/([^)]*)\)", PAGE)) == report_names
-    assert set(re.findall(r"\]\(images/([^)]*)\)", PAGE)) == {f"compare-{name}.svg" for name in SCENES}
+    assert set(re.findall(r"\]\(\.\./compare/([^)]*)\)", PAGE)) == report_names
+    assert set(re.findall(r"\]\(\.\./images/([^)]*)\)", PAGE)) == {f"compare-{name}.svg" for name in SCENES}
 
 
 @pytest.mark.parametrize("name", SCENES)

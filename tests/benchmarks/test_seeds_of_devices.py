@@ -44,6 +44,14 @@ def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str,
     return measured
 
 
+def test_figures_without_a_commit_forget_that_of_older_ones():
+    measured: dict[str, Any] = {}
+    add_figures(measured, CPU, "times", {"times": {"one": 2}}, "abc1234")
+    assert "at commit abc1234" in str(format_experiment("times", EXPERIMENT, measured))
+    add_figures(measured, CPU, "times", {"times": {"one": 2}})
+    assert "commit" not in str(format_experiment("times", EXPERIMENT, measured))
+
+
 def test_differing_cells_hold_the_figures_of_both_devices():
     text = format_experiment("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "two": 0.5})))
     assert text is not None
@@ -104,6 +112,7 @@ def test_all_experiments_can_be_merged_with_another_device():
 def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, capsys):
     json_file, page_file = tmp_path / "figures.json", tmp_path / "page.md"
     monkeypatch.setattr(seeds, "EXPERIMENTS", {"times": Experiment(lambda: {"times": {"one": state.speed}}, section)})
+    monkeypatch.setattr(seeds, "current_commit", lambda: "abc1234")
     state = SimpleNamespace(speed=2.0)
     for device_info, speed in ((CPU, 2.0), (CARD, 0.123456789)):
         state.speed = speed
@@ -111,8 +120,9 @@ def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, c
         monkeypatch.setattr("sys.argv", ["seeds", "--json", str(json_file), "--markdown", str(page_file)])
         seeds.main()
     assert json.loads(json_file.read_text())[CARD.renderer] == {
-        "software": False, "experiments": {"times": {"times": {"one": 0.123457}}},
+        "software": False, "experiments": {"times": {"times": {"one": 0.123457}}}, "commits": {"times": "abc1234"},
     }  # fmt: skip
+    assert "\nMeasured. Measured at commit abc1234.\n" in page_file.read_text()
     assert "| one | 1024 | 2.00 / 0.12 |" in page_file.read_text()
     monkeypatch.setattr("sys.argv", [*("seeds --write-only --without".split()), CARD.renderer, "--json", str(json_file),
                                      "--markdown", str(page_file)])  # fmt: skip

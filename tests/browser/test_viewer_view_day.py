@@ -165,6 +165,7 @@ def test_film_is_asked_for_and_saved(view: FakeView, service: Client):
     animation = FakeAnimation(view.page)
     view.open()
     dialog = view.page.get_by_role("dialog")
+    dialog.get_by_label("Time between the pictures of the film").select_option("every 5 minutes")
     with view.page.expect_download() as download:
         dialog.get_by_role("button", name="Make a film").click()
         expect(dialog).to_contain_text("The service is drawing the film: 30 of 60 pictures.")
@@ -172,9 +173,10 @@ def test_film_is_asked_for_and_saved(view: FakeView, service: Client):
     expect(dialog).to_contain_text("The film is saved.")
     assert set(animation.methods) == {"GET"}
     (body,) = animation.bodies
+    assert body["step"] == "5m"
     response = service.post(f"/levels/{LEVEL}/animations", json=body)
     assert response.status_code == 202, response.text
-    assert response.json()["frames"] > 50
+    assert response.json()["frames"] > 100
     service.delete(f"/animations/{response.json()['jobID']}")
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import shapely
 import trimesh
+from PIL import Image
 from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -27,6 +28,7 @@ from skugga.terrain.effects import EFFECTS
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import EffectName, LoadedLevel, load_level
 from skugga.terrain.scene import Scene, build_scene
+from tests.model_files import board, checker, normal_map
 from tests.rasters import ENGINEERING, write_geotiff
 
 UTM, CORNER_M = "EPSG:32633", (500_000.0, 5_300_000.0)
@@ -110,8 +112,17 @@ class EffectComparison:
         floor = np.zeros((CELLS, CELLS), np.float32)
         write_geotiff(folder / "floor.tif", floor, ENGINEERING, -CELLS / 2 * CELL_M, CELLS / 2 * CELL_M, CELL_M)
         trimesh.creation.box((4.0, 4.0, 12.0)).export(folder / "post.obj")
+        for name, material in board_materials().items():
+            board(**material).export(folder / f"{name}.glb")
         tree = shapely.to_wkb(np.array([shapely.Point(0.0, 0.0)], object))
+        line = shapely.to_wkb(np.array([shapely.LineString([(-600.0, -310.0), (600.0, 290.0)])], object))
+        raw.write(folder / "road.gpkg", line, [np.array([6.0])], ["width"], geometry_type="LineString", crs=ENGINEERING)
         raw.write(folder / "tree.gpkg", tree, [np.array([12.0])], ["height"], geometry_type="Point", crs=ENGINEERING)
+        house = shapely.to_wkb(np.array([shapely.box(-7.0, -5.0, 7.0, 5.0)], object))
+        raw.write(folder / "house.gpkg", house, [np.array([8.0])], ["height"], geometry_type="Polygon", crs=ENGINEERING)
+        x, y = CORNER_M
+        road = shapely.to_wkb(np.array([shapely.LineString([(x + 100.0, y - 640.0), (x + 1180.0, y - 600.0)])], object))
+        raw.write(folder / "road.gpkg", road, [np.array(["residential"])], ["highway"], geometry_type="LineString", crs=UTM)
 
     def scene(self, keys: dict[str, Any]) -> Scene:
         """Return the scene of a level with some keys."""
@@ -337,6 +348,135 @@ def ground_detail() -> Iterator[EffectCase]:
         yield EffectCase(f"sun at {altitude}", level_keys("slope", altitude=altitude), PERSPECTIVE)
 
 
+def ground_materials() -> Iterator[EffectCase]:
+    middle = (0.0, 0.0, 0.0)
+    for up_m in (1.7, 300.0, 8000.0, 80_000.0):
+        yield EffectCase(
+            f"slope from {up_m} m",
+            level_keys("slope"),
+            perspective_view((*GROUND_CENTRE, up_m), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0), 30.0),
+        )
+    for up_m in (1.7, 300.0):
+        yield EffectCase(f"floor from {up_m} m", level_keys("floor"), perspective_view((0.0, -1.0, up_m), middle, 30.0))
+    for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
+        yield EffectCase(f"skyline {up_m}", level_keys("plain"), skyline_view(up_m))
+    yield EffectCase("map", level_keys("hills"), map_window(640.0, 640.0, 20.0))
+    for style in ("natural", "swiss", "grey", "urban", "analysis"):
+        yield EffectCase(f"style {style}", level_keys("slope", style={"name": style}), PERSPECTIVE)
+    for altitude in (12.0, 0.5, -3.0, -9.0, -30.0):
+        yield EffectCase(f"sun at {altitude}", level_keys("slope", altitude=altitude), PERSPECTIVE)
+
+
+def roads() -> Iterator[EffectCase]:
+    for width_m in (0.5, 0.9, 1.1, 1.2, 1.5, 3.0, 8.0):
+        keys = level_keys("plain", roads=[{"source": "road.gpkg", "width": width_m}])
+        yield EffectCase(f"road of {width_m} m", keys, map_window(640.0, 640.0, 1200.0))
+        yield EffectCase(f"river of {width_m} m", level_keys("plain", rivers=keys["roads"]), map_window(640.0, 640.0, 1200.0))
+        above = perspective_view((*GROUND_CENTRE, 1200.0), (GROUND_CENTRE[0], GROUND_CENTRE[1] + 1e-4, 0.0))
+        yield EffectCase(f"road of {width_m} m from above", keys, above)
+    keys = level_keys("hills", roads=[{"source": "road.gpkg"}])
+    for south_m in (640.0, 700.0, 800.0, 1000.0):
+        yield EffectCase(f"window {south_m} m south", keys, map_window(640.0, south_m, 100.0))
+    for width_m in (3.0, 8.0, 20.0):
+        wide = level_keys("plain", roads=[{"source": "road.gpkg", "width": width_m}])
+        yield EffectCase(f"road of {width_m} m in perspective", wide, PERSPECTIVE)
+    for up_m in (0.0, 300.0, 600.0):
+        yield EffectCase(f"skyline {up_m}", keys, skyline_view(up_m))
+    for style in ("swiss", "grey", "urban", "analysis"):
+        styled = level_keys("plain", roads=[{"source": "road.gpkg"}], style={"name": style})
+        yield EffectCase(f"style {style}", styled, map_window(640.0, 640.0, 300.0))
+    yield EffectCase("no road", level_keys("hills"), PERSPECTIVE)
+
+
+def board_materials() -> dict[str, dict[str, Any]]:
+    """Return the materials of boards by the names of their files."""
+    stripes = np.indices((64, 64))[1] % 2 * 2.0 - 1.0
+    materials: dict[str, dict[str, Any]] = {"checker": {"baseColorTexture": checker(1)}}
+    materials |= {f"check {side}": {"baseColorTexture": checker(side)} for side in (2, 8)}
+    for steps in (0, 1, 2, 4, 20):
+        grey = np.where(np.asarray(checker(16)) > 0, 140 + steps, 140 - steps).astype(np.uint8)
+        materials[f"grey {steps}"] = {"baseColorTexture": Image.fromarray(grey)}
+    white = {"metallicFactor": 1.0, "roughnessFactor": 1.0, "baseColorTexture": Image.new("RGB", (4, 4), (230, 230, 230))}
+    for tilt in (0.0, 0.1, 0.3):
+        materials[f"tilt {tilt}"] = {**white, "normalTexture": normal_map(tilt * stripes, 0.0)}
+        materials[f"wide {tilt}"] = {**white, "normalTexture": normal_map(tilt, 0.0)}
+    for roughness in (0.2, 0.5, 1.0):
+        for metallic in (0.0, 1.0):
+            materials[f"gloss {roughness} {metallic}"] = {
+                "roughnessFactor": roughness, "metallicFactor": metallic, "baseColorFactor": [120, 90, 60, 255],
+            }  # fmt: skip
+    return materials
+
+
+def board_keys(name: str, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
+    """Return the keys of a floor with a board in its middle."""
+    return level_keys("floor", 200.0, altitude, meshes=[{"source": f"{name}.glb", "at": [0.0, 0.0]}], **keys)
+
+
+def view_of_board(distance_m: float, east_m: float = 0.0) -> dict[str, Any]:
+    return perspective_view((1.0, -distance_m, 3.0), (east_m, 0.0, 2.0), 30.0)
+
+
+def textures() -> Iterator[EffectCase]:
+    for distance_m in (8.0, 10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 40.0, 60.0, 100.0):
+        yield EffectCase(f"squares of a texel from {distance_m} m", board_keys("checker"), view_of_board(distance_m))
+        yield EffectCase(f"squares of 2 texels from {distance_m} m", board_keys("check 2"), view_of_board(distance_m))
+    for steps in (0, 1, 2, 4, 20):
+        yield EffectCase(f"grey by {steps}", board_keys(f"grey {steps}"), view_of_board(12.0))
+        yield EffectCase(f"grey by {steps} by night", board_keys(f"grey {steps}", -30.0), view_of_board(12.0))
+    for east_m in (0.0, 4.0, 8.0, 12.0, 30.0):
+        yield EffectCase(f"looking {east_m} m past a board", board_keys("check 8"), view_of_board(20.0, east_m))
+    yield EffectCase("map of a board", board_keys("check 8"), {**MAP, "bounds": [-8.0, -8.0, 8.0, 8.0]})
+    yield EffectCase("no board", level_keys("floor"), view_of_board(20.0))
+
+
+def normal_maps() -> Iterator[EffectCase]:
+    for distance_m in (8.0, 10.0, 12.0, 14.0, 18.0, 22.0, 30.0, 50.0, 80.0):
+        for tilt in (0.0, 0.3):
+            yield EffectCase(f"stripes of {tilt} from {distance_m} m", board_keys(f"tilt {tilt}"), view_of_board(distance_m))
+    for tilt in (0.0, 0.1, 0.3):
+        for altitude in (-30.0, 10.0, 50.0):
+            yield EffectCase(f"tilt of {tilt}, sun at {altitude}", board_keys(f"wide {tilt}", altitude), view_of_board(15.0))
+    for east_m in (4.0, 8.0, 12.0, 30.0):
+        yield EffectCase(f"looking {east_m} m past a board", board_keys("wide 0.3"), view_of_board(20.0, east_m))
+    yield EffectCase("map of a board", board_keys("wide 0.3"), {**MAP, "bounds": [-8.0, -8.0, 8.0, 8.0]})
+    yield EffectCase("no board", level_keys("floor"), view_of_board(20.0))
+
+
+def highlights() -> Iterator[EffectCase]:
+    for roughness in (0.2, 0.5, 1.0):
+        for metallic in (0.0, 1.0):
+            for altitude in (-2.0, 10.0, 50.0):
+                name = f"gloss {roughness} {metallic}"
+                yield EffectCase(f"{name}, sun at {altitude}", board_keys(name, altitude), view_of_board(15.0))
+    for east_m in (4.0, 8.0, 12.0, 30.0):
+        yield EffectCase(f"looking {east_m} m past a board", board_keys("gloss 0.5 0.0"), view_of_board(20.0, east_m))
+    for cover in (0.5, 1.0):
+        keys = board_keys("gloss 0.5 1.0", weather={"cloud_cover": cover})
+        yield EffectCase(f"clouds of {cover}", keys, view_of_board(15.0))
+    yield EffectCase("snow", board_keys("gloss 0.5 1.0", weather={"snow": True}), view_of_board(15.0))
+    yield EffectCase("map of a board", board_keys("gloss 0.5 1.0"), {**MAP, "bounds": [-8.0, -8.0, 8.0, 8.0]})
+    yield EffectCase("no board", level_keys("floor"), view_of_board(20.0))
+
+
+def facades() -> Iterator[EffectCase]:
+    for roof in ("auto", "flat"):
+        house = level_keys("floor", meshes=[{"source": "house.gpkg", "height": "height", "roof": roof}])
+        for distance_m in (20.0, 45.0, 80.0, 100.0, 120.0, 145.0, 170.0, 185.0, 230.0, 420.0):
+            view = perspective_view((0.6 * distance_m, -0.8 * distance_m, 5.0), (0.0, 0.0, 3.0), 40.0)
+            yield EffectCase(f"{roof} roof, {distance_m} m away", house, view)
+    for east_m in (0.0, 25.0, 40.0, 70.0):
+        yield EffectCase(f"looking {east_m} m beside", house, perspective_view((0.0, -60.0, 5.0), (east_m, 0.0, 3.0), 40.0))
+    near = perspective_view((24.0, -32.0, 5.0), (0.0, 0.0, 3.0), 40.0)
+    for style in ("swiss", "grey", "urban", "analysis"):
+        yield EffectCase(f"style {style}", {**house, "style": {"name": style}}, near)
+    for altitude in (2.0, -9.0, -30.0):
+        yield EffectCase(f"sun at {altitude}", {**house, "sun": {"azimuth": 200.0, "altitude": altitude}}, near)
+    post = level_keys("floor", meshes=[{"source": "post.obj", "at": [0.0, 0.0]}])
+    yield EffectCase("model", post, near)
+    yield EffectCase("map", house, {**MAP, "bounds": [-30.0, -30.0, 30.0, 30.0]})
+
+
 def crowns() -> Iterator[EffectCase]:
     forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     for altitude in (-2.0, 5.0, 20.0, 45.0):
@@ -347,6 +487,26 @@ def crowns() -> Iterator[EffectCase]:
             )
     yield EffectCase("map of a tree", level_keys("floor", 240.0, forest=forest), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
     yield EffectCase("no tree", level_keys("floor", 240.0), perspective_view((0, -40, 8), (0, 0, 6), 30.0))
+
+
+def ambient_occlusion() -> Iterator[EffectCase]:
+    posts = [{"source": "post.obj", "at": [[0.0, 6.0 * k] for k in range(-4, 5)]}]
+    for altitude in (-20.0, -8.0, -3.0, 5.0, 20.0, 60.0):
+        for east_m in (0.0, 20.0, 60.0):
+            keys = level_keys("floor", 240.0, altitude, meshes=posts)
+            view = perspective_view((-30.0, -20.0, 12.0), (east_m, 10.0, 2.0), 30.0, 2)
+            yield EffectCase(f"looking {east_m} m past posts, sun at {altitude}", keys, view)
+    forest = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
+    for east_m in (0.0, 12.0, 20.0, 40.0, 80.0):
+        view = perspective_view((0, -40, 8), (east_m, 0, 6), 30.0, 2)
+        yield EffectCase(f"looking {east_m} m past a tree", level_keys("floor", 240.0, 20.0, forest=forest), view)
+    for overcast in (0.0, 1.0):
+        weather = {"cloud_cover": overcast}
+        yield EffectCase(
+            f"room under {overcast}", room_keys(weather=weather), perspective_view((3.7, -2.8, 2.05), (-1, 0.5, 0.6), 60.0)
+        )
+    yield EffectCase("map of posts", level_keys("floor", 240.0, meshes=posts), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
+    yield EffectCase("no object", level_keys("hills", 240.0), PERSPECTIVE)
 
 
 def clouds() -> Iterator[EffectCase]:
@@ -363,6 +523,14 @@ def clouds() -> Iterator[EffectCase]:
         )
     for up_m in (240.0, 260.0, 280.0, 320.0):
         yield EffectCase(f"skyline {up_m}", level_keys("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline_view(up_m))
+
+
+def precipitation() -> Iterator[EffectCase]:
+    for kind in ("none", "rain", "snowfall"):
+        for rate in (0.1, 1.0, 20.0):
+            weather = {"precipitation": kind, "precipitation_rate": rate}
+            for view_name, view in (("map", MAP), ("perspective", PERSPECTIVE)):
+                yield EffectCase(f"{kind} {rate} {view_name}", level_keys("hills", weather=weather, seconds=300), view)
 
 
 def sky_view() -> Iterator[EffectCase]:
@@ -461,8 +629,11 @@ def room_keys(**keys: Any) -> dict[str, Any]:
 CASES: dict[str, Callable[[], Iterator[EffectCase]]] = {
     "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
     "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view,
+    "ambient_occlusion": ambient_occlusion,
     "sky_light": sky_light, "texture_shading": texture_shading, "lamps": lamps, "water": water,
-    "haze": haze, "ground_detail": ground_detail, "crowns": crowns,
+    "haze": haze, "ground_materials": ground_materials, "ground_detail": ground_detail, "roads": roads, "facades": facades,
+    "crowns": crowns, "textures": textures, "normal_maps": normal_maps, "highlights": highlights,
+    "precipitation": precipitation,
 }  # fmt: skip
 """Effect -> its cases."""
 

@@ -9,6 +9,8 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
+from skugga.shadows.planar import max_mesh_planes
+from skugga.shadows.planar_receivers import find_receivers
 from skugga.shadows.truth.metrics import ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
 from skugga.shadows.truth.truth import Truth
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -47,11 +49,13 @@ def picture_size(thorough: bool) -> tuple[int, int]:
 def _applicable_truth(rendered: RenderedView, truth: Truth | None) -> Truth:
     """Return the truth (by rays, unless another is given) where the algorithm makes a promise.
 
-    Projected shadows fall on the ground only, so truth is limited to the ground for them.
+    Projected shadows fall on planes only, so truth is limited to the planes that receive them.
     """
     truth = truth or rendered.truth
-    if any(step.algorithm == "planar" for step in rendered.plan.steps_of_light(rendered.light)):
-        truth = replace(truth, decidable=truth.decidable & (rendered.buffer.surface_kind == RELIEF))
+    for step in rendered.plan.steps_of_light(rendered.light):
+        if step.algorithm == "planar":
+            receivers = find_receivers(rendered.buffer, rendered.scene, max_mesh_planes(step.settings))
+            truth = replace(truth, decidable=truth.decidable & (receivers.plane_of_point > 0))
     return truth
 
 

@@ -25,9 +25,11 @@ import trimesh
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached_shadow import attached_shadow_mask
+from skugga.shadows.maps.light_space_perspective import light_space_perspectives
+from skugga.shadows.maps.post_perspective import post_perspectives
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
-from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.registry import ALGORITHM_MODULES, ALGORITHMS
 from skugga.shadows.truth.metrics import (
     MIN_COVERED_SHARE,
     ErrorMetrics,
@@ -46,13 +48,34 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.algorithm_names import REFERENCE_NAMES
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.hard_cases.regressions import FLOOR_PX, RECORD_OPTION, read_records, regressions
 from tests.rasters import write_geotiff
 
-SHADOW_ALGORITHMS = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
+SHADOW_ALGORITHMS = tuple(
+    module.ALGORITHM.name for module in ALGORITHM_MODULES if module.ALGORITHM.name not in (*REFERENCE_NAMES, "none")
+)
 """The algorithms that cast shadows, without the reference."""
+
+MAP_VIEW_ALGORITHMS = tuple(name for name in SHADOW_ALGORITHMS if "map" not in ALGORITHMS[name].refusals)
+"""The algorithms of ``SHADOW_ALGORITHMS`` that draw map views."""
+
+FIND_CANDIDATES = {"perspective_shadow_map": post_perspectives, "light_space_perspective_map": light_space_perspectives}
+"""The functions that return the candidate matrices of a map, by algorithm."""
+
+PERSPECTIVE_MAP_ALGORITHMS = tuple(FIND_CANDIDATES)
+"""The algorithms of ``SHADOW_ALGORITHMS`` whose maps are warped towards the eye. They refuse map views."""
+
+MAP_ALGORITHMS = ("shadow_map", *PERSPECTIVE_MAP_ALGORITHMS)
+"""The algorithms of ``SHADOW_ALGORITHMS`` that look up depth maps alone."""
+
+LONG_ALGORITHMS = ("light_space_perspective_map", "reconstructed_volume")
+"""Algorithms whose quick runs belong to the long tests.
+
+They share most code with algorithms whose quick runs do not: all but a matrix, or maps and counting.
+"""
 
 ENGINE = "engine"
 """Stands for the algorithm in cases that do not depend on it."""
@@ -156,6 +179,11 @@ class Trial:
     thorough: bool
     folder: Path
     coverages: dict[str, list[MetricCoverage]] = field(default_factory=dict)
+
+    @property
+    def serves_maps(self) -> bool:
+        """Return whether the algorithm draws map views; so does the engine without one."""
+        return self.algorithm not in PERSPECTIVE_MAP_ALGORITHMS
 
     def record_coverage(self, figure: str, *coverages: MetricCoverage) -> None:
         """Record the coverage of the cast shadow by a figure in some pictures."""
@@ -303,15 +331,19 @@ def hard_case(
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
     Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build. Therefore the long tests contain
-    one thorough run of each case, of an algorithm that the case's id decides; all thorough runs have the mark ``thorough``. With
-    ``thorough`` false only the quick run exists. A run fails if a figure exceeds its bound, or ``wrong_cast`` its regression bound
+    one thorough run of each case, of an algorithm that the case's id decides; all thorough runs have the mark ``thorough``. The
+    quick runs of ``LONG_ALGORITHMS`` are long tests, too. With ``thorough`` false only the quick run exists. A run fails if a
+    figure exceeds its bound, or ``wrong_cast`` its regression bound
     (``tests.hard_cases.regressions``).
     """
 
     def register(measure: Measure) -> Callable[..., None]:
         case = Case(id, title, set_up, bounds, measure)
-        long_algorithm = algorithms[crc32(id.encode()) % len(algorithms)]
-        runs = [("quick", algorithm) for algorithm in algorithms]
+        candidates = [algorithm for algorithm in algorithms if algorithm not in LONG_ALGORITHMS]
+        long_algorithm = candidates[crc32(id.encode()) % len(candidates)]
+        runs = [
+            pytest.param("quick", algorithm, marks=[pytest.mark.long] * (algorithm in LONG_ALGORITHMS)) for algorithm in algorithms
+        ]
         if thorough:
             marks = {
                 algorithm: [pytest.mark.thorough] + [pytest.mark.long] * (algorithm == long_algorithm) for algorithm in algorithms

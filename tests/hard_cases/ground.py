@@ -18,7 +18,7 @@ FOV_DEG = 40.0
 
 def view_from_above(trial: Trial, scene: Scene, pixels: int) -> View:
     """Return the level from above, at most ``pixels`` a side: as a map, or from a camera for algorithms without maps."""
-    if trial.algorithm != "perspective_shadow_map":
+    if trial.serves_maps:
         west, south, east, north = scene.elevation.bounds
         sides = np.array([east - west, north - south])
         width, height = np.maximum(np.rint(pixels * sides / sides.max()), 1)
@@ -34,7 +34,7 @@ def close_view(trial: Trial, scene: Scene, at: tuple[float, float], height_m: fl
 
     Its sides are ``extent_m`` long; its centre is at (x, y) in the raster's CRS.
     """
-    if trial.algorithm != "perspective_shadow_map":
+    if trial.serves_maps:
         (x, y), half_m = at, extent_m / 2.0
         return scene.view(bounds=(x - half_m, y - half_m, x + half_m, y + half_m), size=(pixels, pixels))
     return _camera_above(scene, at, (height_m, height_m), extent_m, pixels)

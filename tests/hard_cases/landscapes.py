@@ -43,7 +43,7 @@ def plane_normal(slope_deg: float, aspect_deg: float) -> np.ndarray:
 
 def views_of(trial: Trial, scene: Scene, size: int, **map_options: Any) -> Iterator[View]:
     """Return the map and the perspective view ``eye``; only the latter for algorithms without maps."""
-    if trial.algorithm != "perspective_shadow_map":
+    if trial.serves_maps:
         yield scene.view(size=(size, size), **map_options)
     yield scene.view("eye", size=(size, size))
 

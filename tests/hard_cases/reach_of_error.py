@@ -28,7 +28,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
-from tests.hard_cases.cases import RenderedView
+from tests.hard_cases.cases import FIND_CANDIDATES, RenderedView
 
 STENCIL_PX = 2.0 / 256.0
 """Error of a stencil's faces in the picture: half a step of the grid for a corner, one step for the surface that hides them,
@@ -273,10 +273,8 @@ def _map_matrices(rendered: RenderedView, step: Step, pixel_indices: np.ndarray)
         assert buffer.corners_frame_m is not None
         farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[pixel_indices], axis=2).max(axis=1)
         matrices = np.full((len(pixel_indices), 4, 4), np.nan)
-        for depth_map in (
-            perspective_map.depth_map
-            for perspective_map in perspective_maps(buffer, receivers, scene, rendered.light, settings, trees)
-        ):
+        maps = perspective_maps(buffer, receivers, scene, rendered.light, settings, trees, FIND_CANDIDATES[step.algorithm])
+        for depth_map in (perspective_map.depth_map for perspective_map in maps):
             units = np.array([1.0, 1.0, depth_map.uniforms["depth_step"], 1.0])
             matrices[np.isin(pixel_indices, depth_map.point_indices)] = (
                 np.reshape(depth_map.uniforms["map_rows"], (4, 4)) / units[:, None]

@@ -46,7 +46,7 @@ def site(
 def views_of(trial: Trial, scene: Scene, px: int) -> Iterator[View]:
     """Return the views of a site that its algorithm serves: the oblique one, and the map where the algorithm has maps."""
     yield scene.view("oblique", size=(px, px * 3 // 4))
-    if trial.algorithm != "perspective_shadow_map":
+    if trial.serves_maps:
         yield scene.view(size=(px, px))
 
 

@@ -1,6 +1,7 @@
 """The table at the end of a run: hard case by algorithm, each measured figure beside its bound.
 
-``pytest -m thorough tests/hard_cases --hard-cases-table docs/hard-cases.md`` writes it into the document, between its two marks.
+``pytest -m thorough tests/hard_cases --hard-cases-table docs/reports/hard-cases.md`` writes it into the report, between its two
+marks.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ import pytest
 from tests.hard_cases.cases import ENGINE, RECORD_PROPERTY, SHADOW_ALGORITHMS, exceeded_bounds, untested_figures
 from tests.hard_cases.regressions import RECORD_OPTION, RECORDS_FILE, read_records, updated_records, write_records
 
-COLUMNS = {
-    "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
-    "planar": "planar", "sweep": "sweep", ENGINE: "engine",
+SHORT_TITLES = {
+    "shadow_map": "map", "perspective_shadow_map": "perspective", "light_space_perspective_map": "light space",
+    "shadow_volume": "volumes", "reconstructed_volume": "rebuilt",
 }  # fmt: skip
-"""Algorithms as the table's columns."""
+"""Titles of columns that are shorter than the algorithm's name."""
+
+COLUMNS = {name: SHORT_TITLES.get(name, name) for name in (*SHADOW_ALGORITHMS, ENGINE)}
+"""Algorithms as the table's columns, with their titles."""
 
 TABLE = "table"
 """The name of the table's marks in the document."""

@@ -52,7 +52,7 @@ def worst_over_views(
     interior, invalid_count = 0.0, 0
     scene = trial.scene(FLOOR, meshes=[bodies], name=name, views=dict(views), **keys)
     for view, spec in views.items():
-        if spec["kind"] == "perspective" or trial.algorithm != "perspective_shadow_map":
+        if spec["kind"] == "perspective" or trial.serves_maps:
             rendered = trial.render_view(scene, scene.view(view, size=picture_size(trial.thorough)))
             assert (rendered.truth.valid & ~rendered.truth.lit & ~rendered.truth.attached_shadow_mask).any()
             if "map" in trial.algorithm and rendered.light == SUN:

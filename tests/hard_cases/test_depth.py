@@ -15,7 +15,7 @@ from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE
 from skugga.terrain.describe import describe
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import RenderedView, Trial, hard_case
+from tests.hard_cases.cases import MAP_ALGORITHMS, RenderedView, Trial, hard_case
 from tests.hard_cases.landscapes import SettingsChange, views_of, with_changed_settings
 from tests.hard_cases.reach_of_error import unexplained_coverage, unexplained_errors
 from tests.rasters import ENGINEERING
@@ -102,7 +102,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
     "Sixteen bits are enough for mountains under a low sun",
     "ridges of 2000 m, 50 km wide, sun at 1 degree: 16 bits against 32 and against truth",
     {"acne": 0.0, "shift_px": MAX_DEPTH_SHIFT_PX, "interior": MAX_INTERIOR_SHARE},
-    ("shadow_map", "perspective_shadow_map"),
+    MAP_ALGORITHMS,
 )
 def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:
     """Half a step of bias lights the surface, and rounding takes half a step from it: 16 bits never shade more than 32 bits do.

@@ -22,7 +22,7 @@ from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from tests.hard_cases.bodies import FLOOR, eye
-from tests.hard_cases.cases import SHADOW_ALGORITHMS, Trial, hard_case
+from tests.hard_cases.cases import MAP_VIEW_ALGORITHMS, PERSPECTIVE_MAP_ALGORITHMS, SHADOW_ALGORITHMS, Trial, hard_case
 from tests.hard_cases.ground import UTM
 from tests.hard_cases.sites import CELL_M, CELLS, HOUSE_POSITIONS_M, hills
 from tests.hard_cases.test_every_side import MAX_DIFFERING_SHARE
@@ -91,7 +91,7 @@ def test_films_of_a_moving_sun(trial: Trial) -> dict[str, float]:
     scene = trial.scene(raster, (180.0, 40.0), views={"eye": {"kind": "perspective", **camera}}, **houses)
     span = FilmSpan(12 if trial.thorough else 3, 2400.0, NOON)
     size = (256, 192) if trial.thorough else (96, 72)
-    names = ["eye"] if trial.algorithm == "perspective_shadow_map" else ["eye", "map"]
+    names = ["eye", "map"] if trial.serves_maps else ["eye"]
     differ = [
         largest_difference_from_stills(scene, FilmRequest(span, name, size=size, overrides=settings(trial))) for name in names
     ]
@@ -152,8 +152,9 @@ def symmetric_scene(trial: Trial) -> Scene:
     """Return five square towers on a floor, 160 m a side; a raster for the sweep."""
     cell_m = 2.0
     half_m = FLOOR_CELLS * cell_m / 2.0
-    # The ground's small details are no part of the scene's symmetry.
-    keys = {"views": {"above": eye((0.0, 0.0, 240.0), (0.0, 0.0, 0.0), fov=38.0)}, "effects": {"ground_detail": "off"}}
+    # The ground's materials and small details are no part of the scene's symmetry.
+    effects = {"ground_materials": "off", "ground_detail": "off"}
+    keys = {"views": {"above": eye((0.0, 0.0, 240.0), (0.0, 0.0, 0.0), fov=38.0)}, "effects": effects}
     if trial.algorithm != "sweep":
         side_m = TOWER_CELLS * cell_m
         trimesh.creation.box(extents=(side_m, side_m, TOWER_HEIGHT_M)).export(trial.folder / "tower.ply")
@@ -170,7 +171,7 @@ def symmetric_scene(trial: Trial) -> Scene:
 
 def sun_path_film(trial: Trial, scene: Scene, symmetry: Symmetry, pixels: int, frames: int) -> Iterator[np.ndarray]:
     """Yield the frames (pixels, pixels, 3) of a film under a sun path transformed by a symmetry, transformed back."""
-    name = "above" if trial.algorithm == "perspective_shadow_map" else "map"
+    name = "map" if trial.serves_maps else "above"
     overrides = settings(trial) | {"map_size": 4096 if trial.thorough else 2304}
     request = FilmRequest(FilmSpan(frames, 60.0), name, size=(pixels, pixels), overrides=overrides)
     view = scene.view(name, size=(pixels, pixels))
@@ -231,7 +232,7 @@ SYMMETRIC_SET_UP = "five towers at the middle and the corners of a square, eight
     "A film of a symmetric scene under a mirrored or turned sun path has the mirrored or turned frames",
     SYMMETRIC_SET_UP,
     {"pixels that differ": SAMPLES_PER_PIXEL * MAX_DIFFERING_SHARE["city"], "inside plain areas": 0.0},
-    algorithms=tuple(name for name in SHADOW_ALGORITHMS if name != "perspective_shadow_map"),
+    algorithms=MAP_VIEW_ALGORITHMS,
 )
 def test_films_from_every_side(trial: Trial) -> dict[str, float]:
     """``MAX_DIFFERING_SHARE`` of the points of a city may differ (Y1), and a pixel has ``SAMPLES_PER_PIXEL`` points. As there, a
@@ -247,7 +248,7 @@ def test_films_from_every_side(trial: Trial) -> dict[str, float]:
     "The same by a perspective map, whose texels follow the camera: nothing differs but on edges",
     SYMMETRIC_SET_UP + ", from above",
     {"inside plain areas": 0.0},
-    algorithms=("perspective_shadow_map",),
+    algorithms=PERSPECTIVE_MAP_ALGORITHMS,
 )
 def test_perspective_films_from_every_side(trial: Trial) -> dict[str, float]:
     """The map's lattice has no fixed place, and all samples along an edge that is parallel to the rows may change at once.

@@ -26,11 +26,11 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
 from skugga.terrain.trees.foliage import ALPHA_THRESHOLD, TEXTURE_PX, TREE_VARIANTS, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
-from tests.hard_cases.cases import RenderedView, Trial, hard_case
+from tests.hard_cases.cases import MAP_ALGORITHMS, RenderedView, Trial, hard_case
 from tests.metrics import flicker
 from tests.rasters import ENGINEERING
 
-FOLIAGE_ALGORITHMS = ("shadow_map", "perspective_shadow_map", "planar")
+FOLIAGE_ALGORITHMS = (*MAP_ALGORITHMS, "planar")
 
 
 def forest_scene(
@@ -226,7 +226,7 @@ def _size(trial: Trial) -> tuple[int, int]:
 @hard_case(
     "G10", "Coverage is kept with a million trees in view, on a cliff's edge, and at the border of the data",
     "1,000,000 trees (quick: 20,000); a cliff of 100 m; trees higher than their distance from the border",
-    {"coverage": 0.02, "coverage against all trees": 0.02}, algorithms=("shadow_map", "perspective_shadow_map"),
+    {"coverage": 0.02, "coverage against all trees": 0.02}, algorithms=MAP_ALGORITHMS,
 )  # fmt: skip
 def test_stands(trial: Trial) -> dict[str, float]:
     """Blocks are compared with truth over the drawn trees. The picture's mean is compared with truth over all trees, since

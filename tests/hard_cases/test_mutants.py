@@ -56,5 +56,5 @@ def test_a_defect_of_what_the_engine_lacks_is_an_error(defect):
 
 
 def test_the_document_lists_what_each_case_catches():
-    """``python -m tests.hard_cases.mutants.listing docs/hard-cases.md`` writes the list."""
-    assert section_of(ROOT / "docs/hard-cases.md", SECTION) == as_markdown()
+    """``python -m tests.hard_cases.mutants.listing docs/reports/hard-cases.md`` writes the list."""
+    assert section_of(ROOT / "docs/reports/hard-cases.md", SECTION) == as_markdown()

@@ -40,7 +40,7 @@ def fill_visibility(trial: Trial, full: Scene, scene: Scene, view: str, size: tu
 
     The other results tell whether there is any surface, and give the number of draws.
     """
-    full_view: View = full.view("eye" if trial.algorithm == "perspective_shadow_map" else view, size=size)
+    full_view: View = full.view(view if trial.serves_maps else "eye", size=size)
     step = trial.render_view(full, full_view).plan.steps[0]
     # level ground, which nothing rises above, or absent meshes
     kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
@@ -61,7 +61,7 @@ def fill_visibility(trial: Trial, full: Scene, scene: Scene, view: str, size: tu
 def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
     """Plans list no step for absent casters: the test calls the algorithms as if one did."""
     draws, dark, invalid_count = 0, 0.0, 0
-    views = list(VIEWS)[: 2 if trial.algorithm == "perspective_shadow_map" else None]
+    views = list(VIEWS)[: None if trial.serves_maps else 2]
     for light, keys in list(LIGHTS.items())[: 1 if trial.algorithm == "sweep" else None]:
         empty = trial.scene(FLOOR, name=f"{light}_empty", views=VIEWS, **keys)
         meshes = [] if trial.algorithm == "sweep" else [box((8, 6, 5))]

@@ -9,6 +9,7 @@ import trimesh
 
 from skugga.shadows.maps.settings import LampMapSettings
 from skugga.shadows.maps.windows import CUBE_FACES, MAP_BORDER_TEXELS
+from skugga.shadows.reconstruction.settings import ReconstructionSettings
 from skugga.shadows.truth.metrics import MetricCoverage
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
@@ -92,8 +93,9 @@ def moves_within_reach(rendered: RenderedView, points: np.ndarray, normals: np.n
     For maps they lie up to ``TEXEL_REACH`` texels away in the map that serves the point; else up to ``STENCIL_PX`` pixels.
     """
     (step,) = rendered.plan.steps_of_light(rendered.light)
+    settings = step.settings.map if isinstance(step.settings, ReconstructionSettings) else step.settings
     shares = np.linspace(-1.0, 1.0, 5)
-    if not isinstance(step.settings, LampMapSettings):
+    if not isinstance(settings, LampMapSettings):
         assert isinstance(rendered.view, PerspectiveView)
         eye_m = rendered.view.eye_earth_m
         reach_m = STENCIL_PX * np.linalg.norm(points - eye_m, axis=1) * rendered.view.pixel_tangent
@@ -103,7 +105,7 @@ def moves_within_reach(rendered: RenderedView, points: np.ndarray, normals: np.n
     frame_from_face = _frame_from_faces(rendered)
     axes = frame_from_face[face_of(points, frame_from_face)]
     right, up, ahead = ((points - LAMP_M)[:, None] @ axes)[:, 0].T
-    size = step.settings.map_size
+    size = settings.map_size
     texel = TEXEL_REACH * 2.0 * size / (size - 2 * MAP_BORDER_TEXELS) / size
     to_side = ((points - LAMP_M) * normals).sum(axis=1)
     result = []

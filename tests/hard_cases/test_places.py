@@ -70,7 +70,7 @@ def _to_earth() -> Transformer:
 
 def view_of(trial: Trial, scene: Scene, px: int) -> View:
     """Return the view of the mast and its shadow: a map on the raster's nodes, or a camera above for algorithms without maps."""
-    if trial.algorithm != "perspective_shadow_map":
+    if trial.serves_maps:
         x, y = (float(v) for v in scene.elevation.xy(0, 0))
         step = float(scene.elevation.xy(0, 1)[0]) - x
         pixel = (scene.elevation.cols - 2) / px

@@ -14,7 +14,7 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.world import geocentric, geodetic
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
-from tests.hard_cases.cases import ENGINE, SHADOW_ALGORITHMS, Trial, hard_case
+from tests.hard_cases.cases import ENGINE, MAP_VIEW_ALGORITHMS, Trial, hard_case
 from tests.hard_cases.ground import CORNER_M, UTM, map_positions, share_of_mask, view_from_above
 from tests.rasters import ENGINEERING
 from tests.render import render
@@ -50,7 +50,7 @@ def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
         assert 0.3 < valid.mean() < 0.95
         false_shadow = max(false_shadow, share_of_mask(rendered.dark, valid))
         wrong_surface = max(wrong_surface, share_of_mask(~np.isfinite(ground_m(*map_positions(rendered))), valid))
-        if trial.algorithm != "perspective_shadow_map":
+        if trial.serves_maps:
             wrong_surface = max(wrong_surface, abs(valid.mean() - np.isfinite(plateau_with_holes(side, np.nan)).mean()))
     return {"false_shadow": false_shadow, "surface lost or made up": wrong_surface}
 
@@ -226,13 +226,13 @@ def larger_figures(first: dict[str, float], second: dict[str, float]) -> dict[st
     BLOCK_BOUNDS,
 )
 def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
-    """A camera sees the triangles between cells. A single row has none, so ``perspective_shadow_map`` skips it."""
+    """A camera sees the triangles between cells. A single row has none, so algorithms without maps skip it."""
     worst: dict[str, float] = {}
     grids = [(0.1, (120, 120)), (1000.0, (120, 120)), (10.0, (1, 24))]
     if trial.thorough:
         grids += [(10.0, (16, 16)), (10.0, (24, 1)), (1.0, (8192, 8192))]
     for number, (cell_m, shape) in enumerate(grids):
-        if trial.algorithm == "perspective_shadow_map" and min(shape) < 2:
+        if not trial.serves_maps and min(shape) < 2:
             continue
         worst = larger_figures(worst, shadow_of_block(trial, rotated_raster(0.0, cell_m, cell_m), shape, f"level{number}"))
     return worst
@@ -243,7 +243,7 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
     "The smallest rasters are a lit picture",
     "level ground of 1 x 1, 1 x 5, 2 x 2 cells, and one cell with a height in 64 x 64 without",
     {"false_shadow": 0.0, "surface lost or made up": 0.0},
-    algorithms=tuple(name for name in SHADOW_ALGORITHMS if name != "perspective_shadow_map"),
+    algorithms=MAP_VIEW_ALGORITHMS,
     thorough=False,
 )
 def test_smallest_rasters(trial: Trial) -> dict[str, float]:

@@ -15,7 +15,7 @@ from tests.hard_cases.regression_listing import REASONS, SECTION, as_markdown, l
 from tests.hard_cases.regressions import read_records, regressions, updated_records, write_records
 from tests.hard_cases.table import section_of
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs/hard-cases.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs/reports/hard-cases.md"
 
 
 def trial(wrong_px: int, union_px: int = 1000, thorough: bool = False, algorithm: str = "shadow_map") -> dict[str, Any]:
@@ -82,5 +82,5 @@ def test_every_reason_is_of_a_cell_over_two_per_cent():
 
 
 def test_the_document_lists_the_regression_bounds():
-    """``python -m tests.hard_cases.regression_listing docs/hard-cases.md`` writes the list."""
+    """``python -m tests.hard_cases.regression_listing docs/reports/hard-cases.md`` writes the list."""
     assert section_of(DOCUMENT, SECTION) == as_markdown(read_records(), REASONS)

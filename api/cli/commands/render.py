@@ -22,6 +22,7 @@ from skugga.api.cli.common_options import (
     ViewOption,
     read_bounds,
     read_size,
+    read_style,
 )
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import with_level_argument
@@ -101,7 +102,7 @@ def render(
     if film.used_option_names:
         if light is not None:
             raise InputError.conflict("--light", film.used_option_names[0], "Leave out --light: films show all lights")
-        sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration, sky)
+        sun, style_overrides = sun_from_options(time, azimuth, altitude), read_style(style, slope_exaggeration, sky)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(
             level,
@@ -122,7 +123,7 @@ def render(
     overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
         request = ProductRequest(product=layer, options=options, sun=sun_from_options(time, azimuth, altitude))
-        extent, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration, sky)
+        extent, style_overrides = (read_size(size), read_bounds(bounds), crs), read_style(style, slope_exaggeration, sky)
         result = snapshot(level, view, request, overrides, *extent, advance, seconds, light, max_ms, style_overrides)
     result.write(request, output)
     if stats is not None:

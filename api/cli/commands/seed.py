@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from skugga.api.cli.common_options import SkyOption, SlopeExaggerationOption, StyleOption
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import with_level_argument
 from skugga.api.cli.options import with_shadow_options
@@ -51,6 +52,9 @@ def seed(
     step: Annotated[str | None, typer.Option(metavar="1h", help="Interval between two times.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Azimuth of the sun, degrees clockwise from north.")] = None,
     altitude: Annotated[float | None, typer.Option(help="Altitude of the sun in degrees, with refraction.")] = None,
+    style: StyleOption = None,
+    slope_exaggeration: SlopeExaggerationOption = None,
+    sky: SkyOption = None,
     workers: Annotated[int | None, typer.Option(help="Number of render processes; default: one per core.", min=1, max=1024)] = None,
     scheduler: Annotated[
         str | None,
@@ -92,7 +96,7 @@ def seed(
     from skugga.api.cli.seeding import SeedOptions, seed_level
 
     options = SeedOptions(
-        output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, workers, scheduler, work, shards, dry_run,
-        max_tasks, retry_failed, task_timeout, max_ms, as_json,
+        output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, style, slope_exaggeration, sky, workers,
+        scheduler, work, shards, dry_run, max_tasks, retry_failed, task_timeout, max_ms, as_json,
     )  # fmt: skip
     seed_level(level, options, declared_options)

@@ -16,7 +16,9 @@ from skugga.api.cli.common_options import (
     SlopeExaggerationOption,
     StyleOption,
     TimeOption,
+    check_has_style,
     read_bounds,
+    read_style,
 )
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import with_level_argument
@@ -25,9 +27,7 @@ from skugga.api.cli.outputs import check_output_files
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.times import sun_from_options, suns_from_options
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
-from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level_source import LevelSource
-from skugga.terrain.level.parts import StyleSpec
 
 if TYPE_CHECKING:
     from skugga.api.raster_file import RasterCells
@@ -70,14 +70,10 @@ def shade_raster(
     """Write a shadow mask as a raster of any size, by default on the level's grid."""
     from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_stac_item, write_product
     from skugga.api.request import ProductRequest
-    from skugga.terrain.style import style_spec
 
     product = product_named(layer, SHADED_PRODUCTS, "--layer")
-    look: dict[str, Any] = {"style": style, "slope_exaggeration": slope_exaggeration, "sky": sky}
-    for name, value in look.items():
-        if value is not None and not product.is_display:
-            raise InputError(f"--{name.replace('_', '-')}", Problem(f"the layer {layer} has no style"), "Use it with --layer color")
-    style_spec(StyleSpec(), style, slope_exaggeration, sky)  # raises InputError for a wrong value
+    look = read_style(style, slope_exaggeration, sky)
+    check_has_style(product, style, slope_exaggeration, sky)
     overrides = overrides_of("render", declared_options)
     cells: Path | RasterCells | None = like
     suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)

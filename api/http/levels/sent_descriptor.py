@@ -8,7 +8,7 @@ does not check the facts of effects. ``SentDescriptor`` does. Errors name the pa
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, model_validator
@@ -89,10 +89,11 @@ class WaterFacts(_Facts):
 
 
 class CloudFacts(_Facts):
-    """Facts of ``skugga.terrain.effects.clouds``, as shares of 0 to 1."""
+    """Facts of ``skugga.terrain.effects.clouds``: shares of 0 to 1, and whether the sky shows clouds."""
 
     cover: FactFraction
     taken: FactFraction | None
+    in_sky: StrictBool = False
 
 
 class SkyViewFacts(_Facts):
@@ -101,6 +102,13 @@ class SkyViewFacts(_Facts):
     hidden: FactFraction
     steps: FactNumber
     is_in_sky_light: StrictBool = False
+
+
+class AmbientOcclusionFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.ambient_occlusion``: a number, and steps of 255."""
+
+    bodies: FactNumber
+    steps: FactNumber
 
 
 class SkyLightFacts(_Facts):
@@ -157,10 +165,56 @@ class GroundDetailFacts(_Facts):
     steps: FactNumber | None = None
 
 
+class GroundMaterialFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.ground_materials``: metres, and steps of 255."""
+
+    natural: StrictBool
+    nearest_m: FactNumber | None
+    steps: FactNumber | None
+
+
+class RoadFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.roads``: whether there are lines, and a share of 0 to 1."""
+
+    lines: StrictBool
+    styled: StrictBool
+    share: FactFraction | None
+
+
+class ModelTextureFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.textures`` and ``normal_maps``: steps of 255."""
+
+    steps: FactNumber | None
+
+
+class HighlightFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.highlights``."""
+
+    glossy: FactNumber
+    sunlit: StrictBool
+    snow: StrictBool
+
+
+class FacadeFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.facades``: whether there are buildings, metres, a share of 0 to 1, and steps of 255."""
+
+    buildings: StrictBool
+    styled: StrictBool
+    nearest_m: FactNumber | None
+    share: FactFraction | None
+    steps: FactNumber | None = None
+
+
 class OutsideCasterFacts(_Facts):
     """Facts of ``skugga.terrain.effects.outside_casters``."""
 
     outside: StrictBool = True
+
+
+class PrecipitationFacts(_Facts):
+    """Facts of ``skugga.terrain.effects.precipitation``."""
+
+    kind: Literal["none", "rain", "snowfall"]
 
 
 class FactsByEffect(_Facts):
@@ -171,6 +225,7 @@ class FactsByEffect(_Facts):
     water: WaterFacts | None = None
     clouds: CloudFacts | None = None
     sky_view: SkyViewFacts | None = None
+    ambient_occlusion: AmbientOcclusionFacts | None = None
     sky_light: SkyLightFacts | None = None
     texture_shading: TextureShadingFacts | None = None
     refraction: RefractionFacts | None = None
@@ -179,6 +234,13 @@ class FactsByEffect(_Facts):
     outside_casters: OutsideCasterFacts | None = None
     crowns: CrownFacts | None = None
     ground_detail: GroundDetailFacts | None = None
+    ground_materials: GroundMaterialFacts | None = None
+    precipitation: PrecipitationFacts | None = None
+    roads: RoadFacts | None = None
+    textures: ModelTextureFacts | None = None
+    normal_maps: ModelTextureFacts | None = None
+    highlights: HighlightFacts | None = None
+    facades: FacadeFacts | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -16,12 +16,13 @@ from skugga.api.http.views.cameras import MAX_EYE_OR_TARGET_HEIGHT_M, POSITION_D
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
 from skugga.selector.film_request import PATH_VIEW_NAME, FilmSpan
+from skugga.terrain.color_ramp import MAX_RAMP_CHARACTERS
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.level import Shadows, parse_sun
 from skugga.terrain.level.model import Model
-from skugga.terrain.level.parts import SkyName, SlopeExaggeration, SunSpec
+from skugga.terrain.level.parts import Generalisation, LocalLightDeg, SkyName, SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_SIDE_PX
 
@@ -75,6 +76,16 @@ class _AnimationFields(_FromModel):
         default=None, strict=True, examples=[2], description="Factor of slopes in shading, for flat country."
     )
     sky: SkyName | None = Field(default=None, examples=["clear"], description="The sky that lights the ground of maps.")
+    ramp: str | None = Field(
+        default=None, max_length=MAX_RAMP_CHARACTERS, examples=["0:a9be98,1500:d9d2ae"],
+        description="Colours of the ground by its height in metres, in place of the style's.",
+    )  # fmt: skip
+    local_light: LocalLightDeg | None = Field(
+        default=None, strict=True, examples=[30], description="Largest turn of the light that shades relief along it, degrees."
+    )
+    generalisation: Generalisation | None = Field(
+        default=None, strict=True, examples=[0.6], description="Share of large landforms in the slopes of maps of small scale."
+    )
 
 
 _SHADOW_SETTINGS = settings_of(Shadows, "pictures")
@@ -116,6 +127,9 @@ def animation_spec_of(body: Any, level: ServedLevel, settings: Settings) -> Anim
         style=style_named(body.style),
         slope_exaggeration=body.slope_exaggeration,
         sky=body.sky,
+        ramp=body.ramp,
+        local_light=body.local_light,
+        generalisation=body.generalisation,
         overrides=served_settings({setting.name: getattr(body, setting.name) for setting in _SHADOW_SETTINGS}),
     )
     return AnimationSpec(

@@ -14,7 +14,7 @@ from skugga.shadows.registry import ALGORITHMS, FALLBACK_ALGORITHM
 
 COLOURS: dict[MarkerColour, str] = {
     "blue": "#0072b2", "vermilion": "#d55e00", "green": "#009e73", "purple": "#b8558f", "orange": "#e69f00", "sky": "#56b4e9",
-    "gray": "#6b7280", "black": "#000000",
+    "gray": "#6b7280", "black": "#000000", "brown": "#8c6d31",
 }  # fmt: skip
 
 SHAPE_POINTS: dict[str, str] = {
@@ -29,6 +29,8 @@ SHAPE_POINTS: dict[str, str] = {
             ("triangle", 3, 0.0, (1.2,)),
             ("diamond", 4, 0.0, (1.22,)),
             ("wedge", 3, pi, (1.2,)),
+            ("pentagon", 5, 0.0, (1.15,)),
+            ("hexagon", 6, pi / 6, (1.1,)),
             ("star", 10, 0.0, (1.35, 0.58)),
             ("cross", 8, pi / 4, (1.3, 0.45)),
         )
@@ -63,7 +65,7 @@ FALLBACK_MARK = PlotMarker("cross", "black")
 
 STAGE_COLOURS = (
     *(COLOURS[name] for name in ("blue", "orange", "green", "vermilion", "sky", "purple")),
-    *("#8c6d31", "#f0e442", "#332288", "#88ccee", "#999933", "#44aa99"),
+    *(COLOURS["brown"], "#f0e442", "#332288", "#88ccee", "#999933", "#44aa99"),
 )
 
 

@@ -114,6 +114,8 @@ def row_details(figures: RowFigures, light: str) -> str:
     parts.append(("Notes", "".join(tag("p", escape(note)) for note in figures["notes"])))
     times = "time" if figures["runs"] == 1 else "times"
     runs = f"Timed {figures['runs']} {times}{', in its first run alone' if figures['cold'] else ''}."
+    if (ms_at_rest := figures.get("ms_at_rest")) is not None:  # not measured for maps, nor in older reports
+        runs = f"{runs} While nothing moves, caches hold maps and volumes: {format_duration(ms_at_rest)}."
     sections = (tag("div", tag("h4", escape(name)), markup) for name, markup in parts if markup not in ("", definition_list({})))
     return tag("div", *sections, tag("p", runs), class_="particulars")
 

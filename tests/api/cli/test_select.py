@@ -186,6 +186,17 @@ def test_the_target_is_reported_as_met_or_missed():
     assert format_overshoot(make_plan(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
 
 
+def test_the_time_at_rest_is_told_where_it_is_shorter():
+    figures = Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01, ms_at_rest=12.0)
+    assert format_expectation(make_plan(figures, met=True)).endswith(
+        "meets the target: at most 3 % of the cast shadow wrong. While nothing moves: 12 ms a frame, since caches hold maps and "
+        "volumes."
+    )
+    for ms_at_rest in (55.0, None):
+        same = figures.model_copy(update={"ms_at_rest": ms_at_rest})
+        assert "While nothing moves" not in format_expectation(make_plan(same, met=True))
+
+
 def test_a_plan_over_the_render_timeout_misses_the_target(monkeypatch):
     monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "0.05")
     message = format_expectation(make_plan(Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01), met=True))

@@ -56,6 +56,8 @@ def test_several_times_write_one_file_each(run, raster, tmp_path):
         (("-o", "nowhere/m.tif",), ("nowhere/m.tif",)),
         (("-o", "m.tif", "--slope-exaggeration", "2"), ("--slope-exaggeration", "mask", "--layer color")),
         (("-o", "m.tif", "--layer", "color", "--sky", "dark"), ("sky", "dark", "overcast")),
+        (("-o", "m.tif", "--layer", "color", "--style", "pretty"), ("--style", "pretty", "swiss", ".yaml")),
+        (("-o", "m.tif", "--layer", "color", "--style", "none.yaml"), ("none.yaml", "No such file")),
         (("-o", "m.tif", "--bounds", "0,0,9,9"), ("bounds", "UTM zone 33N")),
     ],
 )  # fmt: skip
@@ -124,6 +126,18 @@ def test_from_to_and_step_give_times():
 def test_invalid_times_are_refused(arguments):
     with pytest.raises(InputError):
         suns_from_options(*arguments)
+
+
+def test_a_style_file_gives_the_colours(run, raster, tmp_path):
+    style = tmp_path / "style.yaml"
+    style.write_text("name: analysis\nramp: [[0, '#ff0000']]\n", encoding="utf-8")
+    for name, options, is_red in (("file", ("--style", str(style)), True), ("name", ("--style", "analysis"), False)):
+        path = tmp_path / f"{name}.tif"
+        arguments = ("-o", str(path), "--layer", "color", "--azimuth", "225", "--altitude", "60", *options)
+        assert run("shade", str(raster), *arguments) == (0, "", "")
+        with rasterio.open(path) as dataset:
+            red, green, blue = dataset.read([1, 2, 3]).astype(int)
+        assert ((red > 100).any() and (green < red / 2).all() and (blue < red / 2).all()) == is_red
 
 
 def test_colour_rasters_follow_the_style_and_its_sky(run, raster, tmp_path):

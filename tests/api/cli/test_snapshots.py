@@ -273,7 +273,7 @@ def test_equal_snapshots_at_once_are_one_render(yard_client: Client):
         ("png?depth_bits=17", "depth_bits", "24"),
         ("png?filter=4", "filter", "5"),
         ("png?stencil=three_pass", "stencil", "two_pass"),
-        ("png?counting=z_pass", "counting", "z_fail"),
+        ("png?counting=z_both", "counting", "z_fail"),
         ("png?mask=paper", "mask", "original"),
         ("png?bounds=1,2,3,4", "bounds", "size"),
         ("png?view=across&view=low", "view", "more than once"),
@@ -296,7 +296,8 @@ def test_openapi_lists_all_parameters(yard_client: Client):
     operation = yard_client.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {parameter["name"] for parameter in operation["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
-        "time", "azimuth", "altitude", "style", "slope_exaggeration", "sky", "eye", "target", "fov",
+        "time", "azimuth", "altitude", "style", "slope_exaggeration", "sky", "ramp", "local_light", "generalisation",
+        "eye", "target", "fov",
         "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
         "stencil", "counting", "mask",
     }  # fmt: skip

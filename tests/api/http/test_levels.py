@@ -38,7 +38,8 @@ def test_levels_are_listed_with_their_facts(client: Client):
     assert hills["views"] == ["map"]
     assert hills["layers"] == ["color", "shadow", "mask"]
     assert hills["algorithms"] == [
-        "shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "none",
+        "shadow_map", "perspective_shadow_map", "light_space_perspective_map", "shadow_volume", "hybrid",
+        "reconstructed_volume", "planar", "sweep", "none",
     ]  # fmt: skip
     assert hills["sun"] == SUN
     assert levels["timed"]["sun"] == {"time": "2024-06-21T18:00:00+02:00"}

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 from prometheus_client.metrics_core import Metric
-from pydantic_core import PydanticUndefined
 
+from scripts.reference_pages import problems_table, settings_table
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_renderer, write_animation
 from skugga.api.http.levels.sent_descriptor import MAX_BANDS, MAX_LAMPS
-from skugga.api.http.problems import problem_kinds
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.settings import Settings
@@ -23,37 +21,12 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "operating.md"
 
 
-def settings_table() -> str:
-    """Return the table of all settings."""
-    rows = ["| variable | default | what |", "| --- | --- | --- |"]
-    for name, field in Settings.model_fields.items():
-        default: Any = field.default
-        if default is PydanticUndefined:
-            default = "cores, at most 4"
-        elif default is None or default == ():
-            default = "-"
-        elif isinstance(default, tuple):
-            default = f"`{','.join(default)}`"
-        else:
-            default = f"`{str(default).lower() if isinstance(default, bool) else default}`"
-        rows.append(f"| `SKUGGA_{name.upper()}` | {default} | {field.description} |")
-    return "\n".join(rows)
-
-
 def metrics_table(families: list[Metric]) -> str:
     """Return the table of all metrics."""
     rows = ["| metric | kind | what |", "| --- | --- | --- |"]
     for family in sorted(families, key=lambda item: item.name):
         name = family.name + ("_total" if family.type == "counter" else "")
         rows.append(f"| `{name}` | {family.type} | {family.documentation} |")
-    return "\n".join(rows)
-
-
-def problems_table() -> str:
-    """Return the table of all kinds of problems."""
-    rows = ["| status | `code` | what | `Retry-After` |", "| --- | --- | --- | --- |"]
-    for kind in problem_kinds():
-        rows.append(f"| {kind.status} | `{kind.code}` | {kind.description} | {kind.retry_after_s or '-'} |")
     return "\n".join(rows)
 
 

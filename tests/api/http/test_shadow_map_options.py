@@ -63,7 +63,7 @@ def test_shadow_volume_options_reach_the_plan(gl, settings_of, algorithm: str, k
     ("key", "value", "expected_text"),
     [
         ("filter", "4", "'sun'"), ("filter", "moon", "'sun'"), ("bias", "slope", "normal_offset"), ("culling", "back", "'front'"),
-        ("stencil", "three_pass", "'one_pass' or 'two_pass'"), ("counting", "z_pass", "'z_fail'"), ("mask", "paper", "'original'"),
+        ("stencil", "three_pass", "'one_pass' or 'two_pass'"), ("counting", "z_both", "'z_fail'"), ("mask", "paper", "'original'"),
     ],
 )  # fmt: skip
 def test_invalid_options_list_the_allowed_values(settings_of, key: str, value: str, expected_text: str):

@@ -81,7 +81,8 @@ def test_wrong_camera_parameters_are_named(client: Client, query: dict[str, str]
 @pytest.mark.parametrize(
     ("algorithm", "layer", "max_value"),
     [("shadow_map", "shadow-map", 65535), ("shadow_volume", "stencil", 255), ("shadow_volume", "volumes", 255),
-     ("hybrid", "silhouettes", 255)],
+     ("hybrid", "silhouettes", 255), ("hybrid", "light-view", 255), ("shadow_map", "light-frustum", 255),
+     ("perspective_shadow_map", "post-perspective", 255)],
 )  # fmt: skip
 def test_intermediate_layers_can_be_requested(client: Client, algorithm: str, layer: str, max_value: int):
     query = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}

@@ -62,6 +62,19 @@ def test_slope_exaggeration_spreads_the_shading(client: Client):
     assert is_lit.mean() > 0.2 and steep[is_lit].std() > 1.3 * plain[is_lit].std()
 
 
+def test_a_ramp_replaces_the_colours_of_a_style(client: Client):
+    green, again, plain = (
+        client.get(TILE, params={"style": "analysis", "azimuth": 235, "altitude": 60, **options})
+        for options in ({"ramp": "0:00FF00"}, {"ramp": "0.0:#00ff00"}, {})
+    )
+    picture = pixels(green).astype(int)
+    ground = picture[picture[..., 3] == 255]
+    assert len(ground) and (ground[:, 1] > ground[:, 0] + 50).all() and ground[:, 1].max() > 150
+    assert green.headers["etag"] == again.headers["etag"] != plain.headers["etag"], "one ramp has one spelling"
+    mask, mask_with_ramp = (client.get(TILE, params={"layer": "mask", **options}) for options in ({}, {"ramp": "0:00ff00"}))
+    assert mask.headers["etag"] == mask_with_ramp.headers["etag"]
+
+
 def test_maps_and_snapshots_have_styles(client: Client):
     for address in ("/levels/hills/map.png?width=128", "/levels/hills/snapshot.png?size=96x96"):
         plain, grey = (client.get(f"{address}&style={name}") for name in ("swiss", "grey"))
@@ -112,6 +125,9 @@ def test_capabilities_list_styles_of_color_only(client: Client):
         ("slope_exaggeration", "0", "0.1"),
         ("slope_exaggeration", "a", "number"),
         ("style", "", "swiss"),
+        ("ramp", "viridis", "0:a9be98,1500:d9d2ae"),
+        ("ramp", "5:a9be98,0:ffffff", "increasing heights"),
+        ("ramp", "0:a9be98," * 80, "640"),
     ],
 )
 def test_invalid_styles_list_the_allowed_values(client: Client, name: str, value: str, allowed: str):

@@ -126,7 +126,8 @@ def test_levels_answer_or_refuse_odd_values(level, name, parameter):
 
 
 @pytest.mark.parametrize(
-    "parameter", ["view", "layer", "time", "azimuth", "altitude", "size", "bounds", "crs", "seconds", "style", "slope_exaggeration"]
+    "parameter",
+    ["view", "layer", "time", "azimuth", "altitude", "size", "bounds", "crs", "seconds", "style", "slope_exaggeration", "ramp"],
 )
 def test_render_answers_or_refuses_odd_values(gl, level, parameter):
     for value in ODD_VALUES:

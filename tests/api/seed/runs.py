@@ -75,6 +75,7 @@ class Run:
     layer: str = "shadow"
     suns: tuple[SunSpec | None, ...] = (LOW_SUN,)
     settings: dict[str, object] = field(default_factory=dict)
+    style: dict[str, object] = field(default_factory=dict)
 
     @property
     def store(self) -> FolderStore:
@@ -90,7 +91,7 @@ class Run:
     def request(self) -> SeedRequest:
         """The request that the run answers."""
         source = LevelSource(path=self.level.resolve())
-        product_request = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
+        product_request = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings), **self.style)
         return SeedRequest(source, ZoomRange(*self.zooms), self.suns, product_request, "png")
 
     def __call__(self, inject_failure: FailureInjector | None = None, **options: object) -> tuple[SeedResult, list[Task]]:

@@ -78,6 +78,28 @@ def test_seeded_tiles_equal_those_of_a_service(run: Run):
     )
 
 
+def test_a_pyramid_has_the_style_of_its_request(run: Run):
+    """Workers, the archive and a service agree on the style; a resumed run keeps it, and another style redraws all tiles."""
+    run.layer, run.zooms, run.style = "color", (13, 13), {"style": "natural", "ramp": "0:ff0000", "slope_exaggeration": 2.0}
+    _, drawn_tasks = run()
+    with run.output.open("rb") as file:
+        query = Reader(MmapSource(file)).metadata()["skugga"]["query"]
+    assert query == "azimuth=225.0&altitude=12.0&style=natural&slope_exaggeration=2.0&ramp=0%3Aff0000"
+    level = LevelKey(**{**run.request.level.model_dump(), "version": "1"})
+    task, styled_tiles = drawn_tasks[0], tiles_of(run.output)
+    request = ProductRequest(sun=LOW_SUN, **run.style)
+    tiles = run_job(
+        BlockJob(level=level, matrix_set="WebMercatorQuad", zoom=13, block_x=task.x, block_y=task.y, request=request),
+        WorkerState("any"),
+    ).tiles
+    served_tiles = {(13, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
+    assert served_tiles.keys() & styled_tiles.keys()
+    assert all(served_tiles[place] == body for place, body in styled_tiles.items() if place in served_tiles)
+    assert run()[0].drawn_count == 0, "a resumed run draws nothing again"
+    run.style = {}
+    assert run()[0].drawn_count == len(drawn_tasks) and tiles_of(run.output) != styled_tiles
+
+
 def test_an_unchanged_level_draws_nothing(run: Run):
     run()
     before = run.output.stat()

@@ -11,7 +11,7 @@ from benchmarks.selection.table import read_table
 from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.cost.error_model import packaged_model as of_the_package
 
-PAGE = Path(__file__).parents[3] / "docs" / "selection.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reports" / "selection.md"
 
 
 def test_only_the_tables_between_the_marks_change():

@@ -1,4 +1,7 @@
-"""The list of mutants that each hard case catches: ``python -m tests.hard_cases.mutants.listing docs/hard-cases.md`` writes it."""
+"""The list of mutants that each hard case catches.
+
+``python -m tests.hard_cases.mutants.listing docs/reports/hard-cases.md`` writes it.
+"""
 
 from __future__ import annotations
 

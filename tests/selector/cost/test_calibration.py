@@ -122,9 +122,14 @@ def test_calibrate_profiles_the_device_that_draws(gl, monkeypatch):
     device_profile = calibrate(lambda done, total: progress.append((done, total)))
     assert [done for done, _ in progress] == list(range(1, progress[-1][1] + 1)) and len({total for _, total in progress}) == 1
     assert (device_profile.renderer, device_profile.version) == (gl.renderer, gl.version)
-    assert {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar"} <= device_profile.residuals.keys()
+    names = {
+        "shadow_map", "perspective_shadow_map", "light_space_perspective_map", "shadow_volume", "hybrid", "reconstructed_volume",
+        "planar",
+    }  # fmt: skip
+    assert names <= device_profile.residuals.keys()
     assert device_profile.residuals["shadow_map"].rows >= 2
     assert device_profile.rates_ns["shadow_map, perspective"]["look-ups, filter 3"] >= 0.0
+    assert any(part.startswith("light_space_perspective_map, ") for part in device_profile.rates_ns)
     assert load_profile(device_profile.renderer, device_profile.version) is None  # the caller saves the profile
     save_profile(device_profile)
     assert load_profile(device_profile.renderer, device_profile.version) == device_profile

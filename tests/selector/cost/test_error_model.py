@@ -345,8 +345,12 @@ def test_probability_over_is_monotonic(expected, allowed, factor, spread, interi
     assert (estimate.probability_over(allowed) <= 0.5) == is_within_target or abs(estimate.probability_over(allowed) - 0.5) < 1e-9
 
 
+UNMEASURED_GROUPS = {"light_space_perspective_map", "reconstructed_volume"}
+"""Groups whose errors ``benchmarks.selection`` has not fitted yet. Policies reject these algorithms with that reason."""
+
+
 def test_packaged_model_has_constants_for_every_error_group():
     model = packaged_model()
     for constants in (model.floor, model.interior, model.spread, model.interior_spread):
-        assert set(constants) == set(error_groups()) and min(constants.values()) >= 0.0
+        assert set(constants) == set(error_groups()) - UNMEASURED_GROUPS and min(constants.values()) >= 0.0
     assert min(model.spread.values()) >= MIN_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from skugga.api.catalogue import find_level
 from skugga.selector.candidates import MAX_CANDIDATES, candidates, name_of
-from skugga.selector.measure.compare import COUNTERS, Comparison, compare, measure_plan, picture_blocks, run_light
+from skugga.selector.measure.compare import (
+    COUNTERS,
+    Comparison,
+    compare,
+    measure_plan,
+    picture_blocks,
+    run_light,
+    run_light_at_rest,
+)
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.shadows.attached_shadow import attached_shadow_mask
 from skugga.shadows.maps.texels import texel_on_level_ground_m
@@ -134,7 +142,10 @@ def test_compare_ignores_points_hidden_by_haze(gl, hazy):
 def test_compare_without_time_keeps_every_algorithm(gl, scene):
     limited = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0)
     algorithms = {name for row in limited.rows for name in row.figures["algorithm"]["sun"].values()}
-    assert algorithms == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "none"}
+    assert algorithms == {
+        "shadow_map", "perspective_shadow_map", "light_space_perspective_map", "shadow_volume", "hybrid",
+        "reconstructed_volume", "planar", "sweep", "none",
+    }  # fmt: skip
     assert all(row.figures["cold"] and row.figures["runs"] == 1 for row in limited.rows)
     all_names = {name_of(plan) for plan in candidates(scene, scene.view("eye"), "eye")}
     missing = all_names - {row.figures["name"] for row in limited.rows}
@@ -255,3 +266,42 @@ def test_compare_measures_every_candidate(gl, scene, comparison):
     plans = candidates(scene, scene.view("eye"), "eye")
     assert [row.figures["name"] for row in comparison.rows] == [name_of(plan) for plan in plans]
     assert 30 <= len(plans) <= MAX_CANDIDATES
+
+
+AT_REST = {
+    "shadow_map": ("depth map",), "perspective_shadow_map": ("depth map",), "light_space_perspective_map": ("depth map",),
+    "shadow_volume": ("silhouettes",), "hybrid": ("silhouettes", "map"),
+}  # fmt: skip
+"""Passes whose work is cached at rest, by algorithm: those that the cost model leaves out (``RESULTS_AT_REST``)."""
+
+
+@pytest.mark.parametrize("algorithm", AT_REST)
+def test_run_at_rest_takes_maps_and_volumes_from_caches(gl, scene, algorithm):
+    """The same shadow comes of it. Nothing is drawn or found anew in the passes that are cached."""
+    view = scene.view("eye")
+    plan = plan_of(scene, view, algorithm=algorithm, map_size=512)
+    pictures = picture_blocks(scene, view)
+    anew, rest = run_light(scene, pictures, plan, "sun"), run_light_at_rest(scene, pictures, plan, "sun")
+    np.testing.assert_array_equal(anew.parts[0], rest.parts[0])
+    for stage in AT_REST[algorithm]:
+        made, cached = ([record for name, record in run.log.records.items() if name.endswith(f": {stage}")] for run in (anew, rest))
+        assert sum(record.kept for record in made) == 0, "a run with empty caches makes everything"
+        assert sum(record.kept for record in cached) > 0 == sum(record.draws + record.triangles for record in cached)
+
+
+def test_compare_times_frames_at_rest_in_perspective_views(gl, scene, comparison, tmp_path):
+    times = {row.figures["name"]: row.figures["ms_at_rest"] for row in comparison.rows}
+    assert all(ms is not None and ms >= 0.0 for ms in times.values())
+    assert times["none"] == 0.0 < times["shadow_volume"]
+    map_view = scene.view("map", size=(64, 64))
+    (row,) = compare(scene, map_view, "map", only=[name_of(candidates(scene, map_view, "map", "sun")[0], "sun")]).rows
+    assert row.figures["runs"] > 1 and row.figures["ms_at_rest"] is None
+    moving = tmp_path / "moving.yaml"
+    keys = {
+        "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
+        "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}], "sun": {"azimuth": 200, "altitude": 35},
+    }  # fmt: skip
+    moving.write_text(json.dumps(keys), encoding="utf-8")
+    turning = build_scene(load_level(moving))
+    (row,) = compare(turning, turning.view("eye"), "eye", only=["shadow_volume"]).rows
+    assert row.figures["runs"] > 1 and row.figures["ms_at_rest"] is None, "a level in which something moves is never at rest"

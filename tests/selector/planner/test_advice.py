@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -321,12 +319,6 @@ def test_rules_choose_served_algorithms_with_reasons(
 def test_rules_have_unique_names_sources_and_known_algorithms():
     assert len({rule.name for rule in RULES}) == len(RULES) and all(rule.source for rule in RULES)
     assert {rule.algorithm for rule in RULES} == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"}
-
-
-def test_docs_list_the_rules_in_their_order():
-    text = Path("docs/algorithms.md").read_text(encoding="utf-8")
-    table = text[text.index("## Left to the rules") : text.index("## `shadow_map`")]
-    assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.algorithm) for rule in RULES]
 
 
 THESIS_SCENES = {

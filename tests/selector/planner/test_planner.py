@@ -46,7 +46,8 @@ def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
         "texture_shading",
     ]
     assert [effect.name for effect in plan.left_out] == [
-        "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "sky_light", "lamps", "water", "haze",
+        "alpha_test", "soft_edges", "normal_maps", "ground_materials", "ground_detail", "roads", "facades", "textures", "snow",
+        "crowns", "clouds", "ambient_occlusion", "sky_light", "lamps", "highlights", "water", "haze", "precipitation",
     ]  # fmt: skip
     assert "but not simulated: sweep for relief draws hard edges" in next(
         item.reason for item in plan.left_out if item.name == "soft_edges"

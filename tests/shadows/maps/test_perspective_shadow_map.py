@@ -1,4 +1,4 @@
-"""Perspective shadow maps: agreement with truth from all sides, no acne, and finer edges near the eye than a shadow map."""
+"""Maps that are warped towards the eye: agreement with truth from all sides, no acne, finer near edges than a shadow map."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.post_perspective import UNIFORM_MAP_CONE_DEG
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.passes import PassLog
+from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.truth.metrics import MAX_INTERIOR_SHARE, error_metrics
 from skugga.shadows.truth.truth import coverage_truth, trace_truth
 from skugga.shadows.visibility import receivers_of
@@ -33,18 +34,23 @@ from tests.shadows.boxes import box, build_mesh_scene
 
 ALGORITHM = "perspective_shadow_map"
 
+LIGHT_SPACE = "light_space_perspective_map"
+
+both_algorithms = pytest.mark.parametrize("algorithm", [ALGORITHM, LIGHT_SPACE])
+
 EYE = {"kind": "perspective", "eye": [2, -18, 5], "target": [0, 10, 1], "fov": 60, "size": [240, 180]}
 SPOT = {"kind": "spot", "position": [20, -12, 20], "target": [0, 0, 0], "cutoff": 40}
 
 
 def render_visibility(
-    buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple = ("relief", "meshes", "forest"), **overrides
+    buffer: GeometryBuffer, scene: Scene, light: str, algorithm: str = ALGORITHM, **overrides
 ) -> tuple[np.ndarray, PassLog]:
     """Return the visibility of a light and the pass log. Attached shadow counts; NaN marks no surface."""
     settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **overrides})
     log = PassLog()
     receivers = receivers_of(buffer, scene, light)
-    rendered = perspective_shadow_map.fill_visibility(receivers, scene, light, kinds, find_casters(scene, buffer), settings, log)
+    casters, kinds = find_casters(scene, buffer), ("relief", "meshes", "forest")
+    rendered = ALGORITHMS[algorithm].fill_visibility(receivers, scene, light, kinds, casters, settings, log)
     rendered[attached_shadow_mask(buffer, scene, light)] = 0.0
     rendered[~buffer.valid] = np.nan
     return rendered, log
@@ -64,7 +70,8 @@ def write_plane(write_raster, slope_deg: float, towards_deg: float) -> Path:
 
 @pytest.mark.parametrize("bits", [16, 24, 32])
 @pytest.mark.parametrize(("slope", "towards"), [(0, 0), (30, 203), (70, 290)])
-def test_perspective_map_does_not_self_shadow_planes(gl, write_raster, make_scene, slope, towards, bits):
+@both_algorithms
+def test_perspective_map_does_not_self_shadow_planes(gl, write_raster, make_scene, algorithm, slope, towards, bits):
     """Suns range from high to grazing, before, behind and beside the camera. A lamp and all tap counts are covered."""
     raster = write_plane(write_raster, slope, towards)
     for altitude, azimuth_offset in ((75.0, 0.0), (25.0, -60.0), (6.0, 70.0), (4.0, 0.0)):
@@ -74,27 +81,29 @@ def test_perspective_map_does_not_self_shadow_planes(gl, write_raster, make_scen
         buffer = geometry_buffer(scene, scene.view("eye"))
         for light in ("sun", "lamp"):
             for taps in (1, 2, 3, 5) if bits == 24 else (3,):
-                rendered, _ = render_visibility(buffer, scene, light, filter=taps, depth_bits=bits, map_size=256)
+                rendered, _ = render_visibility(buffer, scene, light, algorithm, filter=taps, depth_bits=bits, map_size=256)
                 receivers = buffer.valid & ~attached_shadow_mask(buffer, scene, light)
                 assert (rendered[receivers] == 1.0).all(), (light, altitude, azimuth_offset, taps)
 
 
-def test_perspective_map_of_constant_depth_has_no_acne(gl, write_raster, make_scene):
+@both_algorithms
+def test_perspective_map_of_constant_depth_has_no_acne(gl, write_raster, make_scene, algorithm):
     """All receivers are at one distance from the sun, and rounding to float32 must not shade them."""
     raster = write_plane(write_raster, 40, 180)
     views = {"eye": {"kind": "perspective", "eye": [100, -200, 12], "target": [-100, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 180, 50, views=views)
     buffer = geometry_buffer(scene, scene.view("eye"))
     for bits in (16, 24, 32):
-        assert (render_visibility(buffer, scene, "sun", depth_bits=bits)[0][buffer.valid] == 1.0).all()
+        assert (render_visibility(buffer, scene, "sun", algorithm, depth_bits=bits)[0][buffer.valid] == 1.0).all()
 
 
-def test_perspective_map_without_bias_has_acne(gl, write_raster, make_scene):
+@both_algorithms
+def test_perspective_map_without_bias_has_acne(gl, write_raster, make_scene, algorithm):
     raster = write_plane(write_raster, 40, 203)
     views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 260, 20, views=views)
     buffer = geometry_buffer(scene, scene.view("eye"))
-    assert (render_visibility(buffer, scene, "sun", bias_scale=0.0)[0] < 1.0).mean() > 0.02
+    assert (render_visibility(buffer, scene, "sun", algorithm, bias_scale=0.0)[0] < 1.0).mean() > 0.02
 
 
 # -- against truth
@@ -107,11 +116,11 @@ def tower_scene(folder: Path, azimuth: float, altitude: float, **keys) -> Scene:
     return build_mesh_scene(folder, [trimesh.util.concatenate([*towers, *near])], azimuth, altitude, views={"eye": EYE}, **keys)
 
 
-def check_against_truth(scene: Scene, light: str) -> None:
-    """Check the errors of the perspective shadow map of a light in the view ``eye``."""
+def check_against_truth(scene: Scene, light: str, algorithm: str) -> None:
+    """Check the errors of an algorithm's map of a light in the view ``eye``."""
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
-    rendered, log = render_visibility(buffer, scene, light, map_size=2048)
+    rendered, log = render_visibility(buffer, scene, light, algorithm, map_size=2048)
     truth = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     metrics = error_metrics(rendered, truth, describe(scene, view, "eye").pixel_m)
     assert (truth.valid & ~truth.lit & ~truth.attached_shadow_mask).mean() > 0.005 and truth.decidable.mean() > 0.5
@@ -121,9 +130,10 @@ def check_against_truth(scene: Scene, light: str) -> None:
 
 @pytest.mark.parametrize("azimuth", [0, 50, 90, 140, 183, 240, 270, 310])
 @pytest.mark.parametrize("altitude", [18, 50])
-def test_perspective_map_of_any_sun_agrees_with_truth(gl, tmp_path, azimuth, altitude):
+@both_algorithms
+def test_perspective_map_of_any_sun_agrees_with_truth(gl, tmp_path, algorithm, azimuth, altitude):
     """The camera looks north: suns stand before it, behind it and to the side."""
-    check_against_truth(tower_scene(tmp_path, azimuth, altitude), "sun")
+    check_against_truth(tower_scene(tmp_path, azimuth, altitude), "sun", algorithm)
 
 
 @pytest.mark.parametrize(
@@ -133,13 +143,15 @@ def test_perspective_map_of_any_sun_agrees_with_truth(gl, tmp_path, azimuth, alt
         ((1, 6, 12), (2, 2, 0)),
     ],
 )  # fmt: skip
-def test_perspective_map_of_any_lamp_agrees_with_truth(gl, tmp_path, place, target):
+@both_algorithms
+def test_perspective_map_of_any_lamp_agrees_with_truth(gl, tmp_path, algorithm, place, target):
     """Lamps stand before the camera, beside it, behind it, and in the middle of its view."""
     lamp = {"kind": "spot", "position": place, "target": target, "cutoff": 40}
-    check_against_truth(tower_scene(tmp_path, 90, 30, lights={"lamp": lamp}), "lamp")
+    check_against_truth(tower_scene(tmp_path, 90, 30, lights={"lamp": lamp}), "lamp", algorithm)
 
 
-def test_perspective_map_holds_a_tower_behind_the_eye(gl, tmp_path):
+@both_algorithms
+def test_perspective_map_holds_a_tower_behind_the_eye(gl, tmp_path, algorithm):
     """The tower is 30 m high, with its foot 5 m behind the eye, under a sun in the south at 45 degrees.
 
     Its shadow reaches half its width to either side, and its full height to the north.
@@ -147,14 +159,15 @@ def test_perspective_map_holds_a_tower_behind_the_eye(gl, tmp_path):
     eye = {"kind": "perspective", "eye": [0, -20, 3], "target": [0, 0, 0], "fov": 60, "size": [240, 180]}
     scene = build_mesh_scene(tmp_path, [box((4, 2, 30), 0, (0, -26))], 180, 45, views={"eye": eye})
     buffer = geometry_buffer(scene, scene.view("eye"))
-    dark = render_visibility(buffer, scene, "sun", map_size=2048)[0] < 0.5
+    dark = render_visibility(buffer, scene, "sun", algorithm, map_size=2048)[0] < 0.5
     x, y = (buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m)[..., :2].transpose(2, 0, 1)
     inside = (np.abs(x) < 1.9) & (y < 4.9)  # the roof's far edge lies at -25, and its shadow ends 30 m further on
     outside = (np.abs(x) > 2.1) | (y > 5.1)
     assert inside[buffer.valid].sum() > 500 and dark[inside & buffer.valid].all() and not dark[outside & buffer.valid].any()
 
 
-def test_perspective_map_of_trees_matches_rays(gl, write_raster, make_scene, tmp_path):
+@both_algorithms
+def test_perspective_map_of_trees_matches_rays(gl, write_raster, make_scene, tmp_path, algorithm):
     raster = write_raster(np.zeros((60, 60), np.float32), ENGINEERING, -60.0, 60.0, 2.0)
     rng = np.random.default_rng(11)
     points = np.array([shapely.Point(*p) for p in rng.uniform(-25, 25, (40, 2))], object)
@@ -167,7 +180,7 @@ def test_perspective_map_of_trees_matches_rays(gl, write_raster, make_scene, tmp
     scene = make_scene(raster, 120, 35, forest=forest, views=views, lights={"lamp": SPOT})
     buffer = geometry_buffer(scene, scene.view("eye"))
     for light in ("sun", "lamp"):
-        rendered, _ = render_visibility(buffer, scene, light, filter=3)
+        rendered, _ = render_visibility(buffer, scene, light, algorithm, filter=3)
         shares = coverage_truth(buffer, scene, find_casters(scene, buffer), 16, light=light)
         shade = np.nan_to_num(1.0 - rendered, nan=0.0).reshape(10, 16, 12, 16).mean(axis=(1, 3))
         covered_blocks = buffer.valid.reshape(10, 16, 12, 16).all(axis=(1, 3))
@@ -176,64 +189,84 @@ def test_perspective_map_of_trees_matches_rays(gl, write_raster, make_scene, tmp
 
 @pytest.mark.long
 @pytest.mark.parametrize("level", ["thesis_rocks", "thesis_rocks_sun"])
-def test_perspective_map_has_finer_near_edges_than_shadow_map(gl, level):
+@both_algorithms
+def test_perspective_map_has_finer_near_edges_than_shadow_map(gl, algorithm, level):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view("close", size=(320, 256))
     overrides = {"map_size": 512, "filter": 3}
     figures = {
         name: measure_plan(scene, view, plan_of(scene, view, algorithm=name, **overrides, **extra_overrides)).figures
-        for name, extra_overrides in (("shadow_map", {"cascades": 1, "fit": "tight"}), (ALGORITHM, {}))
+        for name, extra_overrides in (("shadow_map", {"cascades": 1, "fit": "tight"}), (algorithm, {}))
     }
-    assert figures[ALGORITHM]["edge_p95"] < figures["shadow_map"]["edge_p95"]
-    assert figures[ALGORITHM]["wrong_cast"] < 0.5 * figures["shadow_map"]["wrong_cast"]
+    assert figures[algorithm]["edge_p95"] < figures["shadow_map"]["edge_p95"]
+    assert figures[algorithm]["wrong_cast"] < 0.5 * figures["shadow_map"]["wrong_cast"]
 
 
 # -- maps and plans
 
 
-def test_perspective_map_is_cached_while_unchanged(gl, tmp_path):
+@both_algorithms
+def test_perspective_map_is_cached_while_unchanged(gl, tmp_path, algorithm):
     gl.depth_targets.clear()
     scene = tower_scene(tmp_path, 120, 30)
     buffer = geometry_buffer(scene, scene.view("eye"))
-    (first, first_log), (second, second_log) = render_visibility(buffer, scene, "sun"), render_visibility(buffer, scene, "sun")
+    (first, first_log), (second, second_log) = (render_visibility(buffer, scene, "sun", algorithm) for _ in range(2))
     records = [next(iter(log.records.values())) for log in (first_log, second_log)]
     assert [record.kept for record in records] == [0, 1] and records[0].draws > 0 and records[1].draws == 0
     np.testing.assert_array_equal(first, second)
-    assert next(iter(render_visibility(buffer, scene, "sun", map_size=512)[1].records.values())).kept == 0
+    assert next(iter(render_visibility(buffer, scene, "sun", algorithm, map_size=512)[1].records.values())).kept == 0
 
 
-def test_perspective_map_is_uniform_for_a_sun_in_the_view_axis(gl, tmp_path):
+@both_algorithms
+def test_perspective_map_is_uniform_for_a_sun_in_the_view_axis(gl, tmp_path, algorithm):
     eye = {"kind": "perspective", "eye": [0, -20, 10], "target": [0, 0, 0], "fov": 50, "size": [120, 90]}
     down_deg = float(np.degrees(np.arctan2(10, 20)))
     for azimuth, altitude in ((180, down_deg), (180, down_deg + 2 * UNIFORM_MAP_CONE_DEG)):
         scene = build_mesh_scene(tmp_path, [box((2, 2, 3))], azimuth, altitude, views={"eye": eye})
-        note = next(iter(render_visibility(geometry_buffer(scene, scene.view("eye")), scene, "sun")[1].records.values())).note
+        _, log = render_visibility(geometry_buffer(scene, scene.view("eye")), scene, "sun", algorithm)
+        note = next(iter(log.records.values())).note
         assert note.startswith("a uniform map") == (altitude == down_deg)
 
 
-def test_perspective_map_skips_a_light_that_reaches_nothing(gl, tmp_path):
+@both_algorithms
+def test_perspective_map_skips_a_light_that_reaches_nothing(gl, tmp_path, algorithm):
     lamp = {"kind": "spot", "position": [90, 90, 5], "target": [95, 95, 0], "cutoff": 5}
     scene = build_mesh_scene(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": lamp})
-    frame = render(scene, scene.view("eye"), algorithm=ALGORITHM)
+    frame = render(scene, scene.view("eye"), algorithm=algorithm)
     assert list(frame.visibilities) == ["sun"]
     assert [record.name for record in frame.passes] == frame.plan.passes
 
 
-def test_plan_names_perspective_map_settings_without_effect(tmp_path):
+@both_algorithms
+def test_plan_names_perspective_map_settings_without_effect(tmp_path, algorithm):
     scene = build_mesh_scene(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": SPOT})
     view = scene.view("eye")
-    plan = plan_of(scene, view, algorithm=ALGORITHM)
+    plan = plan_of(scene, view, algorithm=algorithm)
     assert [plan.settings[light]["meshes"].depth_bits for light in ("sun", "lamp")] == [24, 32]
     assert plan.settings["sun"]["meshes"].map_size == 1024 and plan.settings["sun"]["meshes"].filter == 3
     assert {"map_size 1024", "depth_bits 24", "filter 3", "lamp: depth_bits 32"} <= {reason.name for reason in plan.reasons}
-    plan = plan_of(scene, view, algorithm=ALGORITHM, cascades=4, fit="stable", culling="front", bias="normal_offset", map_size=700)
+    plan = plan_of(scene, view, algorithm=algorithm, cascades=4, fit="stable", culling="front", bias="normal_offset", map_size=700)
     left_out = {reason.name for reason in plan.reasons if reason.reason.startswith("no effect")}
     assert {"cascades 4", "fit stable", "culling front", "bias normal_offset"} <= left_out
     assert plan.settings["lamp"]["meshes"].map_size == 700
-    soft_settings = plan_of(scene, view, algorithm=ALGORITHM, filter="sun").settings
+    soft_settings = plan_of(scene, view, algorithm=algorithm, filter="sun").settings
     assert (soft_settings["sun"]["meshes"].filter, soft_settings["lamp"]["meshes"].filter) == ("sun", 3), "the lamp is a point"
     with pytest.raises(UnsupportedError, match="a map view has no perspective"):
-        plan_of(scene, scene.view(), algorithm=ALGORITHM)
+        plan_of(scene, scene.view(), algorithm=algorithm)
+
+
+@pytest.mark.parametrize("filter", [1, "sun"])
+def test_light_space_map_has_its_own_matrix(gl, tmp_path, filter):
+    """Few texels show whose matrix a map has, also where it is one of many for a sun that is a disc."""
+    scene = tower_scene(tmp_path, 120, 30)
+    buffer = geometry_buffer(scene, scene.view("eye"))
+    shadows = [render_visibility(buffer, scene, "sun", name, map_size=128, filter=filter)[0] for name in (ALGORITHM, LIGHT_SPACE)]
+    assert 0.005 < (np.abs(shadows[0] - shadows[1]) > 0.5)[buffer.valid].mean() < 0.2
+    settings = PerspectiveMapSettings(map_size=128, depth_bits=24, filter=filter)
+    texels_m = [ALGORITHMS[name].accuracy.texel_m(scene, "sun", ("meshes",), settings, buffer) for name in (ALGORITHM, LIGHT_SPACE)]
+    floor = buffer.valid & (texels_m[0] > 0.0)
+    ratio = np.where(floor, texels_m[1] / np.where(floor, texels_m[0], 1.0), np.nan)
+    assert np.nanmedian(ratio[-5:]) > 1.2 and np.nanmin(ratio) < 0.9, "coarser before the feet, and finer farther away"
 
 
 # -- several maps where one map is too coarse

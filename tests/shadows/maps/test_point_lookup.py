@@ -10,9 +10,9 @@ import pytest
 
 from skugga.api.catalogue import find_level
 from skugga.selector.select import plan_of_view
-from skugga.shadows.maps import drawing, point_lookup
 from skugga.shadows.maps import lookup as lookup_module
-from skugga.shadows.maps.relevant_trees import relevant_trees
+from skugga.shadows.maps import point_lookup
+from skugga.shadows.maps.relevant_trees import _write_farthest_receivers, relevant_trees
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import Frame
@@ -154,19 +154,32 @@ def test_relevant_trees_leave_out_only_trees_without_shadow(gl, landscape, monke
         return np.arange(len(depth_map.trees))
 
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", record_relevant_trees)
+        patch.setattr("skugga.shadows.maps.relevant_trees.relevant_trees", record_relevant_trees)
         with_relevant_trees = render_close_view(scene, filter=taps)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", select_all_trees)
+        patch.setattr("skugga.shadows.maps.relevant_trees.relevant_trees", select_all_trees)
         with_all_trees = render_close_view(scene, filter=taps)
     assert counts and all(chosen < total for chosen, total in counts) and any(chosen > 0 for chosen, _ in counts)
     np.testing.assert_array_equal(with_relevant_trees.visibility, with_all_trees.visibility)
+    for light, shown in with_all_trees.shown_visibilities.items():  # samples of edges lie between the pixels' points
+        np.testing.assert_array_equal(with_relevant_trees.shown_visibilities[light], shown)
 
 
 def test_relevant_trees_are_needed(gl, landscape, monkeypatch):
     """Maps without trees lose shadows, which the test above would detect."""
     with_trees = render_close_view(landscape)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "relevant_trees", lambda depth_map, *args: np.zeros(0, np.int64))
+        patch.setattr("skugga.shadows.maps.relevant_trees.relevant_trees", lambda depth_map, *args: np.zeros(0, np.int64))
         without_trees = render_close_view(landscape)
     assert np.nanmean(without_trees.visibility > with_trees.visibility) > 0.005
+
+
+def test_ground_between_two_pixels_is_a_receiver():
+    """Samples of edges lie between the points of pixels, one above the other, that a grazing view sets far apart."""
+    position = np.array([[0.5, 0.5, 3.0], [8.5, 4.5, 7.0], [30.0, 30.0, 1.0]])
+    farthest = np.full((1, 10, 10), -np.inf, np.float32)
+    _write_farthest_receivers(
+        0, 1, np.array([0, 1]), position, np.ones(3, np.bool_), 1, 2, np.array([0]), np.eye(3), np.zeros(3), np.ones(2), farthest
+    )  # fmt: skip
+    assert [(row, col) for row, col in np.argwhere(farthest[0] > -np.inf) if abs(row - 0.5 * col) > 1.0] == []
+    assert (farthest[0].max(axis=0)[:9] == 7.0).all() and np.isinf(farthest[0, :, 9]).all()

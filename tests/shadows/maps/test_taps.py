@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from skugga.api.catalogue import find_level
@@ -13,6 +14,8 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
+from tests.render import plan_of
+from tests.shadows.boxes import box, build_mesh_scene, visibility
 
 
 def make_descriptor(**casts: Casting) -> Descriptor:
@@ -72,10 +75,32 @@ def test_fine_share_counts_foliage_as_coarse_and_skips_relief():
     ("thesis_street_sun", "main", 4096, 3),
 ])  # fmt: skip
 def test_sun_taps_of_bundled_levels_are_nearest_to_the_disc(level, view, map_size, taps):
-    """``docs/accuracy.md`` has the measurements."""
+    """``docs/reports/accuracy.md`` has the measurements."""
     scene = build_scene(load_level(find_level(level)))
     scene_view = scene.view(view, size=(480, 384))
     overrides = {"algorithm": "shadow_map", "map_size": map_size}
     plan = make_plan(describe(scene, scene_view, view), scene.loaded.level, overrides)
     assert {settings.filter for settings in plan.settings["sun"].values()} == {taps}
     assert any(reason.name == f"filter {taps}" and "soft error" in reason.reason for reason in plan.reasons)
+
+
+@pytest.mark.parametrize("taps", [1, 2, 3, 5])
+def test_taps_show_the_lit_share_of_their_square(gl, tmp_path, taps):
+    """The edge of a plate's shadow runs along the map's columns of texels.
+
+    Visibility rises across it as the lit share of a square of ``taps`` - 1 texels does: linearly, with one tap in a single step.
+    ``receiver_plane`` would take two taps, since texels are wider than the triangles of these small pixels.
+    """
+    scene = build_mesh_scene(tmp_path, [box((30, 40, 0.05), 3.0, (-15, -54.2))], 180, 50)
+    view = scene.view(bounds=(-4, -34, 4, -33.5), size=(640, 8))
+    overrides = {"filter": taps, "map_size": 128, "bias": "normal_offset"}
+    (step,) = plan_of(scene, view, algorithm="shadow_map", **overrides).steps
+    texel_px = step.settings.cascades[0].texel_m[0] / (8.0 / 640)
+    rendered, _ = visibility(scene, view, **overrides)
+    edge_px = (1.0 - rendered.mean()) * 640
+    distance_px = np.arange(640) + 0.5 - edge_px
+    expected = np.clip(distance_px / max((taps - 1) * texel_px, 1.0) + 0.5, 0.0, 1.0)
+    assert texel_px > 4.0 and (taps - 1) * texel_px < 320
+    assert np.abs(rendered - expected).max() <= (0.5 if taps == 1 else 0.02)
+    if taps == 1:
+        assert set(np.unique(rendered)) == {0.0, 1.0}

@@ -1,7 +1,7 @@
-"""Error metrics under known, deliberate faults: the table of ``docs/accuracy.md``.
+"""Error metrics under known, deliberate faults: the table of ``docs/reports/metrics.md``.
 
 A metric that no fault moves measures nothing. A metric that stays at 0 under a fault does not detect it.
-``python -m tests.shadows.truth.faults`` prints the table; ``--into docs/accuracy.md`` writes it there.
+``python -m tests.shadows.truth.faults`` prints the table; ``--into docs/reports/metrics.md`` writes it there.
 """
 
 from __future__ import annotations

@@ -229,7 +229,8 @@ def test_metric_stays_zero_under_undetectable_faults(metric, fault):
 
 
 def test_docs_contain_the_table_of_faults():
-    assert faults.table() in Path("docs/accuracy.md").read_text(encoding="utf-8"), "python -m tests.shadows.truth.faults --into ..."
+    report = Path("docs/reports/metrics.md").read_text(encoding="utf-8")
+    assert faults.table() in report, "python -m tests.shadows.truth.faults --into ..."
 
 
 def test_metric_coverage_by_hand():

@@ -14,22 +14,25 @@ from skugga.selector.planner.planner import make_plan
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
-from skugga.terrain.effects import clouds
-from skugga.terrain.effects.clouds import (
+from skugga.terrain.effects import cloud_layer, clouds
+from skugga.terrain.effects.cloud_layer import (
     CLOUD_EDGE_WIDTH,
     CLOUD_HEIGHT_M,
     MAX_NOISE,
     MAX_NOISE_SLOPE,
     MAX_OCTAVE_SUM,
-    apply_clouds,
     cloud_layer_of,
     density_at,
     noise_threshold_of,
 )
+from skugga.terrain.effects.clouds import apply_clouds
 from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.sky_clouds import cloud_opacity, sky_colors_with_clouds
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
+from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.ground.noise import noise_at
 from skugga.terrain.scene import Scene
+from skugga.terrain.sky import sky_pixel_colors
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32616"
@@ -110,15 +113,15 @@ def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side
     bound = clouds._max_density(west, west + side, south, south + side, threshold)
     assert sampled_max <= bound
     sample_step_m = side / 59.0
-    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_CLOUD_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
+    slope = cloud_layer.CLOUD_OCTAVES * MAX_NOISE_SLOPE / cloud_layer.COARSEST_CLOUD_WAVELENGTH_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= sampled_max + slope * (sample_step_m + 1.0)
 
 
 def test_skipped_noise_octaves_do_not_change_the_density() -> None:
     threshold = noise_threshold_of(0.3)
     for x in range(0, 40_000, 997):
-        full_noise = clouds._cloud_noise(float(x), 0.7 * x, -np.inf, np.inf)
-        assert density_at(float(x), 0.7 * x, threshold) == clouds._density_of_noise(full_noise, threshold)
+        full_noise = cloud_layer.cloud_noise(float(x), 0.7 * x, -np.inf, np.inf)
+        assert density_at(float(x), 0.7 * x, threshold) == cloud_layer.density_of_noise(full_noise, threshold)
 
 
 def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> None:
@@ -238,3 +241,73 @@ def test_clouds_in_perspective_count_visible_ground_only(make_cloudy_scene) -> N
         assert clouds_are_needed or np.nanmin(light) > 1.0 - clouds.MAX_INVISIBLE_LIGHT_SHARE
         verdicts.append(clouds_are_needed)
     assert any(verdicts) and not all(verdicts)
+
+
+def eye_view(scene: Scene, direction_anchor: np.ndarray, up_m: float, pixels: int = 1) -> PerspectiveView:
+    """Return a view from ``up_m`` metres above the anchor, in a direction in the anchor's axes, with pixels of 0.01 degrees."""
+    earth_from_anchor, up = scene.world.earth_from_anchor, np.array([0.0, 0.0, 1.0])
+    eye = scene.world.anchor_earth_m + earth_from_anchor @ (up_m * up)
+    return look_at(eye, eye + 1000.0 * earth_from_anchor @ direction_anchor, earth_from_anchor @ up, 0.01 * pixels, pixels, pixels)
+
+
+def sky_color_of(scene: Scene, view: PerspectiveView, **keys: float) -> np.ndarray:
+    """Return the colour (3,) of the first pixel's sky with clouds, or without them if ``keys`` has a ``cloud_cover``."""
+    pixel = np.zeros(1, np.int64)
+    return (sky_pixel_colors(scene, view, pixel, pixel, **keys) if keys else sky_colors_with_clouds(scene, view, pixel, pixel))[0]
+
+
+@pytest.mark.parametrize("crs", [UTM, ENGINEERING])
+@pytest.mark.parametrize("altitude", [8.0, 40.0])
+def test_cloud_before_the_sun_shades_the_eye(make_scene, write_raster, crs: str, altitude: float) -> None:
+    """The sun is hidden in the sky exactly when the clouds take sunlight from the eye."""
+    raster = write_raster(np.full((40, 40), 300.0, np.float32), crs, 500_000.0, 1000.0, 50.0)
+    still = make_scene(raster, 230.0, altitude, weather={"cloud_cover": 0.4, "visibility": 1e7})
+    hidden, shaded = [], []
+    for second in range(0, 3000, 40):
+        scene = still.at_second(float(second))
+        layer = cloud_layer_of(scene)
+        view = eye_view(scene, layer.to_sun_anchor, 320.0)
+        points, heights = np.array([[0.0, 0.0, 320.0]]), np.array([320.0])
+        (position,) = clouds._layer_positions(points, heights, layer)
+        density = density_at(*position, layer.noise_threshold)
+        if 0.0 < density < 0.1:
+            continue
+        shaded.append(density > 0.0)
+        hidden.append(np.abs(sky_color_of(scene, view) - sky_color_of(scene, view, cloud_cover=0.0)).max() > 0.004)
+    assert hidden == shaded
+    assert 5 < sum(shaded) < len(shaded) - 5
+
+
+def test_share_of_the_sky_behind_clouds_is_the_cover(make_scene, write_raster) -> None:
+    scene = make_scene(write_raster(np.zeros((40, 40), np.float32), UTM, 500_000.0, 1000.0, 50.0), 180.0, 50.0,
+                       weather={"cloud_cover": 0.4, "visibility": 1e7})  # fmt: skip
+    zenith = np.array([0.02, 0.0, 1.0]) / np.hypot(0.02, 1.0)
+    behind = []
+    for second in range(0, 40_000, 100):
+        at = scene.at_second(float(second))
+        view = eye_view(at, zenith, 2.0)
+        behind.append(np.abs(sky_color_of(at, view) - sky_color_of(at, view, cloud_cover=0.0)).max() > 0.15)
+    assert np.mean(behind) == pytest.approx(0.4, abs=0.12)
+
+
+def test_clouds_fade_into_the_even_sky_at_the_horizon(make_scene, write_raster) -> None:
+    scene = make_scene(write_raster(np.zeros((40, 40), np.float32), UTM, 500_000.0, 1000.0, 50.0), 180.0, 50.0,
+                       weather={"cloud_cover": 0.4})  # fmt: skip
+    for azimuth in np.radians(np.arange(0.0, 360.0, 30.0)):
+        low = np.array([np.sin(azimuth), np.cos(azimuth), 0.003])
+        view = eye_view(scene, low, 2.0)
+        np.testing.assert_allclose(sky_color_of(scene, view), sky_color_of(scene, view, cloud_cover=0.4), atol=0.03)
+
+
+def test_eye_above_the_clouds_sees_the_even_sky(make_scene, write_raster) -> None:
+    scene = make_scene(write_raster(np.zeros((40, 40), np.float32), UTM, 500_000.0, 1000.0, 50.0), 180.0, 50.0,
+                       weather={"cloud_cover": 0.4})  # fmt: skip
+    view = eye_view(scene, np.array([0.6, 0.0, 0.8]), CLOUD_HEIGHT_M + 1.0)
+    np.testing.assert_array_equal(sky_color_of(scene, view), sky_color_of(scene, view, cloud_cover=0.4))
+
+
+def test_frayed_edges_leave_gaps_and_middles_alone() -> None:
+    for x in range(0, 5000, 37):
+        assert cloud_opacity(float(x), 3.0 * x, 0.0, 1.0) == 0.0 and cloud_opacity(float(x), 3.0 * x, 1.0, 1.0) == 1.0
+        assert 0.0 <= cloud_opacity(float(x), 3.0 * x, 0.5, 1.0) <= 1.0
+        assert cloud_opacity(float(x), 3.0 * x, 0.5, 200.0) == 0.5

@@ -81,6 +81,20 @@ def test_no_light_comes_through_ground(make_wall_scene):
     assert light_on_leaves(low_sun_scene, over, np.zeros(3)) == pytest.approx(LEAF_TRANSMITTANCE)
 
 
+def test_edge_of_the_grounds_shadow_lies_at_one_height_of_a_crown(make_wall_scene):
+    """The shadow of the wall ends where the sun's ray over its top passes, between cells as well as within them."""
+    scene, heights_m = make_wall_scene(altitude=8.0), np.arange(0.0, 50.0, 0.25)
+    columns = [np.array([[x, 1.0, height] for height in heights_m]) for x in (-31.0, -1.0, 29.0)]
+    edges_m = []
+    for points in columns:
+        light = light_on_leaves(scene, points, np.zeros(len(points)))
+        assert (np.diff(light) >= 0.0).all() and light[0] == 0.0 and light[-1] == pytest.approx(LEAF_TRANSMITTANCE)
+        is_edge = (light > 0.0) & (light < 0.99 * LEAF_TRANSMITTANCE)
+        assert 1 <= is_edge.sum() <= 1.5 / 0.25
+        edges_m.append(heights_m[is_edge].mean())
+    assert np.diff(edges_m) == pytest.approx(-30.0 * np.tan(np.radians(8.0)), abs=0.75)
+
+
 def test_no_light_comes_through_a_house(make_wall_scene, tmp_path):
     house = shapely.to_wkb(np.array([shapely.box(-30.0, -20.0, -20.0, 20.0)], object))
     pyogrio.raw.write(tmp_path / "house.gpkg", house, [np.array([40.0])], ["height_m"], geometry_type="Polygon", crs=ENGINEERING)

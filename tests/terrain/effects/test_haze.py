@@ -18,7 +18,6 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.haze import (
-    CLEAR_AIR_VISIBILITY_M,
     EFFECT,
     MAX_CHANGED_PIXEL_SHARE,
     MAX_NEAR_STEPS,
@@ -40,7 +39,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import Weather
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.shading import encode_srgb, shade
-from skugga.terrain.sky import horizon_colors, sky_color, sky_of
+from skugga.terrain.sky import CLEAR_AIR_VISIBILITY_M, horizon_colors, sky_color, sky_of
 
 EAST = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])

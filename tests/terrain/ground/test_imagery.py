@@ -126,7 +126,8 @@ def test_tint_shows_where_imagery_is_missing(gl, hill, write_raster, make_scene)
     data = random_colors(4)[:, :, :8]
     data = np.maximum(data, 1)
     data[:, 3:6, 2:5] = 0
-    level_keys = {"views": eye_view(), "effects": {"ground_detail": "off"}}  # ground detail applies only to ground without imagery
+    # Both effects apply only to ground without imagery.
+    level_keys = {"views": eye_view(), "effects": {"ground_materials": "off", "ground_detail": "off"}}
     scene = make_draped_scene(write_raster, make_scene, hill, data, nodata=0, **level_keys)
     bare_scene = make_scene(hill, **level_keys)
     view = scene.view(bounds=(X0 + 10, Y0 - 390, X0 + 390, Y0 - 10), size=(190, 190))

@@ -47,6 +47,7 @@ def test_moving_keys_lists_everything_in_motion(tmp_path):
     level = load_floor_level(tmp_path, meshes=meshes, lights=lights, weather={"cloud_cover": 0.4})
     assert level.moving_keys == ("meshes.1", "meshes.3", "lights.goes", "lights.looks", "weather.cloud_cover")
     assert load_floor_level(tmp_path, meshes=meshes[:1], weather={"cloud_cover": 1.0}).moving_keys == ()
+    assert load_floor_level(tmp_path, weather={"precipitation": "rain"}).moving_keys == ("weather.precipitation",)
 
 
 def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):

@@ -50,7 +50,7 @@ def test_roof_around_rows_of_courtyards_has_no_gap(side):
     assert (double_area > 0).all() and double_area.sum() / 2 == pytest.approx((4 * side + 4) ** 2 - 4 * side**2)
     edges = {edge for i, j, k in roof.tolist() for edge in ((i, j), (j, k), (k, i))}
     assert len(edges) == 3 * len(roof)
-    ring_edges = set(enumerate(block_triangles._next_corners(ends).tolist()))
+    ring_edges = set(enumerate(block_triangles.next_corners(ends).tolist()))
     assert {edge for edge in edges if edge[::-1] not in edges} == ring_edges
 
 

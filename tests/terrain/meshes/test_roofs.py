@@ -15,6 +15,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes
 from skugga.terrain.meshes.buildings import WALL_DEPTH_BELOW_GROUND_M
 from skugga.terrain.meshes.roofs import MAX_RISE_SHARE, ROOF_SLOPE, roof_over
+from skugga.terrain.meshes.sloped_blocks import EAVES_THICKNESS_M
 from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
@@ -90,6 +91,24 @@ def test_roof_slopes_face_up_and_gables_have_wall_colour(house):
     assert (roof == roof[0]).all() and (wall == wall[0]).all() and (roof[0] != wall[0]).any()
 
 
+@pytest.mark.parametrize("eaves_m", [0.0, 0.6])
+@pytest.mark.parametrize("form", ["pitched", "hipped"])
+def test_wings_of_a_map_are_level_on_the_curved_earth(house, form, eaves_m):
+    wing = 8.0 * UTM_SCALE
+    outline = shapely.Polygon([(0, 0), (3 * wing, 0), (3 * wing, wing), (wing, wing), (wing, 2 * wing), (0, 2 * wing)])
+    body, height = house(form, affinity.rotate(affinity.translate(outline, 500200, 5000200), 21.0), eaves_m=eaves_m)
+    assert body.is_closed
+    rise = roof_rise_m()
+    edge, drop, fascia = HEIGHT_M - rise, rise / 4.0 * eaves_m, EAVES_THICKNESS_M
+    expected = {-WALL_DEPTH_BELOW_GROUND_M, edge, HEIGHT_M}
+    if eaves_m:
+        expected = {-WALL_DEPTH_BELOW_GROUND_M, edge - fascia, edge - drop, edge - drop - fascia, HEIGHT_M}
+        expected |= {HEIGHT_M - fascia} if form == "pitched" else set()
+    levels = np.unique(height.round(2))
+    assert all(min(abs(level - value) for value in expected) < 0.011 for level in levels)
+    assert all(min(abs(level - value) for level in levels) < 0.011 for value in expected)
+
+
 def test_low_sheds_keep_walls(house):
     _, height = house("pitched", rectangle(10.0, 14.0), height=2.5)
     assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MAX_RISE_SHARE), abs=2e-3)
@@ -123,7 +142,7 @@ def test_roof_over_needs_a_rectangle_and_a_suitable_size(outline, height_m, form
 
 def test_unsuitable_roof_is_flat_and_other_meshes_reject_it(house):
     outline = affinity.translate(shapely.Polygon([(0, 0), (12, 0), (12, 8), (6, 8), (6, 4), (0, 4)]), 500200, 5000200)
-    body, height = house("pitched", outline)
+    body, height = house("auto", outline)
     assert body.is_closed and len(np.unique(height.round(3))) == 2
     with pytest.raises(LevelError, match="roof"):
         house("gambrel")

@@ -66,7 +66,7 @@ function sentence(reason: string): string {
 /** A reason without the files that it cites, which nobody can follow from here; what it says of them stays. */
 export function withoutFiles(reason: string): string {
   return reason.replace(/ ?\(([^()]*docs\/[^()]*)\)/g, (_, cited: string) => {
-    const kept = cited.split('; ').map((part) => (part.includes('docs/') ? part.replace(/^[^:]*docs\/[\w-]+\.md[^:]*(: )?/, '') : part)).filter(Boolean);
+    const kept = cited.split('; ').map((part) => (part.includes('docs/') ? part.replace(/^[^:]*docs\/[\w/-]+\.md[^:]*(: )?/, '') : part)).filter(Boolean);
     return kept.length ? ` (${kept.join('; ')})` : '';
   });
 }

@@ -28,6 +28,16 @@ interface AnimationState {
   readonly frames_done: number;
 }
 
+/** Minutes between the frames of a film that can be chosen, and those of a new dialog. */
+export const FILM_STEPS_MIN: readonly number[] = [2, 5, 10, 20, 30];
+export const DEFAULT_FILM_STEP_MIN = 10;
+
+/** The times of a film's frames, in even steps between the first and the last of `times`, both in minutes. */
+export function filmTimes(times: readonly number[], stepMinutes: number): number[] {
+  const [first = 0, last = first] = [times[0], times.at(-1)];
+  return Array.from({ length: Math.floor((last - first) / stepMinutes) + 1 }, (_, index) => first + index * stepMinutes);
+}
+
 /** Width and height of a film in the proportions of `size`: no more pixels than services draw. */
 export function filmSize([width, height]: readonly [number, number], frames: number): [number, number] {
   const scale = Math.min(1, Math.sqrt(Math.min(MAX_FRAME_PX, MAX_FILM_PX / frames) / (width * height)));

@@ -7,7 +7,7 @@ import { saveFile } from '../saved';
 import { type PlacedLevel, type Service, inWords, isAbort } from '../service';
 import type { State } from '../state';
 import { fetchSunDay } from '../sun_day';
-import { type FilmView, filmBody, makeFilm } from './film';
+import { DEFAULT_FILM_STEP_MIN, FILM_STEPS_MIN, type FilmView, filmBody, filmTimes, makeFilm } from './film';
 
 const STEP_MS = 100;
 const CALM_STEP_MS = 1000;
@@ -72,6 +72,7 @@ export class ViewDay {
   readonly #slider: HTMLInputElement;
   readonly #clock = html('output', { for: 'view-minutes' });
   readonly #film: HTMLButtonElement;
+  readonly #filmStep: HTMLSelectElement;
   readonly #progress = html('span', { class: 'note' });
   readonly #said = html('p', { class: 'note', role: 'status' });
   readonly #closing = new AbortController();
@@ -92,7 +93,9 @@ export class ViewDay {
       type: 'range', id: 'view-minutes', min: 0, max: 1430, step: 10, 'aria-label': 'Time of the view', oninput: () => this.#choose(Number(this.#slider.value)),
     });
     this.#film = html('button', { type: 'button', onclick: () => void this.#toggleFilm() }, 'Make a film');
-    this.element = html('div', { class: 'view-day' }, this.#play, this.#slider, this.#clock, this.#film, this.#progress, this.#said);
+    this.#filmStep = html('select', { 'aria-label': 'Time between the pictures of the film' }, ...FILM_STEPS_MIN.map((minutes) => (
+      html('option', { value: minutes, selected: minutes === DEFAULT_FILM_STEP_MIN }, `every ${minutes} minutes`))));
+    this.element = html('div', { class: 'view-day' }, this.#play, this.#slider, this.#clock, this.#film, this.#filmStep, this.#progress, this.#said);
     this.#tellTime(day.state.minutes);
   }
 
@@ -246,7 +249,8 @@ export class ViewDay {
     this.#say('The film is being asked for …');
     try {
       const { state, film, size, level } = this.day;
-      const body = filmBody(state, film, size, await until(ending.signal, this.#times()));
+      const stepMinutes = Number(this.#filmStep.value);
+      const body = filmBody(state, film, size, filmTimes(await until(ending.signal, this.#times()), stepMinutes));
       const tell = (done: number, all: number) => { this.#say(`The service is drawing the film: ${done} of ${all} pictures.`); };
       const address = await makeFilm(this.service, level.name, body, tell, ending.signal);
       await saveFile(this.service, address, `${this.name}-${state.date}.webp`, ending.signal);

@@ -1,0 +1,1 @@
+void main() { if (is_outside_cube()) discard; }

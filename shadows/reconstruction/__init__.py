@@ -1,0 +1,1 @@
+"""Shadow volumes that are rebuilt from depth maps."""
