@@ -109,7 +109,7 @@ class Viewer(WatchedPage):
         return self.wait_until_drawn()
 
     def wait_until_settled(self) -> None:
-        """Wait until the map and the address match the page's settings."""
+        """Wait until the map, the one that it is compared with, and the address match the page's settings."""
         end = time.monotonic() + DRAWN_TIMEOUT_S
         while True:
             self.check()
@@ -117,7 +117,8 @@ class Viewer(WatchedPage):
             if failed.count():
                 pytest.fail(f"the page shows an error: {failed.inner_text()}", pytrace=False)
             data = self.page.evaluate("() => new Promise(requestAnimationFrame).then(() => ({...document.body.dataset}))")
-            if data.get("shown") and data.get("busy") != "true" and data.get("written") != "false" and not self.waiting:
+            behind = data.get("busy") == "true" or data.get("written") == "false" or data.get("compared") == "false"
+            if data.get("shown") and not behind and not self.waiting:
                 return
             if time.monotonic() > end:
                 pytest.fail(f"the map is not drawn after {DRAWN_TIMEOUT_S} s: {data}, {len(self.waiting)} pending requests")

@@ -8,6 +8,9 @@ import { LAYER } from '../map';
 /** Layers of the first map that the second has as well. */
 const SHARED = ['ground', 'base', LAYER];
 
+/** Changes of the first map's style within this time, in milliseconds, are one for the second. */
+const CALM_MS = 60;
+
 export class OtherMap {
   readonly #box: HTMLElement;
   readonly #map: MapLibre;
@@ -16,6 +19,7 @@ export class OtherMap {
   #style = '';
   #held = false;
   #timer: number | undefined;
+  #styling = 0;
 
   /** `tiles`: their template, as the first map's sources have it. */
   constructor(private readonly first: MapLibre, tiles: string) {
@@ -31,6 +35,7 @@ export class OtherMap {
     this.#map.getCanvas().tabIndex = -1;
     this.#map.on('error', () => {});
     this.#style = JSON.stringify(this.#wanted());
+    void this.#sayOnceDrawn();
     this.#follow = () => {
       this.#map.jumpTo({ center: first.getCenter(), zoom: first.getZoom(), bearing: first.getBearing(), pitch: first.getPitch() });
     };
@@ -81,6 +86,8 @@ export class OtherMap {
 
   remove(): void {
     clearTimeout(this.#timer);
+    this.#styling += 1;
+    delete document.body.dataset.compared;
     this.first.off('move', this.#follow);
     this.first.off('styledata', this.#restyleSoon);
     this.first.off('sourcedata', this.#restyleSoon);
@@ -94,15 +101,28 @@ export class OtherMap {
   readonly #restyleSoon = () => {
     clearTimeout(this.#timer);
     if (this.#held) return;
+    this.#styling += 1;
+    document.body.dataset.compared = 'false';
     this.#timer = window.setTimeout(() => {
       const style = this.#wanted();
       const key = JSON.stringify(style);
-      if (key === this.#style) return;
-      this.#style = key;
-      this.#map.setStyle(style);
-      this.#follow();
-    }, 60);
+      if (key !== this.#style) {
+        this.#style = key;
+        this.#map.setStyle(style);
+        this.#follow();
+      }
+      void this.#sayOnceDrawn();
+    }, CALM_MS);
   };
+
+  /** Whoever drives the page by a program can read off whether this map shows what it was last asked for. */
+  async #sayOnceDrawn(): Promise<void> {
+    document.body.dataset.compared = 'false';
+    const styling = this.#styling;
+    this.#map.triggerRepaint(); // a map at rest is not idle once more
+    await this.#map.once('idle');
+    if (styling === this.#styling) document.body.dataset.compared = 'true';
+  }
 
   /** The first map's style, with other tiles. */
   #wanted(): StyleSpecification {
