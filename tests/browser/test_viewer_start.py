@@ -155,7 +155,9 @@ def test_start_card_shows_the_time_left(viewer: Viewer, readiness: ServiceReadin
     expect(card).to_contain_text(re.compile(r"\d+ s so far, about (20|25|30) s left$"))
 
 
-LATE_COMPARED_MAP = "{ const after = window.setTimeout; window.setTimeout = (run, ms, ...rest) => after(run, ms === 60 ? 8000 : ms, ...rest); }"
+LATE_COMPARED_MAP = (
+    "{ const after = window.setTimeout; window.setTimeout = (run, ms, ...rest) => after(run, ms === 60 ? 8000 : ms, ...rest); }"
+)
 """Script that prolongs the wait of ``other_map.ts`` before it takes over a style."""
 
 
