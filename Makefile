@@ -17,7 +17,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-thorough test-browser test-clients test-soak test-lowest lock hunt check docs notebook wheel release viewer viewer-if-possible chromium qgis nginx clean
+.PHONY: help setup run test test-long test-thorough test-browser test-clients test-soak test-lowest test-newest lock hunt check docs docs-version notebook wheel release viewer viewer-if-possible chromium qgis nginx clean
 .DELETE_ON_ERROR:
 
 help:
@@ -29,10 +29,12 @@ help:
 	@echo "make test-clients  QGIS, GDAL's tools and nginx before a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
 	@echo "make test-lowest   a quick part of the tests with the lowest versions that pyproject.toml allows (Python 3.11)"
+	@echo "make test-newest   the same part with the newest versions and the newest Python that is found (or PYTHON=...)"
 	@echo "make lock          write requirements.lock: the newest versions that pyproject.toml allows"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff, mypy, import-linter, the names that must not come back, and the site's links"
 	@echo "make docs          build the documentation site into site/"
+	@echo "make docs-version  commit the site as this version's to the local branch gh-pages, beside earlier versions"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
 	@echo "make viewer        build the viewer into api/static/"
 	@echo "make wheel         build a wheel with the viewer and compiled loops into dist/"
@@ -80,6 +82,14 @@ test-lowest: $(SYSTEM)
 	@$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[test]'
 	$(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W default -m "not long and not thorough and not browser and not soak" $(or $(ARGS),$(QUICK))
 
+# The other end: what a user gets who installs today, without the versions of requirements.lock.
+NEWEST := .venv-newest
+test-newest: $(SYSTEM)
+	@PYTHON="$(or $(PYTHON),python3.13 python3.12)" scripts/make-venv.sh $(NEWEST)
+	@$(NEWEST)/bin/python -m pip install -qq uv
+	@$(NEWEST)/bin/uv pip install -q --python $(NEWEST)/bin/python --upgrade -e '.[test]'
+	$(NEWEST)/bin/python -m pytest -n 2 --dist loadfile -W default -m "not long and not thorough and not browser and not soak" $(or $(ARGS),$(QUICK))
+
 # For every Python and system that is allowed; without addresses, so that it serves whatever registry is asked.
 lock: $(INSTALLED)
 	@$(VENV)/bin/python -m pip install -qq uv
@@ -105,6 +115,10 @@ check: $(INSTALLED) $(SITE_TOOLS)
 docs: $(SITE_TOOLS)
 	@$(VENV)/bin/python -m scripts.build_site $(SITE)
 
+# A host of static pages serves that branch. The pages have a menu of versions there.
+docs-version: $(SITE_TOOLS)
+	@$(VENV)/bin/python -m scripts.build_site $(SITE) --commit-version
+
 notebook: setup
 	$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
 	$(VENV)/bin/jupytext -q --to ipynb -o docs/a-winters-day.ipynb examples/a_winters_day.py
@@ -126,7 +140,7 @@ viewer-if-possible: $(INSTALLED)
 	    echo "skugga: the viewer was not built ('make viewer' says why); all else works without it" >&2
 
 clean:
-	rm -rf $(VENV) $(LOWEST) $(SITE) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
+	rm -rf $(VENV) $(LOWEST) $(NEWEST) $(SITE) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
 
 $(INSTALLED): pyproject.toml requirements.lock
 	@scripts/make-venv.sh $(VENV)

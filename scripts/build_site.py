@@ -1,6 +1,8 @@
 """Build the documentation site: put its pages together in ``build/site-source``, then run MkDocs, which ``mkdocs.yml`` configures.
 
 Run ``python -m scripts.build_site [FOLDER]``; the default folder is ``site``. A dead link or a missing anchor is an error.
+``--commit-version`` also commits the site to the local branch ``gh-pages``, in a folder of the package's version, beside those of
+earlier versions.
 
 Pages link to each other as GitHub shows them, by paths in the repository. In the site, the files of ``docs`` are at its top. All
 other published files keep their paths.
@@ -8,6 +10,7 @@ other published files keep their paths.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import json
 import os
@@ -16,6 +19,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -36,8 +40,16 @@ LINK = re.compile(r"(?<=\]\()(?![a-z]+:)([^)\s#]+)(#[^)\s]*)?(?=\))")
 """Target of a link in Markdown, and its anchor, unless the target is a URL or an anchor of the same page."""
 
 
-def main(folder: Path) -> int:
-    """Build the site in ``folder`` and return the exit status of MkDocs."""
+def main(folder: Path, commit: bool = False) -> int:
+    """Build the site in ``folder`` and return the exit status of MkDocs.
+
+    Parameters
+    ----------
+    folder
+        The folder, which is emptied.
+    commit
+        Whether a site without errors is also committed as this version's (``commit_version``).
+    """
     write_source(SOURCE_FOLDER)
     # Not --quiet: it also keeps MkDocs from counting the warnings that --strict makes errors.
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder.resolve())]
@@ -48,7 +60,26 @@ def main(folder: Path) -> int:
     else:
         pages = len(list(folder.rglob("*.html")))
         print(f"{folder}: {pages} pages. Look at them: python3 -m http.server --directory {folder}")
+        if commit:
+            commit_version()
     return build.returncode
+
+
+def commit_version() -> None:
+    """Build the site once more, with a menu of versions, and commit it to the branch ``gh-pages`` as the latest version.
+
+    Nothing is pushed. The branch is what a host of static pages serves: a folder for each version, and ``latest``.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If mike, which commits it, fails.
+    """
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "SITE_VERSIONS": "mike"}
+    for arguments in (("deploy", "--update-aliases", version, "latest"), ("set-default", "latest")):
+        subprocess.run([Path(sys.executable).with_name("mike"), *arguments], cwd=ROOT, env=environment, check=True)
+    print(f"branch gh-pages: version {version}, which is now the latest; nothing was pushed")
 
 
 def write_source(folder: Path) -> None:
@@ -134,4 +165,8 @@ def notebook_files(path: Path) -> dict[str, str | bytes]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]) if sys.argv[1:] else ROOT / "site"))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition(":")[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "site", metavar="FOLDER")
+    parser.add_argument("--commit-version", action="store_true", help="also commit the site to the local branch gh-pages")
+    options = parser.parse_args()
+    sys.exit(main(options.folder, options.commit_version))
