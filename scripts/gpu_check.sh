@@ -1,10 +1,13 @@
 #!/bin/sh
 # Checks Skugga on a machine with a graphics card that has Python 3.12 and no internet.
-# Copy the working tree and FOLDER to it between the two steps. docs/operating.md has more.
+# Copy the working tree and FOLDER to it between the two steps. The second one ends after at most ten minutes.
 #
 # Usage: gpu_check.sh pack FOLDER [--provided NAMES] [--max-mib 64] [--preset 6]     here, with internet
 #        gpu_check.sh run FOLDER OUT [--allow-software] [--minutes 9.5]              there
 # (PYTHON=... in the environment names the interpreter)
+#
+# Results are OUT/report.md, report.json and pictures.zip: how OpenGL was loaded, stored pictures, tests of tests/terrain/gl, short
+# benchmarks. --allow-software accepts Mesa. UNTESTED on a card.
 set -eu
 
 root=$(cd "$(dirname "$0")/.." && pwd)
