@@ -101,7 +101,8 @@ class LevelSource(BaseModel):
         return {
             "version": 1,
             "title": printable(self.path.stem),
-            "terrain": {"source": self.path.name, **raster_keys},
+            # The name that the path has without links: the level lies in the folder where these lead.
+            "terrain": {"source": self.path.resolve().name, **raster_keys},
             **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
             **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),
         }
