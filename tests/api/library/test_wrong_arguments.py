@@ -26,7 +26,7 @@ SUN = {"azimuth": 250.0, "altitude": 12.0}
 
 ODD_VALUES = [
     None, "", "x", b"x", 0, -1, 1, 1.5, 1e300, -1e300, 10**400, NAN, INF, True, (), [], (1, 2), (1, 2, 3, 4), "1,2,3,4", {},
-    object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT"), pd.NaT,
+    object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT", "s"), pd.NaT,
     "2024-03-21", np.datetime64("2024-03"),
     np.datetime64("2024-03-21T10:00"), datetime.date(2024, 3, 21), datetime.datetime(2024, 3, 21), "2024-03-21T10:00Z",
     Path("nowhere.tif"), slice(0, 2),
