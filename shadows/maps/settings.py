@@ -15,7 +15,14 @@ MapFit = Literal["stable", "tight"]
 """Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""
 
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset", "slope_clamped"]
-"""Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each."""
+"""Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each.
+
+``polygon_offset`` has the factor 1.1. On a slope, the centres of n taps a side, texels of side t, are nearer to the light by up to
+(n/2) t (|dz/dx| + |dz/dy|) <= n t max(|dz/dx|, |dz/dy|), so n would be needed.
+
+Rounding adds e for float32 positions (8 units in the last place of the largest coordinate), half a depth step and another e for the
+map, and on known triangles the slope times (t/128 + e).
+"""
 
 SLOPE_BIAS, SLOPE_BIAS_LIMIT = 0.0005, 0.005
 """The bias ``slope_clamped`` on a slope of 45 degrees to the light, and its upper bound, as shares of the map's depth.
