@@ -1,7 +1,7 @@
 """The sun's disc for depth maps: its samples, and its width across a map.
 
-Each texel in front of the receiver is a rectangle at its stored distance, which covers some of the disc's samples (``docs/shadow-
-maps.md``).
+Each texel in front of the receiver is a rectangle at its stored distance, which covers some of the disc's samples
+(``docs/shadow-maps.md``).
 
 **Search area.** With the disc's radius r, a caster s metres in front of the receiver matters up to s tan r beside it in the map.
 Blocks of texels with a known minimum depth bound the search more tightly. Rectangles are widened to touch neighbours that also
