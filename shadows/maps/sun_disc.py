@@ -1,4 +1,17 @@
-"""The sun's disc for depth maps: its samples, and its width across a map."""
+"""The sun's disc for depth maps: its samples, and its width across a map.
+
+Each texel in front of the receiver is a rectangle at its stored distance, which covers some of the disc's samples
+(``docs/shadow-maps.md``).
+
+**Search area.** With the disc's radius r, a caster s metres in front of the receiver matters up to s tan r beside it in the map.
+Blocks of texels with a known minimum depth bound the search more tightly. Rectangles are widened to touch neighbours that also
+occlude, so that no light leaks between the depths of one surface.
+
+**Self-shadowing.** A plane with slope m in depth has s = m d at distance d beside the receiver. It covers a part of the disc only
+if m tan r > 1, and then really hides it; the receiver's normal tells which samples. But a texel of side t reaches t/2 to either
+side of its centre, so this holds only where s tan r >= t/2. Nearer casters are compared as in a look-up with three taps. Samples
+are spread over a texel's radius, so that edges have no stairs. Where s tan r is between t/2 and t, both methods are used.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pydantic import Field
+
 from skugga.shadows.algorithm_settings import NamedReason, ResolvedSettings, SettingsRequest
 from skugga.shadows.maps.resolve import resolve_uniform_map
 from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
@@ -19,7 +21,10 @@ MAX_RECONSTRUCTION_MAP_SIZE = 2048
 class ReconstructionSettings(StencilSettings):
     """Settings of reconstructed volumes: those of the depth map and of the count."""
 
-    map: ShadowMapSettings | LampMapSettings
+    map: ShadowMapSettings | LampMapSettings = Field(
+        description=f"The map: `map_size` ({RECONSTRUCTION_MAP_SIZE}, at most {MAX_RECONSTRUCTION_MAP_SIZE}), `depth_bits`, `fit` "
+        "(tight) and `cascades`, as for `shadow_map`."
+    )
 
     @property
     def as_overrides(self) -> dict[str, Any]:

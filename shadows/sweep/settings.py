@@ -25,7 +25,9 @@ class SweepSettings(AreaLightSettings):
 
     lines: int = Field(default=8, ge=1, le=16)
     light_points: int = Field(default=MAX_SWEEP_LIGHT_POINTS, ge=1)
-    filter: Literal[1, "sun"] = 1
+    filter: Literal[1, "sun"] = Field(
+        default=1, description="`auto`: 1, hard edges. `sun`: penumbrae, the mean of sweeps from 20 points of the sun's disc."
+    )
 
 
 def resolve_sweep(request: SettingsRequest) -> ResolvedSettings:

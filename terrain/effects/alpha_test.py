@@ -49,5 +49,5 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 EFFECT = Effect(
-    "alpha test: light passes the gaps in foliage", judge, facts, required_effects=("cast_shadows",), verdict_without_facts=None
+    "light through holes in the texture of foliage", judge, facts, required_effects=("cast_shadows",), verdict_without_facts=None
 )

@@ -83,5 +83,9 @@ def apply_ambient_occlusion(skylight: np.ndarray, block: ShadingBlock) -> None:
 
 
 EFFECT = Effect(
-    "ambient occlusion: less sky light beside buildings and under trees", judge, facts, "skylight", apply_ambient_occlusion
+    "ambient occlusion: less sky light beside buildings, under trees and between things",
+    judge,
+    facts,
+    "skylight",
+    apply_ambient_occlusion,
 )

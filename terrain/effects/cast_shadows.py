@@ -326,4 +326,4 @@ def _any_occludes(box_low, box_high, points, tolerance_m, cells):
     return False
 
 
-EFFECT = Effect("cast shadows", judge, facts, verdict_without_facts=None)
+EFFECT = Effect("the shadows that things cast on each other", judge, facts, verdict_without_facts=None)

@@ -317,7 +317,7 @@ def _max_noise(west, east, south, north, low, high):
 
 
 EFFECT = Effect(
-    "drifting clouds that shade the ground, and are seen in the sky",
+    "drifting clouds and their shadows",
     judge,
     facts,
     stage="sunlight",

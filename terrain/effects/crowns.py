@@ -180,4 +180,11 @@ def _transmit(first, last, sunlight, pixels, points, cell, is_lit, edge_m, width
             sunlight[row, col] = received + max(visible - received, np.float32(0.0)) * share
 
 
-EFFECT = Effect("light through foliage", judge, facts, "sunlight", apply_crowns, required_effects=("cast_shadows",))
+EFFECT = Effect(
+    "sunlight through foliage, which hides crossed quads",
+    judge,
+    facts,
+    "sunlight",
+    apply_crowns,
+    required_effects=("cast_shadows",),
+)

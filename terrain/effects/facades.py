@@ -218,4 +218,4 @@ def _draw_facades(first, last, albedo, mesh_triangle, position, eye, tangent, ea
                 albedo[i, j, k] = min(max(value, 0.0), 1.0)
 
 
-EFFECT = Effect("windows and doors of buildings", judge, facts, stage="albedo", apply=apply_facades)
+EFFECT = Effect("windows, doors and roof tiles of buildings", judge, facts, stage="albedo", apply=apply_facades)

@@ -332,4 +332,4 @@ def _add_waves(x, y, step_x, step_y, width_m, length_m, waves, column, out):
                     out[column[n], 3] += share * relief * (cosine * slope_y[n] - sine * slope_x[n])
 
 
-EFFECT = Effect("detail of the ground near the eye", judge, facts, "albedo", apply_ground_detail)
+EFFECT = Effect("patches, tufts and grain of near ground", judge, facts, "albedo", apply_ground_detail)

@@ -289,4 +289,10 @@ def _steep_color(color, plant_share, slope_deg, at, angles, tree_line, albedos):
     return color
 
 
-EFFECT = Effect("materials of natural ground", judge, facts, "albedo", apply_ground_materials)
+EFFECT = Effect(
+    "meadows, fields, woods, earth, rock and scree, by slope, height and ``land_cover``",
+    judge,
+    facts,
+    "albedo",
+    apply_ground_materials,
+)

@@ -436,4 +436,4 @@ def _farthest_corner(polygon, inward):
     return farthest
 
 
-EFFECT = Effect("distance haze", judge, facts, stage="color", apply=apply_haze)
+EFFECT = Effect("air in front of distant surfaces", judge, facts, stage="color", apply=apply_haze)

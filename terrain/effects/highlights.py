@@ -66,4 +66,4 @@ def apply_highlights(gloss: np.ndarray, block: ShadingBlock) -> None:
     run_in_chunks(len(gloss), write_gloss_rows, visible, surface.atlas, block.buffer.shading_normal_frame, to_sun, gloss)
 
 
-EFFECT = Effect("highlights of the sun on models", judge, facts, stage="gloss", apply=apply_highlights)
+EFFECT = Effect("the sun mirrored by glossy models", judge, facts, stage="gloss", apply=apply_highlights)

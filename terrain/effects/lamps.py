@@ -198,4 +198,4 @@ def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer_co
                 out[i, j, k] += color[k] * share
 
 
-EFFECT = Effect("spots and omni lights", judge, stage="lamplight", apply=apply_lamps)
+EFFECT = Effect("light of spots and omni lights", judge, stage="lamplight", apply=apply_lamps)

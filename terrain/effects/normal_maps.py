@@ -61,4 +61,4 @@ def apply_normal_maps(normal: np.ndarray, block: ShadingBlock) -> None:
         run_in_chunks(len(normal), write_normal_rows, visible, surface.atlas, normal)
 
 
-EFFECT = Effect("normal maps of models", judge, facts, stage="normal", apply=apply_normal_maps)
+EFFECT = Effect("relief of a model's surface", judge, facts, stage="normal", apply=apply_normal_maps)

@@ -56,4 +56,6 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"outside": not inside}
 
 
-EFFECT = Effect("casters outside of a map's block", judge, facts, required_effects=("cast_shadows",), verdict_without_facts=None)
+EFFECT = Effect(
+    "shadows of ground beyond a map's block", judge, facts, required_effects=("cast_shadows",), verdict_without_facts=None
+)

@@ -213,4 +213,4 @@ def _draw_drops(first, last, rows, cols, pixels, axes, eye, valid, position, dro
             color[n, k] = drops.color[k] + (color[n, k] - drops.color[k]) * transmittance
 
 
-EFFECT = Effect("rain and falling snow", judge, facts, stage="color", apply=apply_precipitation)
+EFFECT = Effect("streaks of rain and flakes of snow within 25 m of the eye", judge, facts, stage="color", apply=apply_precipitation)

@@ -74,4 +74,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"lift_deg": scene.sun.refraction_deg, "moves_m": longer_m}
 
 
-EFFECT = Effect("atmospheric refraction", judge, facts)
+EFFECT = Effect("the air lifts the sun: half a degree at the horizon, 0.02 at 45 degrees", judge, facts)

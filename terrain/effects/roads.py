@@ -167,4 +167,4 @@ def _blend_lines(first, last, albedo, shading_inputs, anchor_from_frame, water_m
                 albedo[i, j, k] = color + road * (colors[road_kind, k] - color)
 
 
-EFFECT = Effect("roads and rivers on the ground", judge, facts, stage="albedo", apply=apply_roads)
+EFFECT = Effect("roads and rivers of the level file", judge, facts, stage="albedo", apply=apply_roads)

@@ -58,4 +58,4 @@ def apply_sky_light(skylight: np.ndarray, block: ShadingBlock) -> None:
     np.copyto(skylight, block.sky_light_factor(block), where=is_lit)
 
 
-EFFECT = Effect("light of the whole sky in maps, clear or overcast", judge, facts, "skylight", apply_sky_light)
+EFFECT = Effect("a clear or overcast sky over maps, instead of `sky_view`", judge, facts, "skylight", apply_sky_light)

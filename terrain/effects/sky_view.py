@@ -237,4 +237,4 @@ def _write_factors(first, last, out, nodes, position, values, table, eye, tangen
             out[i, j] = 1.0 - sky_occlusion_at(values, mip_level, row, col)
 
 
-EFFECT = Effect("sky-view factor: sky light that relief blocks", judge, facts, "skylight", apply_sky_view)
+EFFECT = Effect("sky-view factor: less sky light in valleys", judge, facts, "skylight", apply_sky_view)

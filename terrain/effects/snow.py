@@ -157,4 +157,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"lies": level.weather.snow, "on": reason is None, "why": reason}
 
 
-EFFECT = Effect("snow cover", judge, facts, stage="albedo", apply=apply_snow)
+EFFECT = Effect("snow: all of it up to slopes of 38 degrees, none from 52", judge, facts, stage="albedo", apply=apply_snow)

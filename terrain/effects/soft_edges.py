@@ -53,4 +53,4 @@ def max_penumbra_width_m(descriptor: Descriptor) -> float:
     return thrown_m * SUN_DIAMETER_RAD / float(sine)
 
 
-EFFECT = Effect("penumbrae of the sun's disc", judge, required_effects=("cast_shadows",))
+EFFECT = Effect("penumbrae of the sun's disc, or of taps in shadow maps", judge, required_effects=("cast_shadows",))

@@ -134,5 +134,5 @@ def _pixels_per_node(scene: Scene, pixel_m: float) -> int:
 
 
 EFFECT = Effect(
-    "texture shading: in maps, ridges get more of the sky's light and valleys less", judge, facts, "skylight", apply_texture_shading
+    "texture shading: in maps, more sky light on ridges, less in valleys", judge, facts, "skylight", apply_texture_shading
 )

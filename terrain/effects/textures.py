@@ -60,4 +60,4 @@ def apply_textures(albedo: np.ndarray, block: ShadingBlock) -> None:
         run_in_chunks(len(albedo), write_texture_rows, visible, surface.atlas, albedo)
 
 
-EFFECT = Effect("textures of models", judge, facts, stage="albedo", apply=apply_textures)
+EFFECT = Effect("pictures and vertex colours on models", judge, facts, stage="albedo", apply=apply_textures)

@@ -425,4 +425,4 @@ def _add_reflections(color, is_water, position, eye, up_origin, sky, mean_square
                 color[i, j, k] = value
 
 
-EFFECT = Effect("reflected sky and sun glint on standing water", judge, facts, "color", apply_water)
+EFFECT = Effect("the sky in standing water, and the sun's glint", judge, facts, "color", apply_water)

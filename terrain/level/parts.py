@@ -140,18 +140,29 @@ class Water(Model):
 
 
 class Weather(Model):
-    """The weather.
+    """The weather."""
 
-    ``visibility`` is the meteorological range in metres: the distance at which a dark object has 2 % contrast to the horizon;
-    ``None`` for clear air. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies. ``precipitation`` is
-    what falls, and ``precipitation_rate`` how much of it, in millimetres of water per hour.
-    """
-
-    visibility: float | None = Field(default=None, ge=10, le=1e7)
-    cloud_cover: float = Field(default=0.0, ge=0, le=1)
-    snow: bool = False
-    precipitation: Literal["none", "rain", "snowfall"] = "none"
-    precipitation_rate: float = Field(default=4.0, ge=0.1, le=100)
+    visibility: float | None = Field(
+        default=None,
+        ge=10,
+        le=1e7,
+        description="Meteorological range in metres: the distance at which a dark object has 2 % contrast to the horizon. "
+        "Below 1 km it is fog, at 20 km an ordinary day. Default: 100 km, clear air.",
+    )
+    cloud_cover: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Share of the sky behind clouds, which also turn it grey. Below 1 single clouds throw shadows. At 1 no "
+        "sun comes through.",
+    )
+    snow: bool = Field(default=False, description="Whether snow lies.")
+    precipitation: Literal["none", "rain", "snowfall"] = Field(
+        default="none",
+        description="What falls. It moves by the clock and reduces the visibility (ITU-R P.1814): rain of 8 mm/h to 4 km, "
+        "snowfall of 1.5 mm/h to 3.3 km.",
+    )
+    precipitation_rate: float = Field(default=4.0, ge=0.1, le=100, description="Millimetres of water per hour.")
 
     @property
     def precipitation_extinction_per_m(self) -> float:

@@ -1,4 +1,4 @@
-// Compare the visible point of a pixel with a perspective shadow map. docs/perspective-shadow-maps.md derives it.
+// Compare the visible point of a pixel with a perspective shadow map. perspective_shadow_map.py derives it.
 uniform sampler2D position_frame_m;  // rgb: the visible points
 uniform sampler2D normal_frame;      // rgb: unit normals of their triangles, a: crease
 uniform sampler2D corner_frame_m;    // rgb: three texels per pixel, the corners of the triangle
