@@ -1,4 +1,4 @@
-/** The state as the part of the page's address after "#", so that what is seen can be bookmarked and sent. */
+/** The page's state as the fragment of its URL (after "#"), so that a view can be bookmarked and shared. */
 
 import { formatMoment, parseMoment } from './moments';
 import { isRange } from './color_range';

@@ -1,4 +1,4 @@
-/** Registers all panels, in the order of their tabs. */
+/** List of all panels in the order of their tabs. */
 
 import { comparePanel } from './compare/panel';
 import { mapPanel } from './map_panel';

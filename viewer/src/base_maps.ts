@@ -1,4 +1,4 @@
-/** Base maps: those that the service's operator offers, and addresses that somebody pastes. */
+/** Base maps: those that the operator offers, and tile URLs that a user pastes. */
 
 import { html } from './dom';
 import type { Store } from './state';

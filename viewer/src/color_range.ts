@@ -1,4 +1,4 @@
-/** The range of the colours of hours of sun: that of the date, a fixed one to compare dates, or one of somebody's own. */
+/** Range of the colours of hours of sun: the date's, a fixed one for comparing dates, or the user's own. */
 
 import { html } from './dom';
 import type { Legend } from './service';

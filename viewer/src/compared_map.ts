@@ -1,4 +1,4 @@
-/** The second map of a comparison, for the day that is played on both: the player asks here whether there is one. */
+/** Access to the second map of a comparison, on which the player also plays the day. */
 
 import type { Map as MapLibre } from 'maplibre-gl';
 

@@ -1,4 +1,4 @@
-/** What is said while the day that is played waits for a picture: nothing at first, then how far it is, with a way to stop. */
+/** Message while the played day waits for a picture: nothing at first, then the progress and a button that stops it. */
 
 import { clockText } from './moments';
 import type { DayWait } from './player';

@@ -1,4 +1,4 @@
-/** The sun's path of a day as drawings: its height over the hours, under the slider of time, and its way round the sky. */
+/** Drawings of the sun's path over a day: its altitude above the time slider, and its azimuth around the sky. */
 
 import { svg } from './dom';
 import { DAY_MINUTES } from './moments';

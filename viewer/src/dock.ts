@@ -1,4 +1,4 @@
-/** The sun's place on the page: date and time over the day's path, or a direction; and the button that plays the day. */
+/** Controls of the sun: date and time with the day's path, or a direction, and the button that plays the day. */
 
 import { HeightDial, SkyDial } from './dial';
 import { html } from './dom';

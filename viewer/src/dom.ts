@@ -1,4 +1,4 @@
-/** Elements in one line each. */
+/** Helpers that create and find elements. */
 
 type Child = Node | string | null | undefined | false;
 type Handlers = { [Name in keyof HTMLElementEventMap as `on${Name}`]?: (event: HTMLElementEventMap[Name]) => void };

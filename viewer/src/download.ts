@@ -1,4 +1,4 @@
-/** Download of what is seen: the service draws the extent of the map, as a picture or georeferenced. */
+/** Download of the visible extent, which the service draws as a picture or as a georeferenced raster. */
 
 import type { LngLatBounds } from 'maplibre-gl';
 

@@ -1,4 +1,4 @@
-/** A picture of frames on a map: one canvas over a layer, which changes only when the next picture is there whole. */
+/** Canvas over a map layer that shows a film's frames. It changes only when the next frame is complete. */
 
 import type { CanvasSource, Map as MapLibre } from 'maplibre-gl';
 

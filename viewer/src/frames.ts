@@ -1,4 +1,4 @@
-/** Pictures of the map at other times, put together from tiles: fetched ahead, kept, and found again by their address. */
+/** Frames of the map at other times, composed of tiles: prefetched, cached, and keyed by URL. */
 
 import { TILE_MATRIX_SET } from './service';
 import type { Tiles } from './tiles';

@@ -1,4 +1,4 @@
-/** The layers that the viewer lists: those that it has words for, and products with a legend that the service has besides. */
+/** Layers that the viewer lists: those that it describes, and the service's other products that have a legend. */
 
 import type { Level } from './service';
 import { LAYER_NAMES, type LayerName } from './state';

@@ -1,4 +1,4 @@
-/** How the page is laid out, as its style sheet has it: the panel beside the map, as a sheet over its lower part, or as a drawer. */
+/** Layout of the page, as its style sheet defines it: the panel beside the map, as a sheet over its lower part, or as a drawer. */
 
 import { byId } from './dom';
 

@@ -1,4 +1,4 @@
-/** Starts the page: state from the address, levels from the service, the map, the sun's dock and the panels; and keeps them in step. */
+/** Starts the page, and keeps state, levels, map, the sun's controls and panels consistent. */
 
 import { readAddress, writeAddress } from './address';
 import './all_panels';

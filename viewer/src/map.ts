@@ -1,4 +1,4 @@
-/** The map: a base map if there is one, the service's layer on it, and the ground in three dimensions. */
+/** The map: a base map if one is chosen, the service's layer on it, and 3D terrain. */
 
 import {
   AttributionControl, Map as MapLibre, NavigationControl, ScaleControl, type RasterTileSource, addProtocol, setWorkerUrl,

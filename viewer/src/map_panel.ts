@@ -1,4 +1,4 @@
-/** The first panel: what lies on the map, on what, and how it is seen. */
+/** The panel of the map: layer, base map, opacity and style. */
 
 import { isTemplate, offeredChoice, withBase } from './base_maps';
 import { rangeFields } from './color_range';

@@ -1,4 +1,4 @@
-/** Dates and times of day by a clock that is a fixed offset before UTC, as the address and the service's queries have them. */
+/** Dates and times of day at a fixed offset from UTC, as URLs and queries have them. */
 
 const ISO = /^(\d{4}-\d\d-\d\d)T([01]\d|2[0-3]):([0-5]\d)(?::\d\d(?:\.\d+)?)?(Z|[+-]\d\d:\d\d)$/;
 

@@ -1,4 +1,4 @@
-/** A line over the map about what somebody asked for and does not get; it stays until it is closed, or something else is shown. */
+/** Message over the map about a request that cannot be met. It stays until the user closes it or something else is shown. */
 
 import { byId } from './dom';
 

@@ -1,4 +1,4 @@
-/** The moment that a level opens at which names none: today, in the morning, by the clock of its place, when shadows are seen. */
+/** Default time of a level whose URL names none: today, in the morning by local time, when shadows are visible. */
 
 import { type Moment, dayOfYear, offsetAt, offsetIn, offsetMinutes } from './moments';
 import type { PlacedLevel } from './service';

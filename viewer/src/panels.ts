@@ -1,4 +1,4 @@
-/** Panels: the pages beside the map, one of which is open. Each is a module of its own and knows the page by its context. */
+/** Panels beside the map, one of which is open. Each panel is a module, and knows the page by its context only. */
 
 import type { Map as MapLibre } from 'maplibre-gl';
 

@@ -1,4 +1,4 @@
-/** Who gets the next click on the map: usually it asks for the sun at a point, but a panel may want a place. */
+/** Decides who receives the next click on the map: usually the panel of the sun at a point, sometimes one that needs a place. */
 
 import type { LngLat, Map as MapLibre } from 'maplibre-gl';
 

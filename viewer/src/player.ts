@@ -1,10 +1,4 @@
-/**
- * Plays a day: the sun goes from its rise to its set, and the map with it.
- *
- * The pictures lie on the map as one canvas above the layer. It changes only when the next picture is there whole, so no frame is
- * blank, however slow the service is; what has been seen runs at full speed. A map that is compared has a canvas of its own, and both
- * go on together.
- */
+/** Plays a day: moves the sun from sunrise to sunset, and updates the map. */
 
 import { type ComparedMap, comparedMap } from './compared_map';
 import { FrameCanvas, same } from './frame_canvas';

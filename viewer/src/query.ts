@@ -1,4 +1,4 @@
-/** What the service is asked for a state: the queries of its pictures. */
+/** Queries of the service's pictures for a state of the page. */
 
 import { formatMoment } from './moments';
 import type { Query } from './service';

@@ -1,4 +1,4 @@
-/** Whether the service can draw, and what it still prepares: `/readyz` is polled until nothing is left to prepare. */
+/** Polls `/readyz` until the service can draw and has nothing left to prepare. */
 
 /** What the service prepares, in its own words; `total` is 0 while it is not known. */
 export interface Preparation {

@@ -1,4 +1,4 @@
-/** Files and texts that leave the page. */
+/** Saves files and copies texts to the clipboard. */
 
 import type { Service } from './service';
 

@@ -1,4 +1,4 @@
-/** Talks to the service. Every failure becomes an Error whose message can be read to a person. */
+/** Client of the service's HTTP API. Every failure becomes an Error with a message for users. */
 
 import { type BaseMap, BaseMaps } from './base_maps';
 import { GATEWAY_ERRORS, ReadinessPoll } from './readiness';

@@ -1,4 +1,4 @@
-/** What is asked of the shadows besides the sun: settings of the service's pictures, which the address has as `plan-NAME`. */
+/** Settings of shadows in the URL (`plan-NAME`) and in queries. */
 
 import type { Query } from './service';
 import type { State } from './state';

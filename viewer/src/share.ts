@@ -1,4 +1,4 @@
-/** The button that shares what is seen: the system's dialog where there is one, else the address is copied. */
+/** The button that shares the view: by the system's dialog if there is one, else by copying the URL. */
 
 import { writeAddress } from './address';
 import { byId } from './dom';

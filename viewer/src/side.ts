@@ -1,4 +1,4 @@
-/** The side: tabs of the panels, the panel that is open, and on a phone the sheet that holds them. */
+/** The side of the page: the tabs, the open panel, and the sheet that holds them on a phone. */
 
 import { byId, html } from './dom';
 import { isFolding, isSheet } from './layout';

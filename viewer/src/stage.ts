@@ -1,4 +1,4 @@
-/** Where a level without a place on the earth is seen: no map, but pictures of its views that the service draws. */
+/** Area for levels without a place on earth: pictures of their views instead of a map. */
 
 import { html } from './dom';
 import { type Level, type Service, isPlaced } from './service';

@@ -1,4 +1,4 @@
-/** What lies over the empty map until the service can draw: what it does, how far it is, how long it has taken. */
+/** Card over the empty map until the service can draw: the task, its progress, and the time so far. */
 
 import { html } from './dom';
 import type { Preparation, Readiness } from './readiness';

@@ -1,4 +1,4 @@
-/** The page's one state: what is shown, of what, under which sun. Everything else on the page follows from it. */
+/** The state of the page: level, layer, sun and options. Everything else on the page follows from it. */
 
 /** A product that tiles are served of: one of `LAYER_NAMES`, or another one that the service lists (`layers.ts`). */
 export type LayerName = string;

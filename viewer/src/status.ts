@@ -1,4 +1,4 @@
-/** What the page says of its work: a line that runs while tiles are on their way, words where that takes long, and failures. */
+/** Progress bar while tiles are loading, a message if that takes long, and error messages. */
 
 import { byId } from './dom';
 import type { Progress } from './tiles';

@@ -1,10 +1,4 @@
-/**
- * The sun over a day, as the service tells it: sunrise, noon and sunset of the level's middle.
- *
- * The path between them needs no library: noon's height and the latitude give the sun's declination, and the hours from noon its
- * hour angle (spherical astronomy, e.g. Meeus, Astronomical Algorithms, 13.5 and 13.6). The declination changes by at most 0.2
- * degrees to either side of noon, a pixel of the drawing; numbers that are told are the service's own.
- */
+/** The sun over a day at the middle of the level: sunrise, noon and sunset, as the service computes them. */
 
 import { minutesOfDay } from './moments';
 import type { PlacedLevel, Service } from './service';

@@ -1,4 +1,4 @@
-/** Light or dark: as the system has it, unless somebody chooses. */
+/** Light or dark theme: the system's, unless the user chooses one. */
 
 import { byId } from './dom';
 import { type Store, THEMES, type Theme } from './state';

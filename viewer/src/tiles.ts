@@ -1,4 +1,4 @@
-/** Tiles of the service, kept in memory once they have been seen: the map's and the player's, by their addresses. */
+/** Cache of tiles by URL, for the map and the player. */
 
 import { type Service, isAbort, inWords } from './service';
 

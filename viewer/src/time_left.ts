@@ -1,4 +1,4 @@
-/** How long a preparation still takes, by the progress that the page has seen of it; and times in words. */
+/** Estimate of the time that a preparation still takes, and durations in words. */
 
 import type { Preparation } from './readiness';
 

@@ -1,4 +1,4 @@
-/** Lines to copy into other maps and programs: the service writes them, with the layer, the style and the sun that are shown. */
+/** Lines of code for other maps and programs, with the current layer, style and sun. The service writes them. */
 
 import { html } from './dom';
 import type { PanelContext } from './panels';

@@ -1,4 +1,4 @@
-/** The panel of what leaves the page: files of what is seen, and lines for other maps. */
+/** The panel of exports: files of the view, and lines of code for other maps. */
 
 import { mountDownload } from './download';
 import { html } from './dom';

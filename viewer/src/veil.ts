@@ -1,4 +1,4 @@
-/** What lies over the map where there is nothing to see: what is wrong, and the way back. */
+/** Message over the map if nothing can be shown: what is wrong, and a link back. */
 
 import { byId, html } from './dom';
 

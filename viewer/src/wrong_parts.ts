@@ -1,4 +1,4 @@
-/** What an address asks for and does not get: parts that mean nothing, and what the service or a level does not have. */
+/** Errors in a URL: parts that are not understood, and names that the service or a level lacks. */
 
 import { addressFaults } from './address';
 import { layersOf } from './layers';

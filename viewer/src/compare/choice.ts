@@ -1,4 +1,4 @@
-/** What a map is compared with: itself with one thing changed, as the address has it: `compare=algorithm:sweep`. */
+/** What a map is compared with: the same map with one thing changed, as in the URL: `compare=algorithm:sweep`. */
 
 import { clockText } from '../moments';
 import { pictureQuery } from '../query';

@@ -1,4 +1,4 @@
-/** The line between two maps: it is dragged, or moved by the keys of a slider. */
+/** The line between two maps, which is dragged, or moved by the keys of a slider. */
 
 import { html } from '../dom';
 import { coveredLeft } from '../layout';

@@ -1,4 +1,4 @@
-/** The second map of a comparison: over the first from the divider on, looking where that looks. It takes no clicks: the first has them. */
+/** The second map of a comparison: over the first one beyond the divider, with the same camera. It takes no clicks. */
 
 import { Map as MapLibre, type RasterTileSource, type StyleSpecification } from 'maplibre-gl';
 

@@ -1,4 +1,4 @@
-/** The settings of shadows that the service knows, as its own interface tells of them. */
+/** Settings of shadows that the service supports, read from its OpenAPI document. */
 
 import type { Service } from '../service';
 

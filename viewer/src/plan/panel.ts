@@ -1,4 +1,4 @@
-/** The panel of the plan: what the service draws and why, with algorithms and layers between folded away. */
+/** The panel of the plan: what the service draws and why, with the algorithms and intermediate layers folded. */
 
 import { html } from '../dom';
 import { TILE_SIZE } from '../map';

@@ -1,4 +1,4 @@
-/** The plan of what is seen in plain words: what is drawn and what not, what it costs, and by which algorithms. */
+/** A plan in plain words: what is drawn and what is not, its cost and its algorithms. */
 
 import { capital } from '../point/words';
 

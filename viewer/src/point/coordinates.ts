@@ -1,4 +1,4 @@
-/** Reads coordinates that somebody types or pastes: degrees in the usual spellings, or metres of a map's grid. */
+/** Parser of coordinates that a user types or pastes: degrees in the usual spellings, or metres of a CRS. */
 
 export type Coordinates =
   | { readonly kind: 'degrees'; readonly lat: number; readonly lon: number }

@@ -1,4 +1,4 @@
-/** A day at a point as a bar: night, shadow and sun from midnight to midnight. */
+/** A day at a point as a bar of night, shadow and sun from midnight to midnight. */
 
 import { html } from '../dom';
 import { DAY_MINUTES } from '../moments';

@@ -1,4 +1,4 @@
-/** A day at a point as spans of night, shadow and sun without gaps, from the intervals that the service tells. */
+/** A day at a point as spans of night, shadow and sun without gaps, from the service's intervals. */
 
 import { DAY_MINUTES, minutesOfDay } from '../moments';
 import type { Caster, Day } from './report';

@@ -1,4 +1,4 @@
-/** The panel of a point: a click on the map asks for the sun there. */
+/** The panel of the sun at a point, which a click on the map selects. */
 
 import { Marker } from 'maplibre-gl';
 

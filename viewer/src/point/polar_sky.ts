@@ -1,6 +1,6 @@
 /**
- * The sky over a point: north is up and east to the right, as on a map; the rim is the level horizon, the middle the zenith, and altitudes
- * are evenly spaced between.
+ * The sky over a point: north is up and east to the right, as on a map; the rim is the level horizon, the middle the zenith, and
+ * altitudes are evenly spaced between.
  */
 
 import { svg } from '../dom';

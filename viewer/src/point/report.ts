@@ -1,4 +1,4 @@
-/** What the service tells of the sun at a point, as `/levels/NAME/point` and `/levels/NAME/point/sun.json` have it. */
+/** Types of the service's reports on the sun at a point (`/levels/NAME/point` and `/levels/NAME/point/sun.json`). */
 
 export interface Caster {
   readonly kind: 'relief' | 'building' | 'mesh' | 'forest';

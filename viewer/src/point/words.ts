@@ -1,4 +1,4 @@
-/** The answer at a point in words: lit or in shadow, since when, until when, and by what. */
+/** The report at a point in words: lit or in shadow, since when, until when, and the cause. */
 
 import { type Light, type Span, daySpans, spanAt } from './day_spans';
 import type { Caster, Day, Report } from './report';

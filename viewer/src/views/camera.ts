@@ -1,4 +1,4 @@
-/** A view that somebody makes: where they stand, where they look; and the lines of a level file that say so. */
+/** The camera of a view that a user makes, and its lines for a level file. */
 
 export interface Camera {
   /** Longitude, latitude, metres above the ground there. */

@@ -1,4 +1,4 @@
-/** A film of a view's day: the service draws it as an animation, which is asked for, looked after and fetched. */
+/** A film of a view's day, which the service draws as an animation: request, progress and download. */
 
 import { formatMoment } from '../moments';
 import { type Service, ServiceError } from '../service';

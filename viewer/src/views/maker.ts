@@ -1,4 +1,4 @@
-/** Makes a view of the level: stand here, look there. It shows what is seen, and writes the lines for the level's file. */
+/** Editor of a new view: eye and target on the map, a preview, and the lines for the level file. */
 
 import { type GeoJSONSource, type Map as MapLibre, Marker } from 'maplibre-gl';
 

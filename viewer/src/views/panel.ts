@@ -1,4 +1,4 @@
-/** The panel of views: those of the level as small pictures, and a way to make one. */
+/** The panel of views: the level's views as thumbnails, and the button that makes one. */
 
 import { html } from '../dom';
 import type { Panel, PanelContext } from '../panels';

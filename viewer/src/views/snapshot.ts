@@ -1,4 +1,4 @@
-/** Pictures of views, as the service draws them. */
+/** Pictures of views, drawn by the service. */
 
 import { html } from '../dom';
 import { sunQuery } from '../query';

@@ -1,4 +1,4 @@
-/** The day of a view: a bar below its whole picture that plays it from sunrise to sunset, and makes a film of it. */
+/** The day of a view: a slider below its picture that plays it from sunrise to sunset, and a button that makes a film. */
 
 import { html } from '../dom';
 import { clockText } from '../moments';

@@ -1,4 +1,4 @@
-/** A whole picture of a view in a dialog over the page. Of a place on the earth its day plays there. */
+/** A view's picture in a dialog over the page. For levels with a place on earth its day can be played there. */
 
 import { html } from '../dom';
 import { saveFile } from '../saved';
