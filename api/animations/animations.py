@@ -214,7 +214,10 @@ class Animations:
             await frames.stop()
 
     def _write_film(self, frames: Iterable[np.ndarray], spec: AnimationSpec) -> FilmFile:
-        """Write the frames to an unlinked file, and return the film. The system deletes the file even if this process crashes."""
+        """Write the frames to an unlinked file, and return the film. The system deletes the file even if this process crashes.
+
+        The file is unlinked when it is complete. So the folder remains only if the process is killed while it writes the film.
+        """
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             path = Path(folder) / f"film.{spec.format}"
             self._encode_film(path, frames, spec)
