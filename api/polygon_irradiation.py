@@ -34,6 +34,9 @@ DRIVER_BY_SUFFIX = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".csv": "CSV"}
 ATTRIBUTE_SUFFIX = "_"
 """End of the name of a polygon's attribute that is also the name of a figure, such as ``area_m2``."""
 
+SIGNIFICANT_DIGITS = 6
+"""Significant digits of figures in files. A year's sums err in the fourth digit (docs/reports/irradiation.md)."""
+
 MAX_POLYGONS = 200_000
 """Limit of the polygons of a file."""
 
@@ -101,8 +104,16 @@ class PolygonIrradiation:
         for band, name in enumerate(self.band_names):
             suffix = "" if len(self.band_names) == 1 else f" {name}"
             columns[f"kwh_m2{suffix}"], columns[f"kwh{suffix}"] = self.mean_kwh_m2[:, band], self.sum_kwh[:, band]
+        columns = {name: _significant(values) for name, values in columns.items()}
         outside = np.where(self.cells > 0, "", "outside of the level's ground").astype(object)
         return {**columns, "remark": outside}
+
+
+def _significant(values: np.ndarray) -> np.ndarray:
+    """Return figures (n,) with ``SIGNIFICANT_DIGITS``; whole numbers are unchanged."""
+    if values.dtype.kind != "f":
+        return values
+    return np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in values])
 
 
 def _as_field(values: np.ndarray) -> np.ndarray:

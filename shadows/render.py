@@ -17,10 +17,10 @@ from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, Pa
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.sky_light.sky_light import block_sky_light
-from skugga.shadows.supersampling import mean_visibilities, supersampling
+from skugga.shadows.supersampling import Supersampling, mean_visibilities, supersampling
 from skugga.shadows.view_edges import smooth_shadow_edges
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
-from skugga.terrain.casters.caster_types import Casters, Reach
+from skugga.terrain.casters.caster_types import NO_CASTERS, Casters, Reach
 from skugga.terrain.casters.reach import find_casters, find_reach
 from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects import EFFECTS
@@ -288,6 +288,69 @@ def apply_refraction(scene: Scene, plan: Plan, log: PassLog) -> Scene:
         return with_apparent_sun(scene, plan.effect_names)
 
 
+def sun_visibility(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
+    """Return the sun's visibility that ``render_frame`` computes for a map, without the work for its colours and shown edges.
+
+    Parameters
+    ----------
+    scene, view, plan
+        The scene with a sun, the map, and the plan for both.
+
+    Returns
+    -------
+    np.ndarray
+        Values in [0, 1], float32 (rows, cols), NaN off the surface; ``Frame.visibilities`` has the same ones.
+
+    Raises
+    ------
+    InputError
+        The view has more pixels than a frame may have.
+    RenderError
+        The work fails.
+    """
+    check_pixel_count(view)
+    log = PassLog()
+    scene = apply_refraction(scene, plan, log)
+    out = np.full((view.rows, view.cols), np.nan, np.float32)
+    for block, row, col in blocks_of(view):
+        picture, _, _, visibilities = _visibilities_of_block(scene, block, plan, log, "means", reports_reach=False)
+        window, block_window = overlap_windows(view, block, row, col)
+        out[window] = np.where(picture.pixel_buffer.valid, visibilities[SUN], np.float32(np.nan))[block_window]
+    return out
+
+
+def _visibilities_of_block(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    plan: Plan,
+    log: PassLog,
+    pixel_sampling: PixelSampling,
+    reports_reach: bool = True,
+) -> tuple[MultisampledBuffer, Casters, Supersampling | None, dict[str, np.ndarray]]:
+    """Return a block's or a band's geometry, its casters, its supersampling, and each light's visibility (rows, cols).
+
+    The supersampling is ``None`` if the visibilities are those of the pixels' own points. Without ``reports_reach`` the reach of
+    the casters may be missing. The other arguments are those of ``render_block``.
+    """
+    reach = None if reports_reach else NO_CASTERS.reach
+    searches_casters = CASTERS_PASS in plan.effect_names
+    with log.record_pass(GEOMETRY_PASS):
+        picture = picture_buffer(scene, view)
+        own_pixels = picture.pixel_buffer
+        if not searches_casters and reach is None:
+            reach = find_reach(scene, _reach_points(own_pixels, plan))
+    if searches_casters or reach is None:
+        casters = find_outside_casters(scene, plan, own_pixels, lambda: find_casters(scene, own_pixels), log)
+    else:
+        casters = Casters((), reach)
+    pixels = supersampling(scene, view, plan) if pixel_sampling == "means" else None
+    if pixels is None:
+        visibilities = visibilities_at(scene, plan, picture.buffer, casters, log)
+    else:
+        visibilities = mean_visibilities(pixels, own_pixels, log)
+    return picture, casters, pixels, visibilities
+
+
 def render_block(
     scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixel_sampling: PixelSampling = "means"
 ) -> Frame:
@@ -295,19 +358,8 @@ def render_block(
 
     Raises the errors of ``render_frame``. ``pixel_sampling`` is that of ``render_frame``.
     """
-    with log.record_pass(GEOMETRY_PASS):
-        picture = picture_buffer(scene, view)
-        buffer, own_pixels = picture.buffer, picture.pixel_buffer
-        reach = find_reach(scene, _reach_points(own_pixels, plan)) if CASTERS_PASS not in plan.effect_names else None
-    if reach is None:
-        casters = find_outside_casters(scene, plan, own_pixels, lambda: find_casters(scene, own_pixels), log)
-    else:
-        casters = Casters((), reach)
-    pixels = supersampling(scene, view, plan) if pixel_sampling == "means" else None
-    if pixels is None:
-        visibilities = visibilities_at(scene, plan, buffer, casters, log)
-    else:
-        visibilities = mean_visibilities(pixels, own_pixels, log)
+    picture, casters, pixels, visibilities = _visibilities_of_block(scene, view, plan, log, pixel_sampling)
+    own_pixels = picture.pixel_buffer
     shading_visibilities = visibilities
     if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
         picture, shading_visibilities = anti_alias_block(scene, plan, own_pixels, visibilities, log)

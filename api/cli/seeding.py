@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
+from urllib.parse import parse_qsl
 
 import typer
 from rich import box
@@ -175,7 +176,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
         assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_SIDE_TILES**2)
         full_bytes = measured_costs[zoom][1] if zoom in measured_costs else assumed_bytes
         rows.append({
-            "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 1),
+            "sun": sun, "zoom": zoom, "why": reason, "tasks": count, "seconds": round(seconds, 3),
             "bytes": int(full_tasks * full_bytes), "measured": zoom in measured_costs,
         })  # fmt: skip
     workers = options.workers or usable_cores()
@@ -189,7 +190,7 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
         text_table.add_column(name, justify="right")
     for row in rows:
         text_table.add_row(
-            row["sun"] or "the level's", str(row["zoom"]), row["why"], str(row["tasks"]),
+            _format_sun_name(row["sun"]), str(row["zoom"]), row["why"], str(row["tasks"]),
             ("" if row["measured"] else "about ") + format_duration(1000.0 * row["seconds"]), _format_bytes(row["bytes"]),
         )  # fmt: skip
     console = Console(width=None if sys.stdout.isatty() else 160)
@@ -200,6 +201,12 @@ def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, option
         f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall_time_text}, "
         f"about {_format_bytes(total['bytes'])}. Done: {counts.get('done', 0)}, failed: {counts.get('failed', 0)}."
     )
+
+
+def _format_sun_name(name: str) -> str:
+    """Return the name of a sun in the task table, a query string, as a person reads it: ``azimuth 225, altitude 12``."""
+    fields = parse_qsl(name)
+    return ", ".join(value if key == "time" else f"{key} {float(value):g}" for key, value in fields) or "the level's"
 
 
 def _format_bytes(byte_count: float) -> str:

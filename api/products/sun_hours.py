@@ -222,6 +222,13 @@ def _date_count(options: SunHoursOptions) -> int:
     return ((options.to or options.date) - options.date).days // options.every_days + 1
 
 
+def _step_count(options: SunHoursOptions) -> int:
+    """Return the number of steps of all dates that are reported as progress."""
+    from skugga.shadows.sun_hours.sun_hours import STEPS_PER_DAY
+
+    return STEPS_PER_DAY * _date_count(options)
+
+
 def _check(scene: Scene) -> None:
     """Raise ``UnsupportedError`` for a level with objects on its ground, which would need a picture for each of many suns."""
     from skugga.terrain.gbuffer.supersampling import is_terrain_only
@@ -235,18 +242,23 @@ def _check(scene: Scene) -> None:
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     """Return the blocks of a map for hours of sun, in the form that ``blocks_of`` returns.
 
-    On bare ground the blocks are larger, are aligned with the grid of the cells, and end at the edge of the raster.
+    Where no pictures are needed, the blocks are aligned with the grid of the cells, and end at the edge of the raster. On bare
+    ground they are larger.
     """
+    from skugga.shadows.sun_hours.solid_shadows import rays_find_all_shadows
     from skugga.terrain.casters.ground_extent import ground_extent
     from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_terrain_only
-    from skugga.terrain.geo.grid import blocks_of, step_at_anchor_m
+    from skugga.terrain.geo.grid import BLOCK_PX, blocks_of, step_at_anchor_m
 
-    if not is_terrain_only(scene):
+    is_bare = is_terrain_only(scene)
+    if not is_bare and not rays_find_all_shadows(scene, view):
         return blocks_of(view)
     nodes = view.with_pixels_as_nodes()
     side = (
         BARE_BLOCK_SIDE_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_SIDE_NODES
     )
+    if not is_bare:
+        side = BLOCK_PX
     if not scene.world.is_flat:
         side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_SIDE_NODES, side))
     limits: Sequence[tuple[int, int]] = [
@@ -269,5 +281,5 @@ PRODUCT = Product(
     name=PRODUCT_NAME, description="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
     view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
     describe=lambda options: QUANTITIES[options.quantity],
-    blocks=lambda scene, view, _: sun_blocks(scene, view), step_count=_date_count, tags=_tags, check=_check,
+    blocks=lambda scene, view, _: sun_blocks(scene, view), step_count=_step_count, tags=_tags, check=_check,
 )  # fmt: skip

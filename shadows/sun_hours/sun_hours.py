@@ -4,8 +4,9 @@ The sun is sampled in even time steps, and at its rise and set. If no step is re
 (``skugga.shadows.sun_hours.steps``). For ground without objects the line sweep (``skugga.shadows.sweep``) gives the clearance, the
 margin by which each cell sees the sun. The times at which clearances change their signs are derived from it
 (``skugga.shadows.sun_hours.spells``). With steps longer than ``MIN_REFINED_TIME_STEP_MINUTES``, walks along lines of sight refine
-these times. If objects stand on the ground, a plan's algorithms give the visible share of the sun. A cell has sun if at least half
-of it is visible.
+these times. If buildings or models stand on the ground, rays to the sun find their shadows
+(``skugga.shadows.sun_hours.solid_shadows``). If trees do, or if the ground is upright columns, or if cells are coarser than the
+raster's, a plan's algorithms give the visible share of the sun. A cell has sun if at least half of it is visible.
 
 The sweep uses a sun-aligned grid, rotated and mirrored so that the sun stands before row 0. Results stay in the order of the
 sun-aligned grid from step to step. It changes only three or four times a day, when the sun's direction passes a diagonal or an axis
@@ -21,11 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import Frame, render_frame
+from skugga.shadows.render import sun_visibility
 from skugga.shadows.sun_hours.marched_clearances import MARGIN_TANGENT, MarchedGround, clearance_tangents, marched_ground
 from skugga.shadows.sun_hours.quadratics import quadratic_fit
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
+from skugga.shadows.sun_hours.solid_shadows import SolidShadows, rays_find_all_shadows
 from skugga.shadows.sun_hours.spells import (
+    NO_OCCLUDER_CLEARANCE,
     ClearanceSample,
     ClockReading,
     SunSpells,
@@ -41,7 +44,7 @@ from skugga.shadows.sun_hours.spells import (
 from skugga.shadows.sun_hours.steps import IDENTITY_ORIENTATION, LONG_STEP_MINUTES, sampling_step_minutes
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, block_sample_positions, sun_spans
 from skugga.shadows.sweep.orientation import GridOrientation
-from skugga.shadows.sweep.sweep import clearance_of_nodes
+from skugga.shadows.sweep.sweep import NodeClearance, clearance_of_nodes
 from skugga.terrain.casters.caster_types import Patch
 from skugga.terrain.casters.ground_extent import holds_all_ground
 from skugga.terrain.casters.reach import find_sun_casters
@@ -51,7 +54,6 @@ from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
 from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import Sun
-from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LINES_PER_COLUMN, LONG_STEP_LINES_PER_COLUMN = 8, 4
@@ -67,8 +69,14 @@ Ground that hides the sun only between two searches is missed. Such ground is at
 is wide.
 """
 
-RENDERED_STEP_MINUTES = 2.0
-"""Default minutes between two samples if objects stand on the ground. Each sample is a rendered picture of the shadows."""
+OBJECTS_STEP_MINUTES = 2.0
+"""Default minutes between two samples if objects stand on the ground."""
+
+STEPS_PER_DAY = 24
+"""Number of steps of a day whose ends are reported as progress."""
+
+MIN_SHADED_CLEARANCE = np.float32(1e-3)
+"""Minimum amount, metres, of a clearance in the shadow of a building or a model. It is negative there."""
 
 MIN_REFINED_TIME_STEP_MINUTES = 3.0
 """Time step, minutes, beyond which walks along lines of sight refine the time of a change between sun and shade."""
@@ -125,7 +133,7 @@ def sun_hours(
     days: Sequence[WindowSun],
     rules: SunRules,
     plan_of: Callable[[Scene], Plan],
-    on_day: Callable[[], None] | None = None,
+    on_step: Callable[[], None] | None = None,
 ) -> SunHours:
     """Compute the hours of direct sun at the cells of a map's block over several days. Clouds are ignored.
 
@@ -140,10 +148,10 @@ def sun_hours(
     rules
         The definition of direct sun.
     plan_of
-        Function that returns the plan (algorithms and settings) for a scene. It is called only if objects stand on the ground, or
-        if cells are not nodes of the map's grid.
-    on_day
-        Function to call after each day.
+        Function that returns the plan (algorithms and settings) for a scene. It is called only if pictures of the shadows are
+        needed (``_RenderedBlock``).
+    on_step
+        Function to call ``STEPS_PER_DAY`` times for each day, at even steps of its window of time.
 
     Returns
     -------
@@ -162,6 +170,8 @@ def sun_hours(
         block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
         raise InputError("height", rules.height_m, "0, where objects stand on the ground")
+    elif view.is_on_nodes and rays_find_all_shadows(scene, view):
+        block = _SolidsBlock(scene, bare_nodes(scene, view, 1), rules)
     else:
         block = _RenderedBlock(scene, view, plan_of)
     valid = block.valid()
@@ -170,12 +180,12 @@ def sun_hours(
         step_minutes = rules.step_minutes or block.step_minutes(days[len(days) // 2])
         lines = LINES_PER_COLUMN if step_minutes < LONG_STEP_MINUTES else LONG_STEP_LINES_PER_COLUMN
         for day in days:
+            progress = _DayProgress(day.window.length_min, on_step)
             clock = ClockReading(day.window.start_clock_min, day.window.minutes_to_change, day.window.clock_advance_min)
             for span in sun_spans(day, view, scene.world, rules.min_altitude_deg, step_minutes):
-                block_spells = _add_span(block_spells, block, day, span, clock, lines)
+                block_spells = _add_span(block_spells, block, day, span, clock, lines, progress.advance_to)
             end_day(block_spells.spells, rules.threshold_h * 60.0)
-            if on_day is not None:
-                on_day()
+            progress.advance_to(day.window.length_min)
     spells = sun_aligned_spells(block_spells.spells, block_spells.orientation, IDENTITY_ORIENTATION)
 
     def mask_invalid(values: np.ndarray) -> np.ndarray:
@@ -189,6 +199,21 @@ def sun_hours(
         mask_invalid(spells.longest_minutes / np.float32(60.0)),
         mask_invalid(spells.day_count),
     )
+
+
+class _DayProgress:
+    """Calls ``on_step`` after each of ``STEPS_PER_DAY`` equal parts of a day's window of ``length_min`` minutes."""
+
+    def __init__(self, length_min: float, on_step: Callable[[], None] | None) -> None:
+        self._length_min, self._on_step, self._reported_count = length_min, on_step, 0
+
+    def advance_to(self, minutes: float) -> None:
+        """Report the parts that end before a time, minutes after the window's start."""
+        finished_count = min(int(STEPS_PER_DAY * minutes / self._length_min), STEPS_PER_DAY)
+        for _ in range(finished_count - self._reported_count):
+            if self._on_step is not None:
+                self._on_step()
+        self._reported_count = max(finished_count, self._reported_count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,10 +257,12 @@ def _add_span(
     span: SunSpan,
     clock: ClockReading,
     lines: int,
+    on_moment: Callable[[float], None],
 ) -> _BlockSpells:
     """Return the sun at a block's cells after a span, an interval of a day with the sun up.
 
-    ``block_spells`` is the sun before it, and ``lines`` the sweep lines per column.
+    ``block_spells`` is the sun before it, and ``lines`` the sweep lines per column. ``on_moment`` is called with the minutes after
+    the window's start of each moment that was computed.
     """
     moments: list[ClearanceSample] = []
     is_first_step = True
@@ -260,6 +287,7 @@ def _add_span(
             moments = [_reoriented(moment, block_spells.orientation, orientation) for moment in moments]
             block_spells = block_spells.reoriented(orientation)
         moments.append(sample)
+        on_moment(sample.minutes)
         if number >= 2:
             start_moment, end_moment, after = moments[-3:]
             add_step((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
@@ -323,7 +351,11 @@ class _TerrainBlock:
                     CORES,
                 )
             )
+            self._add_objects(day, minutes, node_clearance, arrays[-1])
             yield node_clearance.orientation, arrays[-1]
+
+    def _add_objects(self, day: WindowSun, minutes: float, node_clearance: NodeClearance, clearance: np.ndarray) -> None:
+        """Change the clearances (n, m) of a moment, in place, where objects stand or cast shadows. Here none do."""
 
     def clearance_tangents(
         self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
@@ -410,8 +442,50 @@ class _TerrainBlock:
         return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 
+class _SolidsBlock(_TerrainBlock):
+    """A block of ground with buildings and models, without trees.
+
+    The clearance is that of the ground, or of the roof above it. It is negative where rays to the sun meet a building or a model.
+    """
+
+    def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
+        super().__init__(scene, nodes, rules)
+        self._solids = SolidShadows(scene, nodes)
+
+    def valid(self) -> np.ndarray:
+        """Return the valid mask: cells (rows, cols) that show ground, a building or a model."""
+        return self._solids.valid
+
+    def step_minutes(self, day: WindowSun) -> float:
+        """Return the minutes between two samples, which are the same for all days."""
+        return OBJECTS_STEP_MINUTES
+
+    def clearance_tangents(
+        self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
+    ) -> None:
+        """Return ``None``: rays to the sun give no angle."""
+        return None
+
+    def sun_tangent_bulge(self, day: WindowSun, time_range_minutes: tuple[float, float]) -> float:
+        """Return 0: without clearance tangents the sun's path is not needed."""
+        return 0.0
+
+    def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> None:
+        """Return ``None``: walks meet no buildings."""
+
+    def _add_objects(self, day: WindowSun, minutes: float, node_clearance: NodeClearance, clearance: np.ndarray) -> None:
+        """Raise the clearances (n, m) on roofs, and make them negative in the shadows of buildings and models."""
+        orientation = node_clearance.orientation
+        above_ground_m = orientation.sun_aligned_view(self._solids.above_ground_m)
+        clearance += np.float32(node_clearance.ray_height_per_metre) * above_ground_m
+        clearance[np.isnan(clearance)] = NO_OCCLUDER_CLEARANCE  # a model beyond the ground
+        shaded = self._solids.is_shaded(day.sun_at(minutes, self._scene.world), orientation.grid_order_view(clearance) >= 0.0)
+        is_shaded = orientation.sun_aligned_view(shaded)
+        clearance[is_shaded] = -np.maximum(clearance[is_shaded], MIN_SHADED_CLEARANCE)
+
+
 class _RenderedBlock:
-    """A block with objects, whose shadows a plan's algorithms render.
+    """A block whose shadows a plan's algorithms render, such as one with trees.
 
     The clearance of a cell is the visible share of the sun less 0.5.
     """
@@ -421,17 +495,17 @@ class _RenderedBlock:
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show a surface."""
-        return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).valid
+        return ~np.isnan(self._visibility(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])))
 
     def step_minutes(self, day: WindowSun) -> float:
         """Return the minutes between two samples, which are the same for all days."""
-        return RENDERED_STEP_MINUTES
+        return OBJECTS_STEP_MINUTES
 
     def clearances(self, day: WindowSun, span: SunSpan, lines: int) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield, for each moment of a span, ``IDENTITY_ORIENTATION`` and the clearances (rows, cols) of the cells."""
         for number in range(len(span.samples_minutes)):
-            frame = self._render(day.sun_at(span.sample_minutes(number), self._scene.world))
-            yield IDENTITY_ORIENTATION, frame.visibilities[SUN] - np.float32(0.5)
+            sun = day.sun_at(span.sample_minutes(number), self._scene.world)
+            yield IDENTITY_ORIENTATION, self._visibility(sun) - np.float32(0.5)
 
     def clearance_tangents(
         self, day: WindowSun, moments: tuple[ClearanceSample, ClearanceSample, ClearanceSample], orientation: GridOrientation
@@ -446,10 +520,10 @@ class _RenderedBlock:
     def walk_input(self, day: WindowSun, time_range_minutes: tuple[float, float], orientation: GridOrientation) -> None:
         """Return ``None``: rendered shadows are not refined by walks."""
 
-    def _render(self, sun: Sun) -> Frame:
-        """Render the block under a sun."""
+    def _visibility(self, sun: Sun) -> np.ndarray:
+        """Return the visible share (rows, cols) of a sun at the block's cells, NaN without a surface."""
         scene = replace(self._scene, sun=sun)
-        return render_frame(scene, self._view, self._plan_of(scene))
+        return sun_visibility(scene, self._view, self._plan_of(scene))
 
 
 def under_clear_sky(scene: Scene) -> Scene:

@@ -68,6 +68,21 @@ def is_blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays)
     return any_hit(tree, start, frame.directions_to_earth(rays.direction_frame), rays.length_m)
 
 
+def is_sun_blocked_by_meshes(
+    objects: SceneObjects, frame: LocalFrame, position_frame_m: np.ndarray, normal_frame: np.ndarray, towards_sun: np.ndarray
+) -> np.ndarray:
+    """Return whether the casters of the meshes hide the sun from points (n, 3) of a frame, bool (n,).
+
+    Rays start beside the points, on the side of the surface to which the unit normals (n, 3) point. ``towards_sun`` (3,) is a unit
+    vector of the frame.
+    """
+    tree = _caster_bvh(objects)
+    start = position_frame_m + RAY_OFFSET_SHARE * tree.extent_m * normal_frame
+    start_m = frame.directions_to_earth(start) + (frame.origin_earth_m - tree.origin_earth_m)
+    directions = np.broadcast_to(frame.directions_to_earth(towards_sun), start.shape)
+    return any_hit(tree, start_m, directions, np.full(len(start), np.inf))
+
+
 def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
     """Return whether each ray hits a triangle within its length (...), bool.
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
 from skugga.terrain.errors import InputError, LevelError, Problem, printable
@@ -43,7 +43,7 @@ from skugga.terrain.level.parts import (
 )
 from skugga.terrain.level.pin_scope import PinScope, covered_pins
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
-from skugga.terrain.level.setting import RequestOptions
+from skugga.terrain.level.setting import RequestOptions, limits_text
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
@@ -441,9 +441,15 @@ def override_settings(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
                 details[0]["ctx"]["key"], Problem("unknown setting"), f"Use one of {details[0]['ctx']['known']}"
             ) from None
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
-        phrases = (allowed_phrase(detail) for detail in details if detail["loc"][:1] == (name,))
+        phrases = (_allowed_setting(name, detail) for detail in details if detail["loc"][:1] == (name,))
         allowed = " or ".join(dict.fromkeys(phrases))
         raise InputError(name, changes.get(name), allowed) from None
+
+
+def _allowed_setting(name: str, detail: ErrorDetails) -> str:
+    """Return a pydantic error of a setting as a phrase of allowed values, with both of its limits."""
+    is_beyond_limit = detail["type"] in ("greater_than_equal", "less_than_equal")
+    return (limits_text(Shadows.model_fields[name]) if is_beyond_limit else "") or allowed_phrase(detail)
 
 
 ALLOWED_ANGLES = {"azimuth": "-360 to 720 degrees", "altitude": "-90 to 90 degrees"}

@@ -146,6 +146,11 @@ def _limits_text(annotation: Any) -> str:
     return f"more than {limits['gt']:g}" if "gt" in limits else ""
 
 
+def limits_text(field: FieldInfo) -> str:
+    """Return the limits of a numeric field in words, such as ``64 to 8192``; empty if it has none."""
+    return next(filter(None, map(_limits_text, _union_parts(_request_type(field, RequestOptions())))), "")
+
+
 def _limit_values(metadata: tuple[Any, ...]) -> Iterator[Any]:
     """Yield the metadata of an ``Annotated`` type, those of a ``Field`` one by one."""
     for item in metadata:

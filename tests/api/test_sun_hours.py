@@ -55,6 +55,7 @@ def write_and_read(scene: Scene, folder: Path, **extent) -> tuple[np.ndarray, Pa
     request = sun_hours_of(date=date(2024, 3, 21), clock="utc", step_min=60.0)
     write_rasters(scene, raster_view(scene, **extent), [request], [path], on_step=lambda *update: progress.append(update))
     assert progress[-1][0] == progress[-1][1] and sorted(progress) == progress
+    assert len(progress) >= 24  # of one date: its hours
     with rasterio.open(path) as dataset:
         return dataset.read(1), path
 
@@ -114,10 +115,13 @@ def test_objects_reduce_hours_of_sun(gl, tmp_path):
     level.write_text(text, encoding="utf-8")
     with_house = build_scene(load_level(level))
     hours, _ = write_and_read(with_house, tmp_path)
+    coarse_hours, _ = write_and_read(with_house, tmp_path, resolution=20.0)
     with pytest.raises(InputError, match="height"):
         request = sun_hours_of(date=date(2024, 3, 21), clock="utc", height=1.5)
         write_rasters(with_house, raster_view(with_house), [request], [tmp_path / "a.tif"])
     with_house.close()
+    assert coarse_hours.shape == (15, 15)
+    assert abs(coarse_hours - hours.reshape(15, 4, 15, 4).mean(axis=(1, 3))).mean() < 0.2  # coarse cells are drawn as pictures
     assert hours[50, 5] == pytest.approx(12.1, abs=0.3)  # far to the south: the whole day
     assert hours[26, 30] < 8.0  # just north of the house
     assert hours[40, 30] > 11.0  # south of it

@@ -8,7 +8,7 @@ import pytest
 from skugga.shadows import draw as module
 from skugga.shadows.draw import SHADING_NEEDS, VISIBILITY_NEEDS, can_draw_from_heights, draw
 from skugga.shadows.picture import Needs
-from skugga.shadows.render import render_frame
+from skugga.shadows.render import render_frame, sun_visibility
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from tests.render import plan_of
@@ -47,6 +47,16 @@ def test_draw_returns_only_what_is_needed(gl, hills, needs, kind):
     picture = draw(scene, view, plan_of(scene, view), frozenset(needs))
     assert {name for name in ("color", "opacity", "visibility", "reach", "frame") if getattr(picture, name) is not None} == needs
     assert picture.valid.shape == (view.rows, view.cols) and picture.passes
+
+
+@pytest.mark.parametrize("kind", ["nodes across blocks", "coarse pixels"])
+def test_sun_visibility_equals_that_of_the_frame(gl, hills, kind):
+    scene = hills(225.0, 22.0)
+    view = node_view(scene) if kind == "nodes across blocks" else scene.view("map", size=(90, 60))
+    plan = plan_of(scene, view)
+    expected = render_frame(scene, view, plan).visibilities["sun"]
+    np.testing.assert_array_equal(sun_visibility(scene, view, plan), expected)
+    assert 0.05 < (expected < 0.5).mean() < 0.95
 
 
 def test_draw_by_heights_equals_the_frame_across_blocks(gl, hills):

@@ -57,7 +57,10 @@ def select(
         ),
     ] = None,
     as_json: JsonOption = False,
-    write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
+    write: Annotated[
+        bool,
+        typer.Option("--write", help="Pin the choice into the level file, for all of its views; with --all-views each view's own."),
+    ] = False,
     all_views: Annotated[
         bool, typer.Option("--all-views", help="Choose for each view and for the tiles (map); print a table.")
     ] = False,

@@ -64,6 +64,7 @@ def test_a_polygon_has_the_mean_and_the_sum_of_its_cells(run, slope, tmp_path):
     assert float(whole["kwh"]) == pytest.approx(25 * cell_m2 * mean, rel=1e-3)
     assert float(whole["slope_deg"]) == pytest.approx(TILT_DEG, abs=0.05)
     assert float(whole["azimuth_deg"]) == pytest.approx(90.0, abs=0.1)
+    assert all(len(whole[name].replace(".", "")) <= 6 for name in ("area_m2", "slope_deg", "azimuth_deg", "kwh_m2", "kwh"))
     assert small["cells"] == "1" and float(small["kwh_m2"]) == pytest.approx(values[20, 20], rel=1e-4)
     for row in (outside, hole):
         assert row["cells"] == "0" and row["kwh_m2"] == "" and row["remark"] == "outside of the level's ground"

@@ -38,6 +38,13 @@ def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
     assert out.startswith("0 tasks would run") and f"Done: {len(lines)}, failed: 0." in out
 
 
+def test_the_forecast_names_the_sun_and_its_time(run, raster):
+    time, options = "2024-12-21T12:00:00+01:00", ("--zooms", "13", "--layer", "shadow", "-o", "a.pmtiles", "--dry-run")
+    status, out, _ = run("seed", "dem.tif", *options, "--time", time)
+    assert status == 0 and f" {time} " in out and "%" not in out and " 0 ms" not in out, out
+    assert "azimuth 225, altitude 12" in run("seed", "dem.tif", *options, "--azimuth", "225", "--altitude", "12", "--work", "b")[1]
+
+
 @pytest.mark.parametrize(
     ("options", "expected_texts"),
     [
