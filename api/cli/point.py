@@ -378,7 +378,8 @@ def _format_caster(caster: ReportedCaster | None) -> str:
         return "-"
     distance_text = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
     position_text = "" if caster.lon is None else f" at {caster.lon:.5f}, {caster.lat:.5f}"
-    return f"{caster.kind} {distance_text} away{position_text}, {caster.height_m:.0f} m high"
+    kind = "surface" if caster.kind == "relief" else caster.kind  # heights may be those of houses and trees
+    return f"{kind} {distance_text} away{position_text}, {caster.height_m:.0f} m high"
 
 
 def _format_time(moment: datetime | None) -> str:

@@ -50,7 +50,7 @@ _HEADINGS = {
     "total": "total", "beam": "beam", "circumsolar": "circumsolar", "sky": "sky", "horizon_band": "horizon band",
     "reflected": "reflected", "open_sky": "open sky",
 }  # fmt: skip
-_CAUSE_HEADINGS: dict[Cause, str] = {"relief": "lost to terrain", "solids": "to buildings", "forest": "to trees"}
+_CAUSE_HEADINGS: dict[Cause, str] = {"relief": "lost to surface", "solids": "to buildings", "forest": "to trees"}
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def print_report(report: PointIrradiationReport) -> None:
     console.print(f"{report.level}: {report.lon:.6f}, {report.lat:.6f}; ground {report.elevation_m:.1f} m{height_text}")
     plane_text = "level plane" if not report.tilt else f"plane tilted {report.tilt:.1f}, facing {report.azimuth:.1f} degrees"
     console.print(
-        f"{plane_text}; sky view {report.sky_view:.3f}, behind terrain alone {report.sky_view_of_relief:.3f}; "
+        f"{plane_text}; sky view {report.sky_view:.3f}, behind the surface alone {report.sky_view_of_relief:.3f}; "
         f"{report.weather}, {report.first} to {report.last}; {report.unit}"
     )
     rows = named_sums(report)

@@ -42,11 +42,11 @@ TINT_SHARE = 0.25
 
 _LAYER_COLORS = {
     "direct sun": SUN_COLOR, "sky": SKY_LIGHT_COLOR, "reflected": REFLECTED_COLOR,
-    "lost to terrain": RELIEF_COLOR, "lost to buildings": SOLIDS_COLOR, "lost to trees": FOREST_COLOR,
+    "lost to surface": RELIEF_COLOR, "lost to buildings": SOLIDS_COLOR, "lost to trees": FOREST_COLOR,
 }  # fmt: skip
 """Colours of the layers of a bar, from below to above."""
 
-LOSSES = ("lost to terrain", "lost to buildings", "lost to trees")
+LOSSES = ("lost to surface", "lost to buildings", "lost to trees")
 
 MIN_LOSS_SHARE = 5e-4
 """Share of the light under an open sky below which a loss of all months has no entry in the legend."""
@@ -116,7 +116,7 @@ def _layers(sums: IrradiationSums) -> dict[str, float]:
         "direct sun": sums.beam + sums.circumsolar,
         "sky": sums.sky + sums.horizon_band,
         "reflected": sums.reflected,
-        "lost to terrain": sums.lost("relief"),
+        "lost to surface": sums.lost("relief"),
         "lost to buildings": sums.lost("solids"),
         "lost to trees": sums.lost("forest"),
     }

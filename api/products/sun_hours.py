@@ -250,14 +250,14 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_terrain_only
     from skugga.terrain.geo.grid import BLOCK_PX, blocks_of, step_at_anchor_m
 
-    is_bare = is_terrain_only(scene)
-    if not is_bare and not rays_find_all_shadows(scene, view):
+    has_terrain_only = is_terrain_only(scene)
+    if not has_terrain_only and not rays_find_all_shadows(scene, view):
         return blocks_of(view)
     nodes = view.with_pixels_as_nodes()
     side = (
         BARE_BLOCK_SIDE_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_SIDE_NODES
     )
-    if not is_bare:
+    if not has_terrain_only:
         side = BLOCK_PX
     if not scene.world.is_flat:
         side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_SIDE_NODES, side))

@@ -1,4 +1,4 @@
-"""Shadows of buildings and models at the cells of a block, for hours of sun: rays to the sun through the triangles of the meshes."""
+"""Shadows of buildings and models at the cells of a block, for hours of sun: rays to the sun through the meshes' triangles."""
 
 from __future__ import annotations
 

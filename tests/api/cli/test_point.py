@@ -28,7 +28,7 @@ def valley(tmp_path):
 def test_the_table_reports_ground_sun_and_day(run, valley):
     status, out, err = run("point", valley, "--at", LON_LAT, "--time", TIME, "--height", "1.6")
     assert (status, err) == (0, "")
-    for text in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
+    for text in ("ground 300.0 m, 1.6 m above it", "in shadow, surface", "first sun", "last sun", "hidden", "2024-10-21"):
         assert text in out, out
 
 
@@ -160,7 +160,7 @@ def test_a_track_has_times_of_arrival(run, valley, tmp_path):
     obstacle_kinds = {row["now"]["by"]["kind"] for row in rows if row["now"]["by"]}
     assert obstacle_kinds == {"relief"} and rows[-1]["elevation_m"] > 1000 and rows[3]["elevation_m"] < 500
     status, out, _ = run(*arguments)
-    assert status == 0 and "in shadow, relief" in out
+    assert status == 0 and "in shadow, surface" in out
 
 
 def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):

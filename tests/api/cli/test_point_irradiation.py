@@ -23,7 +23,7 @@ def test_the_table_has_months_and_losses(run, valley):  # noqa: F811
     lines = out.splitlines()
     for text in ("ground 300.0 m", "plane tilted 35.0, facing 180.0 degrees", "2023-01-01 to 2023-12-31", "kWh/m2"):
         assert text in out, out
-    assert "lost to terrain" in out and "to trees" not in out
+    assert "lost to surface" in out and "to trees" not in out
     months = [line.split() for line in lines if line.split()[:1] and line.split()[0].startswith("2023-")]
     assert [month[0] for month in months] == [f"2023-{n:02d}" for n in range(1, 13)]
     total, open_sky, lost = (sum(float(month[column]) for month in months) for column in (1, 7, 8))

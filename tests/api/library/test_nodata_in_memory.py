@@ -84,6 +84,8 @@ def caught_warnings() -> Iterator[list[warnings.WarningMessage]]:
     """Record the warnings for users. Warnings of other kinds remain errors."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
+        # Libraries multiply affine matrices with "*", which affine 3.1 advises against.
+        warnings.filterwarnings("ignore", "Use `@` matmul", PendingDeprecationWarning)
         yield caught
 
 

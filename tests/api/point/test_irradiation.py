@@ -102,7 +102,7 @@ def test_the_chart_has_causes_months_and_the_unit(valley):
     report = report_of(valley, 2023)
     svg = irradiation_chart(report, "svg", "A valley").decode()
     assert svg.startswith("<?xml") and svg == irradiation_chart(report, "svg", "A valley").decode()
-    for text in ("A valley", "kWh/m²", "Jun", "direct sun", "lost to terrain", "level plane", "under an open sky"):
+    for text in ("A valley", "kWh/m²", "Jun", "direct sun", "lost to surface", "level plane", "under an open sky"):
         assert f"<!-- {text}" in svg or text in svg, text
     assert "lost to trees" not in svg
     # a tint without a pattern shows the loss in programs that draw no patterns
