@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args, get_origin
+
+from pydantic.fields import FieldInfo
 
 from scripts.markdown_tables import code, escape, table
 from skugga.shadows.algorithm import Algorithm
@@ -21,7 +23,7 @@ def algorithms_page() -> str:
     for module in ALGORITHM_MODULES:
         algorithm = module.ALGORITHM
         path = module.__name__.removeprefix("skugga.").replace(".", "/") + ".py"
-        parts.append(f"## {algorithm.name}\n\n{escape(_sentence(algorithm.description))}\n\n{_properties_table(algorithm, path)}")
+        parts.append(f"## {algorithm.name}\n\n{escape(_sentence(algorithm.description))}\n\n{_properties_list(algorithm, path)}")
         if rows := [(code(key), values, text) for key, values, text in setting_rows(algorithm)]:
             parts.append(table(("setting", "values", "meaning"), rows))
     return "\n".join(parts)
@@ -37,23 +39,22 @@ def setting_rows(algorithm: Algorithm) -> Iterator[tuple[str, str, str]]:
         for name, field in settings_type.model_fields.items():
             if field.description and name not in seen:
                 seen.add(name)
-                yield name, _values_text(field.annotation), escape(field.description)
+                yield name, _values_text(field), escape(field.description)
 
 
-def _properties_table(algorithm: Algorithm, module_path: str) -> str:
-    """Return the table of what an algorithm refuses, of the layers that it keeps and of its module."""
-    refusals = [f"{escape(requirement)}: {escape(reason)}" for requirement, reason in algorithm.refusals.items()]
-    rows = [
-        ("refuses", ".<br>".join(refusals) or "nothing"),
-        ("layers", ", ".join(code(layer) for layer in algorithm.layers) or "none"),
-        ("module", code(module_path)),
-    ]
-    return table(("", ""), rows)
+def _properties_list(algorithm: Algorithm, module_path: str) -> str:
+    """Return the list of what an algorithm refuses, of the layers that it keeps and of its module."""
+    refusals = [f"- Refuses `{requirement}`: {escape(reason)}." for requirement, reason in algorithm.refusals.items()]
+    layers = [f"- Layers: {', '.join(code(layer) for layer in algorithm.layers)}."] if algorithm.layers else []
+    return "\n".join([*(refusals or ["- Refuses nothing."]), *layers, f"- Module: {code(module_path)}.", ""])
 
 
-def _values_text(annotation: Any) -> str:
-    """Return the values of a setting: those of a ``Literal``, else nothing."""
-    return ", ".join(code(value) for value in get_args(annotation)) if get_origin(annotation) is Literal else ""
+def _values_text(field: FieldInfo) -> str:
+    """Return the values of a setting: those of a ``Literal`` or the range of a number, else nothing."""
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(code(value) for value in get_args(field.annotation))
+    limits = {name: value for item in field.metadata for name in ("ge", "le") if (value := getattr(item, name, None)) is not None}
+    return f"{limits['ge']:g} to {limits['le']:g}" if len(limits) == 2 else ""
 
 
 def _sentence(text: str) -> str:

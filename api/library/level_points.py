@@ -189,6 +189,10 @@ class LevelPoints(LevelState):
         ------
         SkuggaError
             For a wrong argument.
+
+        Notes
+        -----
+        The open share of the sky is ``1 - np.sin(np.radians(np.maximum(horizon_deg, 0))).mean(axis=1)``.
         """
         self._issue_object_warnings()
         return horizons_at_points(self._scene, points, azimuths, height, crs).horizon_deg
