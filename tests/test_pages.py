@@ -27,9 +27,11 @@ from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
 from benchmarks.sun_questions.page import format_summary as format_sun_summary
 from benchmarks.sun_questions.page import format_sun_page
+from scripts.draw_gallery import COMMANDS_WITHOUT_OUTPUT, LEVEL_FOLDER, OTHER_SCRIPTS, gallery_pictures
 from scripts.markdown_tables import anchor
 from scripts.reference_pages import REFERENCE_FILES
 from skugga.api.cli.main import app
+from skugga.terrain.level.level import load_level
 
 ROOT = Path(__file__).parent.parent
 BENCHMARKS, DOCS = ROOT / "benchmarks", ROOT / "docs"
@@ -215,3 +217,40 @@ def test_examples_import_existing_names(page: Path) -> None:
 
 def test_at_least_one_example_has_an_import() -> None:
     assert imported_names((DOCS / "effects.md").read_text("utf-8"))
+
+
+MIN_GALLERY_PICTURES = 24
+MAX_GALLERY_BYTES = 3_000_000
+
+
+def test_the_gallery_has_a_command_below_each_picture() -> None:
+    """The command names an output, which ``scripts/draw_gallery.py`` makes the picture of."""
+    pictures = gallery_pictures((DOCS / "gallery.md").read_text("utf-8"))
+    assert len({picture.name for picture in pictures}) == len(pictures) >= MIN_GALLERY_PICTURES
+    without_output = [
+        picture.name
+        for picture in pictures
+        if not picture.arguments or not (picture.output or picture.arguments[0] in COMMANDS_WITHOUT_OUTPUT)
+    ]
+    assert without_output == []
+    assert set(OTHER_SCRIPTS) <= {picture.name for picture in pictures}
+    sizes = [(DOCS / "images" / f"{picture.name}.webp").stat().st_size for picture in pictures]
+    assert sum(sizes) <= MAX_GALLERY_BYTES
+
+
+def test_the_gallery_finds_pictures_without_commands() -> None:
+    page = "![A](images/a.webp)\n\n![B](images/b.webp)\n\n```sh\nskugga render dem.tif \\\n  -o b.png\nskugga serve c.tif\n```\n"
+    first, second = gallery_pictures(page)
+    assert (first.name, first.arguments, first.output) == ("a", (), None)
+    assert (second.name, second.output, second.inputs) == ("b", "b.png", {"dem.tif"})
+
+
+@pytest.mark.parametrize("file", sorted(LEVEL_FOLDER.glob("*.yaml")), ids=lambda path: path.stem)
+def test_level_files_of_the_gallery_are_valid(file: Path) -> None:
+    """Each is named by a command, whose view it has."""
+    commands = [
+        picture.arguments for picture in gallery_pictures((DOCS / "gallery.md").read_text("utf-8")) if file.name in picture.inputs
+    ]
+    views = load_level(file).level.views
+    assert commands
+    assert {words[words.index("--view") + 1] for words in commands if "--view" in words} <= set(views)
