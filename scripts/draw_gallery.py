@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -36,11 +37,9 @@ PICTURE_FOLDER = ROOT / "docs" / "images"
 LEVEL_FOLDER = ROOT / "examples" / "gallery"
 
 OTHER_SCRIPTS = {
-    "algorithms": "benchmarks/contact_sheet.py",
     "edges": "several commands, cut by hand",
     "effects-ambient_occlusion": "an effect off and on, docs/reports/effects.md",
     "effects-facades": "an effect off and on, docs/reports/effects.md",
-    "light-layers": "four commands of docs/algorithms.md",
     "scenes": "scripts/contact_sheet.py",
     "styles": "benchmarks/styles.py",
     "viewer": "a browser",
@@ -50,8 +49,8 @@ OTHER_SCRIPTS = {
 MAX_SIDE_PX = 1080
 """Longest side of a picture. A card of the page is at most half as wide, on screens of two pixels to each of CSS."""
 
-MAX_BYTES = 130_000
-"""Limit of a picture's file: 24 pictures make about 2 MB."""
+MAX_BYTES = 88_000
+"""Limit of a picture's file, so that the whole page loads at most 3 MB."""
 
 COLORMAPS = {"hours": "inferno", "first": "viridis", "irradiation": "inferno", "sky_view": "gray"}
 """Name of matplotlib's colour map, by a word of the command that writes a raster of numbers; ``hours`` is the default quantity."""
@@ -187,6 +186,15 @@ def reduce_picture(image: Image.Image) -> Image.Image:
     return image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.LANCZOS)
 
 
+def encode_picture(image: Image.Image) -> bytes:
+    """Return a picture as WebP: a mask without loss, others at the best quality that ``MAX_BYTES`` allows."""
+    if image.mode != "L":
+        return encode_webp(image, MAX_BYTES)
+    buffer = BytesIO()
+    image.save(buffer, "WEBP", lossless=True, method=6)
+    return buffer.getvalue()
+
+
 def draw(pictures: Sequence[GalleryPicture], data: Path | None, output: Path) -> Iterator[str]:
     """Draw pictures into the folder ``output`` and yield a line about each."""
     for picture in pictures:
@@ -200,7 +208,7 @@ def draw(pictures: Sequence[GalleryPicture], data: Path | None, output: Path) ->
                 continue
             run_command(picture.arguments, folder)
             image = reduce_picture(read_picture(picture, folder))
-            content = encode_webp(image, MAX_BYTES)
+            content = encode_picture(image)
         (output / f"{picture.name}.webp").write_bytes(content)
         yield f"{picture.name}: {image.width} x {image.height}, {len(content) / 1000:.0f} kB"
 
