@@ -58,13 +58,13 @@ def fill_visibility(
 MAX_GROUND_TRIANGLES = 2**18
 """Upper bound of the triangles of ground for which volumes are a candidate.
 
-Above it they were measured to take ten to twenty times as long as a sweep, without better results (docs/accuracy.md).
+Above it they were measured to take ten to twenty times as long as a sweep, without better results.
 """
 
 
 GROUND_EXCLUSION_REASON = (
     f"not tried: the ground has more than {MAX_GROUND_TRIANGLES:,} triangles, and its volumes would take ten to twenty times as "
-    "long as a sweep (docs/accuracy.md)"
+    "long as a sweep"
 )
 """The reason why the selector does not try volumes of large ground."""
 
