@@ -270,15 +270,16 @@ def test_the_citation_has_the_projects_version_and_licence() -> None:
 
 
 def test_classifiers_name_the_versions_of_python_that_are_tested() -> None:
-    """The tests run with one version, that of ``make test-lowest`` too."""
+    """All tests and ``make test-lowest`` run with the first version, ``make test-newest`` with the others."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     named = [
         name.rpartition(" ")[2]
         for name in project["classifiers"]
         if re.fullmatch(r"Programming Language :: Python :: 3\.\d+", name)
     ]
-    assert named == ["3.11"] and project["requires-python"] == ">=3.11"
-    assert "PYTHON=python3.11" in (ROOT / "Makefile").read_text("utf-8")
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    assert named == ["3.11", "3.12", "3.13"] and project["requires-python"] == ">=3.11"
+    assert "PYTHON=python3.11" in makefile and "python3.13 python3.12" in makefile
 
 
 def test_issue_forms_are_complete() -> None:

@@ -156,6 +156,9 @@ which is what a user gets. Computing: Skugga's `level.sun_hours` as an array, th
 without reading; the modules r.sun and r.horizon on two threads, without import and export. Whitebox's share of the day is made
 hours by the length of its own day.
 
+Skugga's rows are of the commit above. Later that day long steps became more accurate ([hours of sun](sun-hours.md)), so these
+rows are upper bounds.
+
 GRASS is Debian's 8.2. Its r.horizon has a known fault: it returns negative horizons, some of them wrong, and r.sun is wrong
 with such maps (OSGeo/grass, issue 2935). From 8.3 on it returns no negative horizons (pull request 2955). The row *horizons every
 5°* is that of 8.2.""",
