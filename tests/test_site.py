@@ -63,7 +63,10 @@ def test_every_option_of_every_command_is_listed() -> None:
     for name in COMMANDS:
         command = group.commands[name].loaded_command
         options = [option for parameter in command.params for option in parameter.opts if option.startswith("--")]
-        listed = re.findall(r"(?<![\w-])--[\w-]+", "\n".join(re.findall(r"^\| (`.*?`) \|", section(page, name), re.MULTILINE)))
+        listed = re.findall(
+            r"(?<![\w-])--[\w-]+",
+            "\n".join(re.findall(r"^\| ((?:`|<code>).*?(?:`|</code>)) \|", section(page, name), re.MULTILINE)),
+        )
         assert set(options) <= set(listed), name
 
 
@@ -258,7 +261,7 @@ def test_a_notebook_becomes_a_page_with_its_output(tmp_path: Path) -> None:
 
 def test_text_without_markup_stays_as_it_is() -> None:
     assert escape("``a|b`` [x] 2*3 <tag> a|b") == r"`a|b` \[x\] 2\*3 &lt;tag> a&#124;b"
-    assert table(("a",), [(code("x|y"),)]) == "| a |\n| --- |\n| `x\\|y` |\n"
+    assert table(("a",), [(code("x|y"),)]) == "| a |\n| --- |\n| <code>x&#124;y</code> |\n"
     assert code(True) == "`true`" and anchor("GET `/levels/{level}`") == "get-levelslevel"
 
 
