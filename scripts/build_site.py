@@ -19,6 +19,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -76,9 +77,12 @@ def commit_version() -> None:
         If mike, which commits it, fails.
     """
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "SITE_VERSIONS": "mike"}
-    for arguments in (("deploy", "--update-aliases", version, "latest"), ("set-default", "latest")):
-        subprocess.run([Path(sys.executable).with_name("mike"), *arguments], cwd=ROOT, env=environment, check=True)
+    tools = Path(sys.executable).parent
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "SITE_VERSIONS": "mike", "SITE_FOLDER": folder}
+        environment["PATH"] = f"{tools}{os.pathsep}{os.environ.get('PATH', '')}"  # mike runs mkdocs
+        for arguments in (("deploy", "--update-aliases", version, "latest"), ("set-default", "latest")):
+            subprocess.run([tools / "mike", *arguments], cwd=ROOT, env=environment, check=True)
     print(f"branch gh-pages: version {version}, which is now the latest; nothing was pushed")
 
 

@@ -230,10 +230,10 @@ def _step_count(options: SunHoursOptions) -> int:
 
 
 def _check(scene: Scene) -> None:
-    """Raise ``UnsupportedError`` for a level with objects on its ground, which would need a picture for each of many suns."""
+    """Raise ``UnsupportedError`` for a level with objects on its ground, whose tiles would take too long under many suns."""
     from skugga.terrain.gbuffer.supersampling import is_terrain_only
 
-    if not is_terrain_only(scene):  # each of many suns would be a picture
+    if not is_terrain_only(scene):
         raise UnsupportedError(
             "layer", PRODUCT_NAME, "objects stand on this level's ground; `skugga sunhours` writes it as a raster"
         )

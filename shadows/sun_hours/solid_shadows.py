@@ -6,7 +6,7 @@ import numpy as np
 
 from skugga.shadows.attached_shadow import faces_away
 from skugga.terrain.compiled import CORES, map_on_cores
-from skugga.terrain.facts.mesh_rays import is_sun_blocked_by_meshes
+from skugga.terrain.facts.mesh_rays import caster_bvh, is_sun_blocked
 from skugga.terrain.gbuffer.antialias import picture_buffer
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.resolve import MESHES
@@ -34,16 +34,17 @@ class SolidShadows:
     Attributes
     ----------
     valid
-        bool (rows, cols), valid mask: the cell shows a surface.
+        bool (rows, cols), valid mask: the cell shows a surface, and there is ground below it.
     above_ground_m
         float32 (rows, cols), the surface's height above the ground, metres: 0 except on buildings and models.
     """
 
     def __init__(self, scene: Scene, nodes: BareNodes) -> None:
         buffer = picture_buffer(scene, nodes.view).pixel_buffer
-        self._objects, self._buffer = scene.objects, buffer
-        self._is_solid = buffer.valid & (buffer.surface_kind == MESHES)
-        self.valid = buffer.valid
+        self._buffer = buffer
+        self._tree = caster_bvh(scene.objects)  # once: a tree above the limit of the cache is built at each call
+        self.valid = buffer.valid & ~np.isnan(nodes.height_m)
+        self._is_solid = self.valid & (buffer.surface_kind == MESHES)
         self.above_ground_m = np.where(self._is_solid, buffer.height_m - nodes.height_m, np.float32(0.0))
 
     def is_shaded(self, sun: Sun, receiver_mask: np.ndarray) -> np.ndarray:
@@ -59,7 +60,7 @@ class SolidShadows:
         def trace(rays: slice) -> None:
             row, col = rows[rays], cols[rays]
             start, normal = buffer.position_frame_m[row, col], buffer.normal_frame[row, col]
-            shaded[row, col] = is_sun_blocked_by_meshes(self._objects, buffer.frame, start, normal, towards)
+            shaded[row, col] = is_sun_blocked(self._tree, buffer.frame, start, normal, towards)
 
         map_on_cores(trace, (slice(first, first + RAYS_PER_CHUNK) for first in range(0, len(rows), RAYS_PER_CHUNK)), CORES)
         return shaded

@@ -28,7 +28,6 @@ from skugga.shadows.sun_hours.quadratics import quadratic_fit
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
 from skugga.shadows.sun_hours.solid_shadows import SolidShadows, rays_find_all_shadows
 from skugga.shadows.sun_hours.spells import (
-    NO_OCCLUDER_CLEARANCE,
     ClearanceSample,
     ClockReading,
     SunSpells,
@@ -478,7 +477,6 @@ class _SolidsBlock(_TerrainBlock):
         orientation = node_clearance.orientation
         above_ground_m = orientation.sun_aligned_view(self._solids.above_ground_m)
         clearance += np.float32(node_clearance.ray_height_per_metre) * above_ground_m
-        clearance[np.isnan(clearance)] = NO_OCCLUDER_CLEARANCE  # a model beyond the ground
         shaded = self._solids.is_shaded(day.sun_at(minutes, self._scene.world), orientation.grid_order_view(clearance) >= 0.0)
         is_shaded = orientation.sun_aligned_view(shaded)
         clearance[is_shaded] = -np.maximum(clearance[is_shaded], MIN_SHADED_CLEARANCE)

@@ -26,6 +26,9 @@ SAH_BINS = 16
 RAY_OFFSET_SHARE = 2.0**-20
 """Offset of the start of a ray from its surface, as a share of the meshes' extent (1 mm per km)."""
 
+MAX_SUN_RAY_OFFSET_M = 0.01
+"""Maximum offset of the start of a ray to the sun from its surface, metres. Parapets must still cast in levels of any extent."""
+
 
 @dataclass(frozen=True, eq=False)
 class Bvh:
@@ -60,7 +63,7 @@ class Bvh:
 
 def is_blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Return whether each ray (1 + k, n) hits the casters of the meshes before it reaches the light, bool."""
-    tree = _caster_bvh(objects)
+    tree = caster_bvh(objects)
     frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
     lift = (RAY_OFFSET_SHARE * tree.extent_m * side)[:, None] * probes.normal_frame
@@ -68,16 +71,15 @@ def is_blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays)
     return any_hit(tree, start, frame.directions_to_earth(rays.direction_frame), rays.length_m)
 
 
-def is_sun_blocked_by_meshes(
-    objects: SceneObjects, frame: LocalFrame, position_frame_m: np.ndarray, normal_frame: np.ndarray, towards_sun: np.ndarray
+def is_sun_blocked(
+    tree: Bvh, frame: LocalFrame, position_frame_m: np.ndarray, normal_frame: np.ndarray, towards_sun: np.ndarray
 ) -> np.ndarray:
-    """Return whether the casters of the meshes hide the sun from points (n, 3) of a frame, bool (n,).
+    """Return whether the triangles of a BVH hide the sun from points (n, 3) of a frame, bool (n,).
 
     Rays start beside the points, on the side of the surface to which the unit normals (n, 3) point. ``towards_sun`` (3,) is a unit
     vector of the frame.
     """
-    tree = _caster_bvh(objects)
-    start = position_frame_m + RAY_OFFSET_SHARE * tree.extent_m * normal_frame
+    start = position_frame_m + min(RAY_OFFSET_SHARE * tree.extent_m, MAX_SUN_RAY_OFFSET_M) * normal_frame
     start_m = frame.directions_to_earth(start) + (frame.origin_earth_m - tree.origin_earth_m)
     directions = np.broadcast_to(frame.directions_to_earth(towards_sun), start.shape)
     return any_hit(tree, start_m, directions, np.full(len(start), np.inf))
@@ -99,7 +101,7 @@ def first_mesh_hits(
     Rays have starts (n, 3), directions (n, 3) and lengths (n,). The distance is infinite without a hit within the length. Unit
     normals point towards the start.
     """
-    tree = _caster_bvh(objects)
+    tree = caster_bvh(objects)
     start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
     distance_m, triangle = _find_hits(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
     normal = frame.directions_from_earth(np.cross(tree.edge_a[triangle], tree.edge_b[triangle]))
@@ -118,7 +120,7 @@ def _find_hits(
 
 
 @cached("scene", 512 * MIB)
-def _caster_bvh(objects: SceneObjects) -> Bvh:
+def caster_bvh(objects: SceneObjects) -> Bvh:
     """Return the BVH of the meshes' triangles that cast shadows."""
     solids = objects.solids
     assert solids is not None

@@ -101,11 +101,16 @@ class LevelSource(BaseModel):
         return {
             "version": 1,
             "title": printable(self.path.stem),
-            # The name that the path has without links: the level lies in the folder where these lead.
-            "terrain": {"source": self.path.resolve().name, **raster_keys},
+            "terrain": {"source": self._source, **raster_keys},
             **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
             **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),
         }
+
+    @property
+    def _source(self) -> str:
+        """Name of the raster in the folder where links of the path lead. A name without a suffix could be a bundled data set's."""
+        name = self.path.resolve().name
+        return name if "." in name else f"./{name}"
 
     @property
     def digest(self) -> str:

@@ -12,6 +12,8 @@ from pyproj import Transformer
 
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
+from skugga.terrain.facts import mesh_rays
+from skugga.terrain.facts.mesh_rays import bvh_of
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
@@ -105,3 +107,30 @@ def test_sun_hours_of_a_roof_behind_a_wall_of_ground(open_scene_with_building):
     clears_wall = towards[:, 2] * 20.0 * CELL_M > (80.0 - 30.0) * towards[:, 0]
     assert result.first[20, 30] == pytest.approx(minutes[clears_wall][0], abs=0.5)
     assert result.first[20, 30] < result.first[10, 30] - 20.0  # the ground beside it
+
+
+def test_bounding_volumes_are_built_once(open_scene_with_building, monkeypatch):
+    """Also if they exceed the limit of their cache, as those of a city of millions of triangles do."""
+    scene, builds = open_scene_with_building(np.zeros((40, 60)), 45.0), []
+    monkeypatch.setattr(mesh_rays.caster_bvh.cache, "limit_bytes", 1000)
+    monkeypatch.setattr(mesh_rays, "bvh_of", lambda *args: builds.append(1) or bvh_of(*args))
+    hours_without_pictures(scene)
+    assert len(builds) == 1
+
+
+def test_low_building_casts_in_a_level_of_any_extent(open_scene_with_building, monkeypatch):
+    """Rays start beside the surface by a length that grows with the level only to a limit."""
+    hours = [hours_without_pictures(open_scene_with_building(np.zeros((40, 60)), 1.0)).hours]
+    monkeypatch.setattr(mesh_rays, "RAY_OFFSET_SHARE", 1.0)  # as in a level a million times as wide
+    hours.append(hours_without_pictures(open_scene_with_building(np.zeros((40, 60)), 1.0)).hours)
+    np.testing.assert_allclose(hours[1], hours[0], atol=2.1 / 60.0)
+
+
+def test_roof_over_a_hole_has_sun_hours(open_scene_with_building):
+    heights = np.zeros((40, 60))
+    heights[19:21, 31:36] = np.nan
+    result = hours_without_pictures(open_scene_with_building(heights, 45.0))
+    expected = np.isnan(heights)
+    expected[:, : FOOTPRINT[3]] = False
+    np.testing.assert_array_equal(np.isnan(result.hours), expected)
+    assert result.hours[19, 31] == pytest.approx(result.hours[19, 30], abs=1e-3)

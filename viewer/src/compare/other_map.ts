@@ -69,6 +69,8 @@ export class OtherMap {
   /** Shows the tiles of the present; resolves when they are drawn. What others have added to the map stays. */
   async release(): Promise<void> {
     this.#held = false;
+    this.#styling += 1;
+    document.body.dataset.compared = 'false';
     const style = this.#wanted();
     const layer = style.layers.find(({ id }) => id === LAYER);
     this.#map.getSource<RasterTileSource>(LAYER)?.setTiles([this.#tiles]);
